@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from sextant.shared.access import ROLES, most_hz
-from sextant.shared.topics import TOPICS
+from sextant.shared.wire.access import ROLES, most_hz
+from sextant.shared.wire.topics import TOPICS
 
 
 def roles() -> Iterator[str]:

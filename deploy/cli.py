@@ -45,15 +45,15 @@ from sextant.deploy.commands.up import up
 from sextant.deploy.commands.video import video
 from sextant.deploy.commands.walks import DEMOS, demo, run
 from sextant.deploy.output import OutputError, discard_output, flushed_output, prepare_streams
-from sextant.shared.files import OUT_OF_ROOM, cause
+from sextant.shared.files.whole_files import OUT_OF_ROOM, cause
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
-    "sextant.shared.transport": "TransportError",
-    "sextant.shared.input_file": "FileError",
-    "sextant.shared.lockstep": "ServiceFailedError",
-    "sextant.shared.access": "AccessError",
-    "sextant.services.console.recording.layout": "RecordingError",
-    "sextant.shared.files": "WriteError",
+    "sextant.shared.wire.transport": "TransportError",
+    "sextant.shared.files.input_file": "FileError",
+    "sextant.shared.runtime.lockstep": "ServiceFailedError",
+    "sextant.shared.wire.access": "AccessError",
+    "sextant.shared.recording.layout": "RecordingError",
+    "sextant.shared.files.whole_files": "WriteError",
     "sextant.deploy.video.story": "StoryError",
     "sextant.deploy.video.files": "FileError",
     "sextant.deploy.launch.fleet": "FleetError",
@@ -112,7 +112,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 def _refusals() -> tuple[type[Exception], ...]:
     """What is the caller's mistake or the machine's state, and says so in words; everything else is a traceback."""
-    from sextant.shared.config import ConfigError
+    from sextant.shared.files.config import ConfigError
 
     others = [getattr(sys.modules[module], name) for module, name in _SAID_IN_WORDS.items() if module in sys.modules]
     return ConfigError, InputError, *others

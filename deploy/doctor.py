@@ -17,7 +17,7 @@ from pathlib import Path
 
 from sextant.deploy import rehearsal, servo_checks
 from sextant.deploy.checks import Check, Level
-from sextant.shared.config import ConfigError
+from sextant.shared.files.config import ConfigError
 
 _ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
     "core": ("msgpack", "numpy", "zenoh", "zstandard"),
@@ -80,9 +80,9 @@ def wheels() -> Iterator[Check]:
 def zenoh_round_trip() -> Check:
     """Whether frames get through a router of this machine and back, and how fast."""
     from sextant.deploy.launch.launcher import host_router
-    from sextant.shared import topics
-    from sextant.shared.service import AnyTopic
-    from sextant.shared.transport import TransportError, ZenohLink
+    from sextant.shared.runtime.service import AnyTopic
+    from sextant.shared.wire import topics
+    from sextant.shared.wire.transport import TransportError, ZenohLink
 
     name = "zenoh on loopback"
     back = threading.Semaphore(0)
@@ -145,9 +145,9 @@ def cycle(
     actuator: Callable[[str], AbstractContextManager[Callable[[], object]]] = rehearsal.bench_actuator,
 ) -> Check:
     """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's, on an emulated servo bus."""
-    from sextant.shared.host import go_first
-    from sextant.shared.live import Beats
-    from sextant.shared.service import Every
+    from sextant.shared.runtime.process_priority import go_first
+    from sextant.shared.runtime.service import Every
+    from sextant.shared.runtime.zenoh_runner import Beats
 
     def beat() -> tuple[str, list[float], list[float]]:
         refused, every, work = go_first(), list[float](), list[float]()
@@ -216,7 +216,7 @@ def depth_camera(robot: str, device: str = "") -> Check:
     try:
         from sextant.services.perception.cameras.camera import CameraError
         from sextant.services.perception.cameras.service import find
-        from sextant.shared.profiles import load_profile
+        from sextant.shared.robot.profiles import load_profile
     except ImportError as error:
         return Check("camera", level, str(error), "pip install -e '.[perception]'")
     try:

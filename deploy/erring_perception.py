@@ -6,8 +6,8 @@ from typing import Literal
 from sextant.deploy.runs.pose_error import MODELS, Erring
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
-from sextant.shared import process
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime import process
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from typing import Self
 import foxglove
 from google.protobuf.message import Message
 
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.writer import LEFT_OUT, declaration
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.writer import LEFT_OUT, declaration
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic
 
 
 class FoxgloveServer:

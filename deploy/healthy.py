@@ -1,6 +1,6 @@
 """Whether a process of this container is well, for its health check: python -m sextant.deploy.healthy [--port N] [--end-hung].
 
-A process gives its signs of life at the socket that NOTIFY_SOCKET names, as under systemd (`sextant.shared.watchdog`); here
+A process gives its signs of life at the socket that NOTIFY_SOCKET names, as under systemd (`shared/runtime/watchdog.py`); here
 this program sits at the other end, for as long as it takes to hear one. Nothing else has to run, and no file goes stale: a sign
 comes from the loop that does the work, now. It imports nothing that takes long, for it is run again and again.
 """
@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sextant.deploy.launch.ports import port_taken
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
@@ -52,7 +52,7 @@ def silence(environment: Mapping[str, str], end_hung: bool = False) -> str:
     heard = path.with_name(f"{path.name}.heard")  # holds the id of the process that gave the last sign
     pid = _next_sign(path, patience_s)
     if pid:
-        files.write_text(heard, f"{pid}\n")
+        whole_files.write_text(heard, f"{pid}\n")
         return ""
     known = int(heard.read_text(encoding="ascii")) if heard.exists() else 0
     if not known:

@@ -23,10 +23,10 @@ from sextant.deploy.order import Order
 from sextant.deploy.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.deploy.runs.operator import Operator
-from sextant.shared import codec, messages, topics
-from sextant.shared.messages import Dims, Message, Mode, VelocityCommand
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, messages, topics
+from sextant.shared.wire.messages import Dims, Message, Mode, VelocityCommand
+from sextant.shared.wire.transport import Endpoints
 
 CLIENT = Path(__file__).resolve().parents[1] / "docs" / "walk_client.py"
 _FRAMES = ("world", "odom", "body")
@@ -36,7 +36,7 @@ _WORDS = re.compile(r"(?:\((?:[\d, ]+)\) )?(?:\[(?P<unit>[^\]]+)\] ?)?(?:\{(?P<f
 _BEGINNING = """# Keys and messages
 
 *This page is made by `sextant topics docs` from the topic table, the process table and the declarations of the messages
-(`shared/topics.py`, `deploy/process_table.py`, `shared/messages.py`); a test holds it to them.*
+(`shared/wire/topics.py`, `deploy/process_table.py`, `shared/wire/messages.py`); a test holds it to them.*
 
 Everything is on [Zenoh](https://zenoh.io), at the router that `sextant up` hosts on `{router}` (`--listen` names another
 address), with scouting off. A key of this page stands behind the namespace of the run: `actuator/state` is
@@ -49,7 +49,7 @@ address), with scouting off. A key of this page stands behind the namespace of t
 - A frame that is larger than its topic allows, or not as declared here, is refused by its reader, counted and named in
   `health`; the last good one stays.
 - Services send a frame with its address, namespace and key, as Zenoh's attachment, and drop one that comes under another key,
-  as may happen behind a router that was frozen (`shared/transport.py`); `health` counts it, too. One without an attachment is
+  as happens behind a router that was frozen (`shared/wire/transport.py`); `health` counts it, too. One without an attachment is
   believed: attach exactly that, or nothing.
 - A stamp is the time [ns] at which the world was as described, by the robot's monotonic clock (`CLOCK_MONOTONIC`) and not the
   time of day. Who reads judges freshness by the time of arrival: a message is stale three periods after it came. Processes on

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from typing import Literal, TypeAlias
 
 from sextant.deploy.robot_time import RobotTime
-from sextant.shared import topics
-from sextant.shared.access import ROUTER_OF, refusal_here
-from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import ROUTER_OF, refusal_here
+from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
 _KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`sextant.deploy.network.refusals`)

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 
-from sextant.shared.files import cause
+from sextant.shared.files.whole_files import cause
 
 
 class OutputError(OSError):

@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from sextant.shared import topics
-from sextant.shared.codec import Label
-from sextant.shared.live import Link
-from sextant.shared.service import AnyTopic
-from sextant.shared.topics import Delivery
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.runtime.zenoh_runner import Link
+from sextant.shared.wire import topics
+from sextant.shared.wire.codec import Label
+from sextant.shared.wire.topics import Delivery
 
 # A megabyte a frame, and a camera takes colour only for who asks: nobody is to be asked for them by the way.
 ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.PREVIEW)

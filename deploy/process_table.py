@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared.scenario import MapOptions, Scenario
-from sextant.shared.transport import Endpoints
+from sextant.shared.scenario.scenario import MapOptions, Scenario
+from sextant.shared.wire.transport import Endpoints
 
 Value = str | int | float | bool
 Role = Literal["all", "onboard", "offboard", "sim"]

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
 from sextant.deploy.judging.report import InputAges
-from sextant.shared import topics
-from sextant.shared.health_table import HealthTable
-from sextant.shared.lateness import SlowComputer, ages_of
-from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.health_table import HealthTable
+from sextant.shared.runtime.lateness import SlowComputer, ages_of
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 
 _MOST_WARNINGS = 200  # kinds of them that are told in a run: they quote what services say
 _SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds

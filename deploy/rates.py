@@ -10,9 +10,9 @@ import numpy as np
 
 from sextant.deploy.overheard import age_ns
 from sextant.deploy.process_table import TABLE
-from sextant.shared.codec import DecodeError, label, schema_id
-from sextant.shared.service import AnyTopic
-from sextant.shared.topics import Lane
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire.codec import DecodeError, label, schema_id
+from sextant.shared.wire.topics import Lane
 
 _SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page": "offboard", "simulation": "simulation"}
 # The first word of a key is the process that writes it, but for these.

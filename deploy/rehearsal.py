@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.shared.service import Stages
+from sextant.shared.runtime.service import Stages
 
 SECONDS = 2.0  # [s] of real time for which the chain is timed
 _WALKS_AFTER_NS = (
@@ -64,8 +64,8 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
         machine: [s] real time.
     """
     from sextant.deploy.runs.lockstep_run import assemble
-    from sextant.shared.profiles import load_profile
-    from sextant.shared.scenario import load_scenario
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.scenario.scenario import load_scenario
 
     scenario = load_scenario("flat")
     run = assemble(scenario, 0, load_profile(scenario.robot))
@@ -104,13 +104,13 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.service import Actuator
     from sextant.services.actuator.servo_bus.servos import Outlet
-    from sextant.services.simulator.tcp_port import TcpBusServer
-    from sextant.services.simulator.workbench import Workbench
-    from sextant.shared import codec, topics
-    from sextant.shared.clock import now_ns
-    from sextant.shared.messages import ModeCommand
-    from sextant.shared.profiles import load_profile
-    from sextant.shared.service import Worker
+    from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+    from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.runtime.clock import now_ns
+    from sextant.shared.runtime.service import Worker
+    from sextant.shared.wire import codec, topics
+    from sextant.shared.wire.messages import ModeCommand
 
     profile = load_profile(robot)
     with TcpBusServer(Workbench(profile, np.random.default_rng(0))) as server:

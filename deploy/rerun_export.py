@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from sextant.deploy.pictures.terrain_mesh import terrain_mesh
 from sextant.deploy.progress import Progress
-from sextant.services.console.diary import Diary
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import files, topics
-from sextant.shared.kinematics import leg_points
-from sextant.shared.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import JOINTS, LEGS, RobotProfile
-from sextant.shared.service import AnyTopic
+from sextant.shared.files import whole_files
+from sextant.shared.recording.event_log import Diary
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.kinematics import leg_points
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
 
 _SHOW_MESSAGES = 5000
 _MAP_NS = 1_000_000_000  # [ns] between two maps
@@ -41,7 +42,7 @@ def export(source: Path, target: Path, progress: Progress) -> int:
         nonlocal drawn
         drawn = _write(source, path, progress)
 
-    files.write_by_name(target, write)
+    whole_files.write_by_name(target, write)
     return drawn
 
 

@@ -1,6 +1,6 @@
 """The robot's time, for who beats by another clock and gives orders, which the robot judges by its own."""
 
-from sextant.shared.clock import ClockError, RobotClock
+from sextant.shared.runtime.clock import ClockError, RobotClock
 
 
 class RobotTime:

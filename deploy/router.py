@@ -21,11 +21,11 @@ from sextant.deploy.network.meeting import Meeting
 from sextant.deploy.network.silence import SilenceLimit
 from sextant.deploy.process_table import ROUTER_ENDPOINT
 from sextant.deploy.provenance import version
-from sextant.shared.access import AccessError
-from sextant.shared.ending import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
-from sextant.shared.host import allow_many_files, switch_often
-from sextant.shared.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
-from sextant.shared.watchdog import Watchdog
+from sextant.shared.runtime.process_priority import allow_many_files, switch_often
+from sextant.shared.runtime.shutdown import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
+from sextant.shared.runtime.watchdog import Watchdog
+from sextant.shared.wire.access import AccessError
+from sextant.shared.wire.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
 
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
@@ -138,7 +138,7 @@ class _Guard:
 class _Awake:
     """Ends this process at once where it goes on after it was stopped for longer than its links last.
 
-    Before it has said a word to those who come again: `sextant.shared.transport.Router` says what became of that.
+    Before it has said a word to those who come again: `sextant.shared.wire.transport.Router` says what became of that.
     """
 
     def __init__(self) -> None:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from sextant.deploy.checks import Check, Level
 from sextant.services.actuator.commissioning.set_ids import hampered
 from sextant.services.actuator.servo_bus import usb_adapter
-from sextant.shared.config import ConfigError
+from sextant.shared.files.config import ConfigError
 
 if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.bus_scan import Seen
     from sextant.services.actuator.servo_bus.dynamixel_bus import Port
-    from sextant.shared.robot import RobotProfile
+    from sextant.shared.robot.profile import RobotProfile
 
 _PATIENCE_NS = 50_000_000  # [ns] a servo that answers late is there
 _OLD_DAYS = 180  # of a calibration: horns settle, screws are undone
@@ -36,7 +36,7 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     try:
         import serial  # noqa: F401  (what reads the bus)
 
-        from sextant.shared.profiles import load_profile
+        from sextant.shared.robot.profiles import load_profile
     except ImportError as error:
         yield Check(f"servo port {port}", Level.FAIL, str(error), "pip install -e '.[actuator]'")
         return
@@ -77,7 +77,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Whether all of the robot's servos are there, and how they are."""
     from sextant.services.actuator.commissioning.bus_scan import problems
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, open_port
-    from sextant.shared import dynamixel as dxl
+    from sextant.shared.servo import dynamixel as dxl
 
     name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
     try:
@@ -129,7 +129,7 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
     """Voltage and temperature of servos that are in order, and what they report of themselves."""
     from sextant.services.actuator.commissioning.bus_scan import WARM, error_of, named
-    from sextant.shared import dynamixel as dxl
+    from sextant.shared.servo import dynamixel as dxl
 
     if not seen:
         return
@@ -156,7 +156,7 @@ def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
 
 def calibration(profile: "RobotProfile", today: date) -> Check:
     """Whether the horns of every leg have been measured, and how long ago."""
-    from sextant.shared.robot import LEGS
+    from sextant.shared.robot.profile import LEGS
 
     name, measured = "calibration", {entry.leg: entry.date for entry in profile.calibration}
     advice = "`sextant servos calibrate` measures how the horns sit"

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.overheard import Heard, age_ns
-from sextant.shared.codec import DecodeError, decode, label
-from sextant.shared.messages import Message, schema
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire.codec import DecodeError, decode, label
+from sextant.shared.wire.messages import Message, schema
 
 FEW = 36  # values of an array that is shown in full: a covariance, and all joints
 _WIDTH = 110  # columns

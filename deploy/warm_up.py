@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from sextant.deploy.workers import share_out
-from sextant.shared.ending import end_with
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import load_scenario
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.shutdown import end_with
+from sextant.shared.scenario.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour
 _Rehearsal = Callable[[RobotProfile, str], None]  # each loads its service itself, for a process that rehearses others need not
@@ -22,28 +22,28 @@ _Rehearsal = Callable[[RobotProfile, str], None]  # each loads its service itsel
 
 def _perception(profile: RobotProfile, _: str) -> None:
     from sextant.services.perception.config import Settings
-    from sextant.services.perception.rehearsal import rehearse
+    from sextant.services.perception.warmup import rehearse
 
     rehearse(profile, Settings())
 
 
 def _mapper(profile: RobotProfile, _: str) -> None:
     from sextant.services.mapper.config import Settings
-    from sextant.services.mapper.rehearsal import rehearse
+    from sextant.services.mapper.warmup import rehearse
 
     rehearse(profile, Settings())
 
 
 def _planner(profile: RobotProfile, _: str) -> None:
     from sextant.services.planner.config import Settings
-    from sextant.services.planner.rehearsal import rehearse
+    from sextant.services.planner.warmup import rehearse
 
     rehearse(profile, Settings())
 
 
 def _simulator(profile: RobotProfile, scenario: str) -> None:
     from sextant.services.simulator.config import Settings
-    from sextant.services.simulator.rehearsal import rehearse
+    from sextant.services.simulator.warmup import rehearse
 
     rehearse(profile, Settings(scenario))
 
@@ -66,9 +66,9 @@ def main() -> int:
 
 def _compiled_before() -> bool:
     """Whether Numba keeps anything of the planner's search, which takes longest: what is left to do is little, mostly."""
-    from sextant.services.planner.passage import search
+    from sextant.services.planner.gap_crossing import roadmap_search
 
-    compiled: Any = search.grow
+    compiled: Any = roadmap_search.grow
     return any(Path(compiled.stats.cache_path).glob("search.*.nbi"))
 
 

@@ -15,30 +15,30 @@ if TYPE_CHECKING:
     from sextant.client import ClientError as ClientError
     from sextant.client import Status as Status
     from sextant.deploy.runs.lockstep_run import run_lockstep as run_lockstep
-    from sextant.services.mapper.elevation import ElevationGrid as ElevationGrid
-    from sextant.services.mapper.layers import FootholdLayers as FootholdLayers
-    from sextant.services.perception.registration import Registration as Registration
-    from sextant.services.planner.passage.roadmap import Roadmap as Roadmap
-    from sextant.shared.kinematics import leg_forward as leg_forward
-    from sextant.shared.kinematics import leg_inverse as leg_inverse
-    from sextant.shared.profiles import load_profile as load_profile
-    from sextant.shared.robot import RobotProfile as RobotProfile
-    from sextant.shared.scenario import load_scenario as load_scenario
+    from sextant.services.mapper.elevation.elevation_grid import ElevationGrid as ElevationGrid
+    from sextant.services.mapper.footholds.layers import FootholdLayers as FootholdLayers
+    from sextant.services.perception.registration.projective_icp import Registration as Registration
+    from sextant.services.planner.gap_crossing.roadmap import Roadmap as Roadmap
+    from sextant.shared.robot.kinematics import leg_forward as leg_forward
+    from sextant.shared.robot.kinematics import leg_inverse as leg_inverse
+    from sextant.shared.robot.profile import RobotProfile as RobotProfile
+    from sextant.shared.robot.profiles import load_profile as load_profile
+    from sextant.shared.scenario.scenario import load_scenario as load_scenario
 
 _HOMES = {
     "Client": "sextant.client",
     "ClientError": "sextant.client",
     "Status": "sextant.client",
     "run_lockstep": "sextant.deploy.runs.lockstep_run",
-    "ElevationGrid": "sextant.services.mapper.elevation",
-    "FootholdLayers": "sextant.services.mapper.layers",
-    "Registration": "sextant.services.perception.registration",
-    "Roadmap": "sextant.services.planner.passage.roadmap",
-    "leg_forward": "sextant.shared.kinematics",
-    "leg_inverse": "sextant.shared.kinematics",
-    "load_profile": "sextant.shared.profiles",
-    "RobotProfile": "sextant.shared.robot",
-    "load_scenario": "sextant.shared.scenario",
+    "ElevationGrid": "sextant.services.mapper.elevation.elevation_grid",
+    "FootholdLayers": "sextant.services.mapper.footholds.layers",
+    "Registration": "sextant.services.perception.registration.projective_icp",
+    "Roadmap": "sextant.services.planner.gap_crossing.roadmap",
+    "leg_forward": "sextant.shared.robot.kinematics",
+    "leg_inverse": "sextant.shared.robot.kinematics",
+    "load_profile": "sextant.shared.robot.profiles",
+    "RobotProfile": "sextant.shared.robot.profile",
+    "load_scenario": "sextant.shared.scenario.scenario",
 }
 __all__ = tuple(_HOMES)
 

@@ -12,10 +12,11 @@ from typing import Literal, Self, TypeAlias
 import numpy as np
 
 from sextant.deploy.robot_time import RobotTime
-from sextant.shared import topics
-from sextant.shared.access import Keys
-from sextant.shared.live import run_live
-from sextant.shared.messages import (
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import Keys
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     Goal,
@@ -27,8 +28,7 @@ from sextant.shared.messages import (
     Tick,
     VelocityCommand,
 )
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 Command: TypeAlias = Literal["off", "stop", "stand", "walk", "sit"]
 

@@ -12,8 +12,8 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
-from sextant.services.simulator.workbench import Workbench
-from sextant.shared.profiles import load_profile
+from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.shared.robot.profiles import load_profile
 from tests.test_readme import commands
 
 ROOT = Path(__file__).parents[1]

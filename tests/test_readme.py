@@ -46,8 +46,8 @@ RUN_BY = {
     "replay FILE": "tests/unit/deploy/replay/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
     "record": "tests/live/test_recording.py::test_what_is_said_is_recorded_until_the_recorder_is_killed",
     "video": "tests/unit/deploy/test_video.py::test_the_command_draws_a_run_and_says_what_came_of_it",
-    "info": "tests/unit/console/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
-    "recover": "tests/unit/console/recording/test_recovery.py::test_the_command_leaves_the_old_file_and_says_what_was_lost",
+    "info": "tests/unit/shared/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
+    "recover": "tests/unit/shared/recording/test_recovery.py::test_the_command_leaves_the_old_file_and_says_what_was_lost",
     "foxglove": "tests/unit/deploy/test_viewers.py::test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to",
     "export": "tests/unit/deploy/test_viewers.py::test_a_recording_is_written_for_rerun",
     "plot": "tests/unit/deploy/plots/test_figures.py::test_the_command_draws_what_is_asked_for_and_compares",
@@ -134,7 +134,7 @@ def test_a_test_that_runs_a_command_exists(test: str) -> None:
 
 
 def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
-    from sextant.shared.scenario import load_scenario
+    from sextant.shared.scenario.scenario import load_scenario
 
     for words in README:
         if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in (

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.services.mapper.layers import FootholdLayers, Layers
-from sextant.services.mapper.score import ScoreWeights
-from sextant.shared.messages import UNKNOWN
+from sextant.services.mapper.footholds.layers import FootholdLayers, Layers
+from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.shared.wire.messages import UNKNOWN
 from tests.support.recordings import recording
 
 pytestmark = pytest.mark.data

@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.deploy import cli
-from sextant.services.mapper.checked_scan import CheckedScan
-from sextant.services.mapper.elevation import ElevationGrid
-from sextant.services.mapper.fusion import FusionModel
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
 from sextant.services.perception import tum
-from sextant.services.perception.reduction import reduce_scan
-from sextant.services.perception.registration import Registered, Registration
-from sextant.shared.camera import DepthSensor
+from sextant.services.perception.reduction.scan_reduction import reduce_scan
+from sextant.services.perception.registration.projective_icp import Registered, Registration
 from sextant.shared.geometry import Array, inverse, log_so3, rotation_from_quaternion, transform
+from sextant.shared.robot.camera import DepthSensor
 from tests.support.recordings import recording
 
 pytestmark = pytest.mark.data

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
-from sextant.services.planner.leg_clearance import LEVEL, clearance_to_sink, swing_shape
-from sextant.services.planner.passage import search
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.locomotion.leg_clearance import LEVEL, clearance_to_sink, swing_shape
 from sextant.shared.geometry import Array
 
 CYCLES = 60
@@ -50,7 +50,7 @@ def test_even_ground_asks_for_nothing() -> None:
 
 def test_the_compiled_search_takes_swings_to_fly_as_high_as_the_planner_does() -> None:
     """It may not read the other file's number: its cache would not notice a change of it."""
-    assert search._LEVEL_SHARE == LEVEL
+    assert roadmap_search._LEVEL_SHARE == LEVEL
 
 
 @pytest.mark.parametrize("length", [0.05, 0.10, 0.20, 0.25])
@@ -59,8 +59,8 @@ def test_the_compiled_search_takes_swings_to_fly_as_high_as_the_planner_does() -
 def test_no_swing_rises_or_falls_steeper_than_the_search_takes_it_to(length: float, rise: float, clearance: float) -> None:
     way = flown(np.array([[length, 0.0, rise]]), np.array([clearance]))
     along, over = way[:, 0] / length, max(0.0, rise) + clearance
-    _, near_start, rises = search._RISES
-    _, near_end, falls = search._FALLS
+    _, near_start, rises = roadmap_search._RISES
+    _, near_end, falls = roadmap_search._FALLS
     assert (way[along <= near_start, 2] <= (rises + 0.005) * over).all()
     last = (along >= near_end) & (np.arange(len(way)) > len(way) / 2)
     assert (way[last, 2] - rise <= (falls + 0.005) * (over - rise)).all()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 
 QUEUE_BYTES = 150_000  # [bytes] that wait for the air; what comes then is dropped, as the buffer of a radio does
 _DRAWS = 4096  # random numbers that are made at once

@@ -18,7 +18,7 @@ from sextant.deploy.bed.tcp_relay import HERE
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network.gate import SECURE_ENDPOINT
 from sextant.deploy.process_table import ROUTER_ENDPOINT
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 
 PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))  # of the robot's router
 _PATIENCE_S = 20.0  # for the relay's answers

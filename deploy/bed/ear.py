@@ -8,10 +8,10 @@ import sys
 import threading
 from dataclasses import asdict, dataclass
 
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, Mode
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Mode
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import os
 import sys
 
 from sextant.deploy.bed.namespace import enter
-from sextant.shared.ending import end_with
+from sextant.shared.runtime.shutdown import end_with
 
 
 def main() -> int:

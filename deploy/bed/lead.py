@@ -9,10 +9,10 @@ import sys
 import threading
 
 from sextant.deploy.runs.operator import Operator
-from sextant.shared.live import run_live
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.2
 

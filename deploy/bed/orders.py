@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 
 CUT, MEND, ASK = "cut", "mend", "what it carried"
 

@@ -13,8 +13,8 @@ import time
 from sextant.deploy.bed import orders
 from sextant.deploy.bed.air import Way
 from sextant.deploy.bed.namespace import MTU, BedError, leave_network, leave_user, wire
-from sextant.shared.ending import end_with
-from sextant.shared.host import go_first
+from sextant.shared.runtime.process_priority import go_first
+from sextant.shared.runtime.shutdown import end_with
 
 ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses; the namespaces are seen by nobody else
 _READ = MTU + 64  # [bytes]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 
 SEGMENT = 1348  # [bytes] of a stream in one packet, beside 52 of headers
 QUEUE_BYTES = 150_000  # [bytes] that wait for the air; then nothing more is taken

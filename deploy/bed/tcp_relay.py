@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 from sextant.deploy.bed import orders
 from sextant.deploy.bed.stream import QUEUE_BYTES, Air, Stream
-from sextant.shared.host import go_first
-from sextant.shared.scenario import Link
+from sextant.shared.runtime.process_priority import go_first
+from sextant.shared.scenario.scenario import Link
 
 HERE = "127.0.0.1"
 _BUFFER = 1 << 16  # [bytes] of the sockets: what they hold has not been sent

@@ -24,12 +24,12 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.network.hosting import hosted
-from sextant.shared import codec, topics
-from sextant.shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
-from sextant.shared.handshake import verdict
-from sextant.shared.messages import ModeCommand, VelocityCommand
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
+from sextant.shared.wire.handshake import verdict
+from sextant.shared.wire.messages import ModeCommand, VelocityCommand
+from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
 _NAMESPACE = "bench"
 _PATIENCE_S = 20.0

@@ -17,16 +17,16 @@ from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
 from sextant.deploy.replay.listener import Listener
 from sextant.deploy.workers import share_out
 from sextant.services.mapper.config import Settings as MapperSettings
-from sextant.services.mapper.elevation import ElevationSnapshot
+from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
-from sextant.services.simulator.render import Renderer
-from sextant.shared import topics
+from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import apply
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import TerrainMap
-from sextant.shared.service import Service
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import Service
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import TerrainMap
 
 Cells = NDArray[np.bool_]
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.dynamixel_bus import Lost, ServoBus, ServoReading
 from sextant.services.actuator.servo_bus.reading_validation import Doubt
-from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
-from sextant.services.simulator.bus_faults import BusFaults
-from sextant.services.simulator.servos import ServoBank
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bus_fault import BusFault
-from sextant.shared.dynamixel import PRESENT_STATE, Instruction
-from sextant.shared.messages import BrokenPart
+from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.dynamixel import PRESENT_STATE, Instruction
+from sextant.shared.wire.messages import BrokenPart
 
 _N = 18
 _ACTUATOR = Settings()  # which asks as many servos in a cycle as this has time for

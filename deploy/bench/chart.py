@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sextant.deploy.bench.timing import Timing, machine_in_words
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 _WIDTH, _DPI, _FONT = 12.0, 100, 11
 _BAR, _GAP, _HEAD = 0.30, 0.42, 1.1  # [inch] height of a bar, of what parts two groups, and of the title
@@ -50,7 +50,7 @@ def draw(
             _draw_parts(axes, parts)
         for k, line in enumerate(missing):
             figure.text(0.02, (0.12 + 0.25 * k) / height, f"not measured: {line}", size=10, color="#444444")
-        files.write_by_name(path, figure.savefig)
+        whole_files.write_by_name(path, figure.savefig)
 
 
 def _draw_ratios(axes: Any, jobs: Mapping[tuple[str, str], list[Timing]]) -> None:

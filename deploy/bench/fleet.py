@@ -17,8 +17,8 @@ from sextant.deploy.launch.fleet import Base, Fleet, Member, Page
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.progress import Progress
 from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.shared import files
-from sextant.shared.scenario import load_scenario
+from sextant.shared.files import whole_files
+from sextant.shared.scenario.scenario import load_scenario
 
 SEED = 1003
 AFTER_S = 8.0  # of the recording that are not measured: the base's processes begin when they hear the robot
@@ -264,7 +264,7 @@ def draw(path: Path, loads: Sequence[Load]) -> None:
         late.text(robots[0], MOST_SCAN_MS * 1.02, words, color="#b3261e")
         late.set(xlabel="robots", ylabel="ms, the worst robot's", title="What a robot notices", xticks=robots, ylim=(0, None))
         late.legend(frameon=False, fontsize=9, loc="upper left")
-        files.write_by_name(path, figure.savefig)
+        whole_files.write_by_name(path, figure.savefig)
 
 
 def to_json(loads: Sequence[Load]) -> str:

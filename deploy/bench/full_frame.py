@@ -5,15 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.checked_scan import CheckedScan
-from sextant.services.mapper.elevation import ElevationGrid
-from sextant.services.mapper.fusion import FusionModel
-from sextant.services.perception.reduction import JUMP, NOISE
-from sextant.shared import topics
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.perception.reduction.scan_reduction import JUMP, NOISE
 from sextant.shared.geometry import Array, apply
-from sextant.shared.messages import BodyPose, DepthImage, Message
-from sextant.shared.robot import Camera
-from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.robot.profile import Camera
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import BodyPose, DepthImage, Message
 
 _EVERY = 2  # pictures, of which one is mapped: all of them take twice as long
 

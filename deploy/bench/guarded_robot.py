@@ -11,11 +11,11 @@ from sextant.deploy.launch.tapped_robot import Places
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared import codec, topics
-from sextant.shared.access import ROLES, Keys
-from sextant.shared.messages import ActuatorState, Mode, ModeCommand
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import ROLES, Keys
+from sextant.shared.wire.messages import ActuatorState, Mode, ModeCommand
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sextant.deploy.bench.guarded_robot import GuardedRobot
-from sextant.shared import codec, topics
-from sextant.shared.messages import Mode, ModeCommand
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Mode, ModeCommand
+from sextant.shared.wire.transport import ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0

@@ -17,7 +17,7 @@ from sextant.deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
 from sextant.deploy.bed.two_machines import TwoMachines
 from sextant.deploy.bench.timing import machine
 from sextant.deploy.trials.statistics import wilson
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 
 LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # of the walks
 CUT_LINK = LINKS[0]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.cells import ESTABLISHED
-from sextant.services.mapper.fusion import FusionModel
-from sextant.services.mapper.height_drift import (
+from sextant.services.mapper.elevation.cell_layers import ESTABLISHED
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.height_drift import (
     ALIKE,
     DRIFTED,
     FEWEST,
@@ -23,7 +23,7 @@ from sextant.services.mapper.height_drift import (
     TELLS,
     height_sigma,
 )
-from sextant.services.mapper.sight_lines import FELL_AROUND, FOLLOWED, SETTLED, SHORT, SIGHTS_NEEDED, WELL_BELOW
+from sextant.services.mapper.elevation.ray_clearing import FELL_AROUND, FOLLOWED, SETTLED, SHORT, SIGHTS_NEEDED, WELL_BELOW
 from sextant.shared.geometry import Array
 
 Layer = NDArray[np.float32]
@@ -31,7 +31,7 @@ Cells = NDArray[np.bool_]
 
 
 class NumpyGrid:
-    """`sextant.services.mapper.elevation.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival per cell."""
+    """`sextant.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival per cell."""
 
     def __init__(self, size: int, resolution: float, model: FusionModel):
         self._size, self._resolution, self._model = size, resolution, model
@@ -97,7 +97,7 @@ class NumpyGrid:
         self._scans += 1
 
     def _follow_drift(self, cells: NDArray[np.int64], z: Array, ray: Array, S: Array) -> None:
-        """`sextant.services.mapper.height_drift.HeightDrift.follow`."""
+        """`sextant.services.mapper.elevation.height_drift.HeightDrift.follow`."""
         c = cells[::TELLS]
         off, first = z[::TELLS] - self._drift - self._first[c], self._first[c]
         tells = (np.abs(off) < SAME_GROUND) & (self._votes[c] == 0) & (self._variance[c] < KNOWN_WELL**2)
@@ -122,7 +122,7 @@ class NumpyGrid:
             self._drift += max(-RATE, min(RATE, gap))
 
     def _look_through(self, ends: Array, camera: Array) -> None:
-        """`sextant.services.mapper.sight_lines.SightLines.look`: each line is a row, each of its steps a column."""
+        """`sextant.services.mapper.elevation.ray_clearing.SightLines.look`: each line is a row, each of its steps a column."""
         n, heights = self._size, self._height
         highest = float(np.fmax.reduce(heights)) if len(ends) else -math.inf
         if not len(ends) or not highest - WELL_BELOW > float(ends[:, 2].min()) - self._drift:

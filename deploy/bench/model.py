@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
-from sextant.shared import topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Message, PassageMap, PassageRequest, TerrainMap, Tick
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Message, PassageMap, PassageRequest, TerrainMap, Tick
 
 ORIGIN, LENGTH, WIDTH = (0.3, 0.0), 2.7, 1.0  # [m] of the strip, along the ride
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sextant.deploy.bench.browser import DESKTOP, Hand, browser, frozen
 from sextant.deploy.bench.page_robot import PageRobot
 from sextant.deploy.bench.timing import machine
-from sextant.services.console.desk import DEAD_MAN_NS
-from sextant.shared.messages import Mode
+from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
+from sextant.shared.wire.messages import Mode
 
 # What the page is to keep: times, share of a core, bytes a second, frames a second.
 RELEASE_S, OFF_S, CORE, RATE, FRAMES = 0.350, 0.150, 0.03, 3e6, 20.0

@@ -15,13 +15,13 @@ from sextant.deploy.launch import tapped_robot
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Page, Places
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.kinematics import body_forward
-from sextant.shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import ZenohLink
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
+from sextant.shared.wire.transport import ZenohLink
 
 _STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that stands
 _STILL_S = 0.25

@@ -28,20 +28,25 @@ from sextant.deploy.bench.passage_ompl import BodyPlanner
 from sextant.deploy.bench.passage_peer import NumpyTests
 from sextant.deploy.bench.timing import Race, Timing, installed, one_core
 from sextant.deploy.judging.passage_checker import violations
-from sextant.services.planner.passage import search
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import Crossing, Roadmap, Stance
-from sextant.services.planner.passage.settings import PassageSettings
-from sextant.services.planner.passage.tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 
 OURS = "Sextant"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
 HEADINGS = {"per_s": ("per second", 1.0, 0)}
 HEIGHT = 0.105  # [m] of the body
-Y, LENGTH, SHIFT, TWO = 0.16, 0.17, 0.035, 0.27  # [m] of the scenarios' pillars, as shared/scenarios/passage1 to 3 have them
+Y, LENGTH, SHIFT, TWO = (
+    0.16,
+    0.17,
+    0.035,
+    0.27,
+)  # [m] of the scenarios' pillars, as shared/scenario/scenarios/passage1 to 3 have them
 _PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] of strewn pillars, and the share of places that have one
 _STANCES, _REPEATS = 100, 3  # of each search whose expansions are raced, all in one call, and how often
 _OFF = 0.01  # [m] by which pillars stand elsewhere with each seed
@@ -165,7 +170,7 @@ def _race_expansions(
     verdict, lifts = np.zeros(work[-1].shape[:3], dtype=np.int64), np.zeros(work[-1].shape[:3])
 
     def ours(feet: Array, leg: NDArray[np.int64], body: Array, bodies: Array, goals: Array) -> NDArray[np.int64]:
-        search.judge_all(legs, rules, strip, feet, leg, body, bodies, goals, verdict, lifts)
+        roadmap_search.judge_all(legs, rules, strip, feet, leg, body, bodies, goals, verdict, lifts)
         return verdict.copy()
 
     race.start({OURS: ours, "NumPy": lambda *work: np.array([peer.judge(*one)[0] for one in zip(*work, strict=True)])})

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.layers import FootholdLayers, Margin
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import Stance
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.planner.gap_crossing.roadmap import Stance
+from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 
 RESOLUTION = 0.01  # [m]
 GAP = 0.80  # [m]

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import Stance
+from sextant.services.planner.gap_crossing.roadmap import Stance
+from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import leg_inverse
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import leg_inverse
+from sextant.shared.robot.profile import RobotProfile
 
 _DRIFT = 0.12  # [m] to either side
 _STRONG = -2  # [cells] of the evaluation function

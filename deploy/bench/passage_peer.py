@@ -6,7 +6,7 @@ Written as one would for speed: whole arrays over motions, footholds, legs and i
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.passage.search import (
+from sextant.services.planner.gap_crossing.roadmap_search import (
     APART,
     GROUND,
     LEGS,
@@ -31,7 +31,7 @@ _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
 class NumpyTests:
-    """What `sextant.services.planner.passage.search.judge` does."""
+    """What `sextant.services.planner.gap_crossing.roadmap_search.judge` does."""
 
     def __init__(self, legs: Legs, rules: Rules, ground: Ground):
         """Take what the tests know."""

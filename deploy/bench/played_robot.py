@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, Message, ScanReceipt, StepPlan
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, Router, ZenohLink
+from sextant.shared.recording.reader import Recording
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Message, ScanReceipt, StepPlan
+from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 
 _SAYS: tuple[AnyTopic, ...] = (  # what crosses the radio from a robot, and what its operator asks for
     topics.CAMERA_STATE,

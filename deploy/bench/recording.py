@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sextant.deploy.bench.page_robot import PageRobot
 from sextant.deploy.bench.scripted_page import ScriptedPage
 from sextant.deploy.bench.timing import machine
-from sextant.services.console.recording.reader import newest_ns
-from sextant.shared.messages import Mode
+from sextant.shared.recording.reader import newest_ns
+from sextant.shared.wire.messages import Mode
 
 CYCLE_S = 0.001  # by which the cycle's p99 may differ from that of a walk that nobody records
 SAID_S = 2.0  # within which it is said that nothing is recorded any more

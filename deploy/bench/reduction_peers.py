@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.reduction import CARRYING, JUMP, NOISE, SURFACE
-from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.services.perception.reduction.scan_reduction import CARRYING, JUMP, NOISE, SURFACE
 from sextant.shared.geometry import Array
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 Cells = NDArray[np.bool_]
 
@@ -27,7 +27,7 @@ class Reduces(Protocol):
 
 
 class NumpyReduction:
-    """`sextant.services.perception.reduction.reduce_scan` in NumPy."""
+    """`sextant.services.perception.reduction.scan_reduction.reduce_scan` in NumPy."""
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, resolution: float, max_range: float):
         self._x = ((np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx).astype(np.float32)

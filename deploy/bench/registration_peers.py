@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.kiss import KissRegistration
-from sextant.services.perception.registration import Registration
-from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
+from sextant.services.perception.registration.projective_icp import Registration
 from sextant.shared.geometry import Array, exp_so3, transform
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 _GICP_LEAF, _GICP_VOXEL, _GICP_NEIGHBOURS = 0.03, 0.05, 10  # [m] [m] the best of those tried on seeds from 1000 up
 _OPEN3D_VOXEL, _OPEN3D_GATE, _OPEN3D_ITERATIONS = 0.03, 0.10, 30

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.simulator.depth_camera import DepthCamera
-from sextant.services.simulator.render import Renderer
-from sextant.services.simulator.terrain import Terrain
-from sextant.shared import topics
+from sextant.services.simulator.physics.terrain import Terrain
+from sextant.services.simulator.sensors.depth_camera import DepthCamera
+from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array, inverse, rotation_from_rpy, transform
-from sextant.shared.messages import DepthImage, Message, Odometry, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import DepthImage, Message, Odometry, Tick
 
 _CARRIED = (0.0, 0.0, 0.35)  # [m] {body} where the camera is held: 0.5 m over the ground with the body at 0.15
 _PITCH_DEG = 40.0

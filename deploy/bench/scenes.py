@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 import cv2
 import numpy as np
 
-from sextant.services.simulator.solids import Boxes, HeightField
-from sextant.services.simulator.terrain import Terrain, build_terrain
-from sextant.shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
-from sextant.shared.scenario import Terrain as Part
+from sextant.services.simulator.physics.solids import Boxes, HeightField
+from sextant.services.simulator.physics.terrain import Terrain, build_terrain
+from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+from sextant.shared.scenario.scenario import Terrain as Part
 
 Scene = Callable[[np.random.Generator], Terrain]
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.foothold_map import FootholdRules, disc
-from sextant.services.mapper.score import ScoreWeights
-from sextant.shared.messages import UNKNOWN
+from sextant.services.mapper.footholds.foothold_map import FootholdRules, disc
+from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.shared.wire.messages import UNKNOWN
 
 Layer = NDArray[np.float32]
 Cells = NDArray[np.bool_]
@@ -24,12 +24,12 @@ class Scores(Protocol):
     """How well each cell carries a foot, by either thesis."""
 
     def layers(self, elevation: Layer) -> tuple[Layer, NDArray[np.int8]]:
-        """Score and evaluation function (nx, ny) of a map (nx, ny) [m], as `sextant.services.mapper.layers.Layers` has them."""
+        """Score and evaluation function (nx, ny) of a map (nx, ny) [m], as `mapper.footholds.layers.Layers` has them."""
         ...
 
 
 class _Chain(ABC):
-    """`sextant.services.mapper.layers.FootholdLayers`, of a whole map with sure heights, on the filters of some library."""
+    """`sextant.FootholdLayers`, of a whole map with sure heights, on the filters of some library."""
 
     def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
         self._resolution, self._weights = resolution, weights

@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from sextant.services.console.door import PROTOCOL
+from sextant.services.console.web.origin_policy import PROTOCOL
 
 _REPEAT_S = 0.05  # between two words of a pad that is held
 _WALK = {"height": 0.1, "lift": 0.025, "gait": "tripod"}

@@ -17,8 +17,8 @@ import numpy as np
 
 from sextant.deploy.bench.timing import Spread, installed, machine, machine_in_words
 from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, ServoBus, open_port
-from sextant.shared import dynamixel as dxl
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
 
 ABSENT = 200  # an id that nobody has
 READS = 6  # of a cycle, as many as the actuator has time for

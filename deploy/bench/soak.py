@@ -14,11 +14,11 @@ from sextant.deploy import overheard
 from sextant.deploy.bench.page_robot import PageRobot
 from sextant.deploy.bench.scripted_page import ScriptedPage
 from sextant.deploy.bench.timing import machine
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Health, Mode
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health, Mode
+from sextant.shared.wire.transport import ZenohLink
 
 GROWTH_MB_H = 1.0  # [MB/h] that a process's memory may grow by
 IN_ALL_MB = 2.0  # that it may have grown by in all: two maps were on their way at once, and the room for both is kept

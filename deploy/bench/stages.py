@@ -18,24 +18,24 @@ from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
 from sextant.deploy.bench.scenes import MAPPED
 from sextant.deploy.bench.score_peers import Layer, Scores
 from sextant.deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
-from sextant.services.mapper.checked_scan import CheckedScan
 from sextant.services.mapper.config import Settings as MapperSettings
-from sextant.services.mapper.elevation import ElevationGrid
-from sextant.services.mapper.foothold_map import FootholdRules
-from sextant.services.mapper.fusion import FusionModel
-from sextant.services.mapper.holes import fill_small_holes
-from sextant.services.mapper.layers import FootholdLayers, Margin
-from sextant.services.mapper.score import ScoreWeights
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.footholds.foothold_map import FootholdRules
+from sextant.services.mapper.footholds.hole_filling import fill_small_holes
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.mapper.footholds.score import ScoreWeights
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
-from sextant.services.perception.reduction import ReducedScan, reduce_scan
+from sextant.services.perception.reduction.scan_reduction import ReducedScan, reduce_scan
 from sextant.services.perception.service import Perception
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array, from_millimetres
-from sextant.shared.host import keep_memory
-from sextant.shared.messages import UNKNOWN, DepthImage, Odometry, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Inbox, Stages, Worker
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.process_priority import keep_memory
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages, Worker
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import UNKNOWN, DepthImage, Odometry, Tick
 
 SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge

@@ -17,17 +17,17 @@ from sextant.deploy.bench.timing import machine
 from sextant.deploy.launch.launcher import Launcher, host_router
 from sextant.deploy.process_table import TABLE, Choices, commands
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.services.simulator.wire import Reply
-from sextant.services.simulator.workbench import Workbench
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.kinematics import body_inverse
-from sextant.shared.messages import ActuatorState, Mode
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Mode
+from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
 WITHIN_MS = 1000.0  # what the actuator is to keep
 _PATIENCE_NS = 30_000_000_000  # [ns] a machine may be busy

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sextant.shared.access import CERTIFICATE, KEY
-from sextant.shared.host import allow_many_files
+from sextant.shared.runtime.process_priority import allow_many_files
+from sextant.shared.wire.access import CERTIFICATE, KEY
 
 KINDS = ("closed", "silent", "garbage", "foreign")
 HERE = "127.0.0.1"

@@ -37,13 +37,13 @@ from sextant.deploy.launch.ports import port_taken
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import router_command
-from sextant.shared import codec, topics
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLES
-from sextant.shared.host import go_first
-from sextant.shared.messages import Health, Mode
-from sextant.shared.scenario import Link
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.runtime.process_priority import go_first
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import Link
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLES
+from sextant.shared.wire.messages import Health, Mode
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 BACK_S = 2.0  # within which the base has to be back
 RADIO = Link(20.0, 20.0, 0.0)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
@@ -213,7 +213,7 @@ def bench_start(arguments: argparse.Namespace) -> int:
 
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     say(text.rstrip() if as_json else words)
-    files.write_text(path, text, durable=True)
+    whole_files.write_text(path, text, durable=True)
     if not as_json:
         say(f"written to {path}")
     return SUCCESS

@@ -14,8 +14,8 @@ from sextant.deploy.output import say as say
 
 if TYPE_CHECKING:
     from sextant.deploy.progress import Progress
-    from sextant.shared.scenario import Link, Scenario
-    from sextant.shared.transport import Endpoints
+    from sextant.shared.scenario.scenario import Link, Scenario
+    from sextant.shared.wire.transport import Endpoints
 
 ROUTER = "tcp/127.0.0.1:7447"  # of the robot, where no other is named
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -32,8 +32,8 @@ def met(arguments: argparse.Namespace) -> "Endpoints":
         AccessError: The keys are wrong.
         InputError: An endpoint needs keys, and there are none.
     """
-    from sextant.shared.access import Keys
-    from sextant.shared.transport import Endpoints
+    from sextant.shared.wire.access import Keys
+    from sextant.shared.wire.transport import Endpoints
 
     keys = Keys.load(Path(arguments.key_folder)) if arguments.key_folder else None
     try:
@@ -87,14 +87,14 @@ def warm_up(progress: "Progress") -> None:
 
 def asked_scenario(arguments: argparse.Namespace) -> "Scenario":
     """The scenario that is asked for, walked as is asked for."""
-    from sextant.shared.scenario import load_scenario
+    from sextant.shared.scenario.scenario import load_scenario
 
     return as_asked(arguments)(load_scenario(arguments.scenario))
 
 
 def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"]:
     """Makes of a scenario what is walked in its place: by the robot and in the gait that are asked for."""
-    from sextant.services.planner.gait import GAITS
+    from sextant.services.planner.locomotion.gait import GAITS
 
     robot, link = asked_robot(arguments), _asked_link(getattr(arguments, "link", ""))
 
@@ -115,7 +115,7 @@ def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"
 
 
 def _asked_link(text: str) -> "Link":
-    from sextant.shared.scenario import Link
+    from sextant.shared.scenario.scenario import Link
 
     if not text:
         return Link()
@@ -128,7 +128,7 @@ def _asked_link(text: str) -> "Link":
 
 def asked_robot(arguments: argparse.Namespace) -> str:
     """The robot that is asked for in place of the scenario's, as scenarios name it; empty for none."""
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.robot.profiles import load_profile
 
     if not arguments.robot:
         return ""

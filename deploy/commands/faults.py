@@ -4,7 +4,7 @@ import argparse
 import difflib
 
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 _PHASES, _LIVE_PHASES = 300, 30
 
@@ -39,8 +39,8 @@ def faults(arguments: argparse.Namespace) -> int:
     found = run_faults(cases, phases, jobs, out, progress.say)
     table = tables.rows(found)
     say(tables.to_json(table).rstrip("\n") if arguments.json else tables.markdown(table))
-    files.write_text(out / "faults.json", tables.to_json(table), durable=True)
-    files.write_text(out / "faults.md", tables.markdown(table) + "\n")
+    whole_files.write_text(out / "faults.json", tables.to_json(table), durable=True)
+    whole_files.write_text(out / "faults.md", tables.markdown(table) + "\n")
     if not arguments.json:
         say(f"written to {out}: faults.md, faults.json, {FILE}")
     return SUCCESS if all(row.passed for row in table) else FAILED

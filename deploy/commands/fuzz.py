@@ -6,7 +6,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 _PARTS = 20  # that are shared out
 
@@ -46,9 +46,9 @@ def fuzz(arguments: argparse.Namespace) -> int:
     for file in newest:
         file.unlink()
     for number, finding in enumerate(found.findings):
-        files.write_bytes(out / f"finding-{number}.bin", finding.data)
+        whole_files.write_bytes(out / f"finding-{number}.bin", finding.data)
     say(tables.to_json(found) if arguments.json else tables.markdown(found))
-    files.write_text(out / "fuzz.json", tables.to_json(found) + "\n", durable=True)
+    whole_files.write_text(out / "fuzz.json", tables.to_json(found) + "\n", durable=True)
     if not arguments.json:
         say(f"written to {out / 'fuzz.json'}")
     return SUCCESS if found.passed else FAILED

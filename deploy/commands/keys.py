@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def new(arguments: argparse.Namespace) -> int:
     """`sextant keys new`: an authority, and a folder of keys for each role."""
-    from sextant.shared.access import SITE
+    from sextant.shared.wire.access import SITE
 
     authority = _authority()
     folder = Path(arguments.folder)
@@ -42,7 +42,7 @@ def show(arguments: argparse.Namespace) -> int:
 
 
 def _what(role: str) -> str:
-    from sextant.shared.access import ROLE_NAMED
+    from sextant.shared.wire.access import ROLE_NAMED
 
     return ROLE_NAMED[role].what
 

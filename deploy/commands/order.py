@@ -10,7 +10,7 @@ from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputEr
 
 if TYPE_CHECKING:
     from sextant.deploy.order import Order
-    from sextant.shared.transport import Endpoints
+    from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.05
 
@@ -18,8 +18,8 @@ _LOOK_S = 0.05
 def order(arguments: argparse.Namespace) -> int:
     """`sextant order`: give one order to the legs, and say what has come of it."""
     from sextant.deploy.order import STOPS, Order
-    from sextant.shared import topics
-    from sextant.shared.transport import TransportError
+    from sextant.shared.wire import topics
+    from sextant.shared.wire.transport import TransportError
 
     endpoints = met(arguments)
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
@@ -48,9 +48,9 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
     import threading
 
     from sextant.deploy.interrupts import Interrupts
-    from sextant.shared import codec, topics
-    from sextant.shared.live import run_live
-    from sextant.shared.transport import ZenohLink
+    from sextant.shared.runtime.zenoh_runner import run_live
+    from sextant.shared.wire import codec, topics
+    from sextant.shared.wire.transport import ZenohLink
 
     stop, told = threading.Event(), ""
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:

@@ -16,12 +16,12 @@ from sextant.deploy.commands.common import (
     out_folder,
     say,
 )
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sextant.services.console.recording.live import LiveRecorder, Sink
+    from sextant.shared.recording.live import LiveRecorder, Sink
 
 _LOOK_S = 0.2
 _SHOW_S = 5.0
@@ -34,7 +34,7 @@ def record(arguments: argparse.Namespace) -> int:
 
     from sextant.services.console.recorder.config import Settings
     from sextant.services.console.recorder.service import open_rotation
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.robot.profiles import load_profile
 
     settings = Settings(reserve_mb=arguments.reserve, pictures=arguments.pictures)
     profile = load_profile(arguments.robot)
@@ -61,8 +61,8 @@ def record(arguments: argparse.Namespace) -> int:
 
 def foxglove(arguments: argparse.Namespace) -> int:
     """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
-    from sextant.shared.profiles import load_profile
-    from sextant.shared.transport import TransportError
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.wire.transport import TransportError
 
     try:
         from sextant.deploy.foxglove_server import FoxgloveServer
@@ -89,8 +89,8 @@ def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds
     import time
 
     from sextant.deploy.interrupts import Interrupts
-    from sextant.services.console.recording.live import LiveRecorder
-    from sextant.shared.transport import ZenohLink
+    from sextant.shared.recording.live import LiveRecorder
+    from sextant.shared.wire.transport import ZenohLink
 
     endpoints = met(arguments)
     with Interrupts() as interrupts, ZenohLink(endpoints) as link, LiveRecorder(opened()) as recording:
@@ -130,7 +130,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 def info(arguments: argparse.Namespace) -> int:
     """`sextant info`: what is in a recording."""
-    from sextant.services.console.recording.contents import as_table, contents, in_words
+    from sextant.shared.recording.contents import as_table, contents, in_words
 
     found = contents(Path(arguments.recording))
     say(json.dumps(as_table(found), indent=1) if arguments.json else in_words(found))
@@ -139,9 +139,9 @@ def info(arguments: argparse.Namespace) -> int:
 
 def recover(arguments: argparse.Namespace) -> int:
     """`sextant recover`: make files whole that a crash cut off."""
-    from sextant.services.console.recording.layout import RecordingError
-    from sextant.services.console.recording.reader import files_of, is_recovered, is_whole, recovered
-    from sextant.services.console.recording.recovery import recover as rescue
+    from sextant.shared.recording.layout import RecordingError
+    from sextant.shared.recording.reader import files_of, is_recovered, is_whole, recovered
+    from sextant.shared.recording.recovery import recover as rescue
 
     paths = files_of(Path(arguments.recording))
     if not paths:
@@ -193,7 +193,7 @@ def replay(arguments: argparse.Namespace) -> int:
         words = sequence.in_words(table)
     text = json.dumps(table, indent=1)
     say(text if arguments.json else words)
-    files.write_text(out / "replay.json", text + "\n", durable=True)
+    whole_files.write_text(out / "replay.json", text + "\n", durable=True)
     if not arguments.json:
         say(f"written to {out}")
     problem = table["evidence"]["problem"]

@@ -19,10 +19,10 @@ def ros2(arguments: argparse.Namespace) -> int:
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.ros2.lead import Lead, Walk
     from sextant.deploy.ros2.names import Node
-    from sextant.shared import codec, topics
-    from sextant.shared.live import run_live
-    from sextant.shared.profiles import load_profile
-    from sextant.shared.transport import ForeignLink, ZenohLink
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.runtime.zenoh_runner import run_live
+    from sextant.shared.wire import codec, topics
+    from sextant.shared.wire.transport import ForeignLink, ZenohLink
 
     profile = load_profile(arguments.robot)
     lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))

@@ -77,7 +77,7 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     from sextant.deploy import process_table
     from sextant.deploy.commands.up import asked, gate_of
     from sextant.deploy.launch import units
-    from sextant.shared.transport import Endpoints
+    from sextant.shared.wire.transport import Endpoints
 
     rows, chosen, extra = asked(arguments)
     if chosen.scenario:

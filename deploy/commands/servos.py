@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.set_ids import Found, Line
     from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
-    from sextant.shared.robot import RobotProfile
+    from sextant.shared.robot.profile import RobotProfile
 
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
@@ -148,7 +148,7 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
 def _latch_off(port: str) -> str:
     """Latch torque off for whoever has a port; why that could not be, in words, or nothing."""
     from sextant.services.actuator.safety.torque_off_latch import Latch
-    from sextant.shared.clock import now_ns
+    from sextant.shared.runtime.clock import now_ns
 
     try:
         Latch.of_port(port).close(now_ns())
@@ -169,7 +169,7 @@ def set_id(arguments: argparse.Namespace) -> int:
 def calibrate(arguments: argparse.Namespace) -> int:
     """`sextant servos calibrate`: where each horn sits, into the robot's own TOML."""
     from sextant.services.actuator.commissioning import calibration, calibration_file
-    from sextant.shared.robot import LEGS
+    from sextant.shared.robot.profile import LEGS
 
     path, base, profile = _own_file(arguments.robot, arguments.out)
     known = [entry.leg for entry in profile.calibration]
@@ -197,7 +197,7 @@ def calibrate(arguments: argparse.Namespace) -> int:
 def test(arguments: argparse.Namespace) -> int:
     """`sextant servos test`: each joint moves a little, alone and gently."""
     from sextant.services.actuator.commissioning.joint_test import exercise
-    from sextant.shared.robot import LEGS
+    from sextant.shared.robot.profile import LEGS
 
     profile = _profile(arguments.robot)
     chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
@@ -216,8 +216,8 @@ def emulate(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     try:
-        from sextant.services.simulator.tcp_port import TcpBusServer
-        from sextant.services.simulator.workbench import HELP, Workbench
+        from sextant.services.simulator.servo_bus.bench_emulator import HELP, Workbench
+        from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
         raise InputError(f"{error}; pip install -e '.[simulator]' brings what emulated servos need") from None
     if arguments.listen > _LAST_PORT:
@@ -276,7 +276,7 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
         BusGone: The port cannot be opened.
     """
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
-    from sextant.shared import dynamixel as dxl
+    from sextant.shared.servo import dynamixel as dxl
 
     patience, names = _NETWORK_PATIENCE_NS if "://" in arguments.port else PATIENCE_NS, profile.servo_names
     return ServoBus(
@@ -304,7 +304,7 @@ def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
 
 
 def _profile(robot: str) -> "RobotProfile":
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.robot.profiles import load_profile
 
     return load_profile(robot)
 
@@ -329,7 +329,7 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
     from sextant.services.actuator.commissioning.bus_scan import Voice
-    from sextant.shared import dynamixel as dxl
+    from sextant.shared.servo import dynamixel as dxl
 
     seen = one.seen
     row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}

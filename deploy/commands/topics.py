@@ -10,14 +10,14 @@ from sextant.deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS,
 
 if TYPE_CHECKING:
     from sextant.deploy.overheard import Heard
-    from sextant.shared.service import AnyTopic
+    from sextant.shared.runtime.service import AnyTopic
 
 _LOOK_S = 0.1
 
 
 def list_topics(arguments: argparse.Namespace) -> int:
     """`sextant topics list`: the topic table."""
-    from sextant.shared.topics import TOPICS
+    from sextant.shared.wire.topics import TOPICS
 
     if arguments.json:
         rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
@@ -46,7 +46,7 @@ def echo(arguments: argparse.Namespace) -> int:
     """`sextant topics echo`: messages one at a time, until Ctrl-C or as many as are asked for."""
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.overheard import Mailbox, listen
-    from sextant.shared.transport import ZenohLink
+    from sextant.shared.wire.transport import ZenohLink
 
     wanted, told = _wanted(arguments), 0
     mailbox, endpoints = Mailbox(), met(arguments)
@@ -71,7 +71,7 @@ def echo(arguments: argparse.Namespace) -> int:
 def _tell(heard: "Heard", as_json: bool) -> int:
     """Print one message, or why it cannot be; how many were printed."""
     from sextant.deploy import shown
-    from sextant.shared.codec import DecodeError
+    from sextant.shared.wire.codec import DecodeError
 
     try:
         text = json.dumps(shown.for_scripts(heard), ensure_ascii=False) if as_json else shown.in_words(heard) + "\n"
@@ -87,7 +87,7 @@ def hz(arguments: argparse.Namespace) -> int:
     from sextant.deploy import rates
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.overheard import listen
-    from sextant.shared.transport import ZenohLink
+    from sextant.shared.wire.transport import ZenohLink
 
     wanted = _wanted(arguments)
     counted, endpoints = rates.Rates(wanted), met(arguments)

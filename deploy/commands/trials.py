@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from sextant.deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario, open_progress, out_folder, say
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 
 def trials(arguments: argparse.Namespace) -> int:
@@ -23,7 +23,7 @@ def trials(arguments: argparse.Namespace) -> int:
         baseline = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, blind=True, say=progress.say)
     text = batches.to_json(seeing, baseline)
     say(text.rstrip("\n") if arguments.json else batches.words(seeing, baseline))
-    files.write_text(out / "trials.json", text, durable=True)
+    whole_files.write_text(out / "trials.json", text, durable=True)
     if not arguments.json:
         say(f"written to {out}: trials.json, trials.jsonl")
     return SUCCESS

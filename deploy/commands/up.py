@@ -19,7 +19,7 @@ def up(arguments: argparse.Namespace) -> int:
     from sextant.deploy import process_table
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.launch.half import Half
-    from sextant.shared.host import allow_many_files
+    from sextant.shared.runtime.process_priority import allow_many_files
 
     rows, chosen, extra = asked(arguments)
     if arguments.print_zenoh:
@@ -54,7 +54,7 @@ def _print_zenoh(gated: "Gate") -> int:
     """Show what the router of this machine would be configured with."""
     import json
 
-    from sextant.shared.transport import Router
+    from sextant.shared.wire.transport import Router
 
     say(json.dumps(Router(gated.behind_proxy(0), gated.upstream, gated.configuration()).configuration, indent=2))
     return SUCCESS
@@ -103,7 +103,7 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
 def _apart(gated: "Gate") -> "Gate":
     """The same, with an endpoint of loopback for this machine's own processes where all others are open to other machines."""
     from sextant.deploy.launch.launcher import free_port
-    from sextant.shared.access import plain_elsewhere
+    from sextant.shared.wire.access import plain_elsewhere
 
     if plain_elsewhere(gated.listen) != gated.listen:
         return gated
@@ -123,7 +123,7 @@ def _usual(arguments: argparse.Namespace) -> str:
 def _choices(arguments: argparse.Namespace) -> "Choices":
     from sextant.deploy.launch.launcher import free_port
     from sextant.deploy.process_table import Choices, choices
-    from sextant.shared.scenario import load_scenario
+    from sextant.shared.scenario.scenario import load_scenario
 
     robot = asked_robot(arguments)
     if arguments.scenario is None and arguments.role != "sim":
@@ -139,7 +139,7 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.robot.profiles import load_profile
 
     if not any(row.side == "device" for row in rows):
         if camera:
@@ -168,7 +168,7 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
     """Where the operator's page is served: as it is asked for, else where it usually is, else on any port that is free."""
     from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.services.console.config import Settings
-    from sextant.shared.process import load_settings
+    from sextant.shared.runtime.process import load_settings
 
     if any(re.match(r"port\s*=", setting) for setting in settings):
         return load_settings(Settings, None, settings).port
@@ -182,7 +182,7 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
 def _see_servo_port(settings: Sequence[str]) -> None:
     """Refuse a servo port that is not there, before anything starts."""
     from sextant.services.actuator.config import Settings
-    from sextant.shared.process import load_settings
+    from sextant.shared.runtime.process import load_settings
 
     port = load_settings(Settings, None, settings).port
     if "://" not in port and not Path(port).exists():

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sextant.deploy.video.ground import Ground
     from sextant.deploy.video.sinking import Sinking
     from sextant.deploy.video.story import Story
-    from sextant.shared.robot import RobotProfile
+    from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
 _FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
@@ -24,8 +24,8 @@ def video(arguments: argparse.Namespace) -> int:
     from sextant.deploy.video import files
     from sextant.deploy.video.film import Cut, Film
     from sextant.deploy.video.story import Story
-    from sextant.services.console.recording.reader import Recording
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.recording.reader import Recording
+    from sextant.shared.robot.profiles import load_profile
 
     run = Path(arguments.run)
     out = Path(arguments.out) if arguments.out else _beside(run)
@@ -77,7 +77,7 @@ def _recording_of(run: Path) -> Path:
 def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
     """Scenario, seed and robot: what the recording says, or the report beside it, or the simulator in it."""
     about = {name: said[name] for name in ("scenario", "seed", "robot") if name in said}
-    from sextant.shared.input_file import FileError, read_json
+    from sextant.shared.files.input_file import FileError, read_json
 
     folder = run if run.is_dir() else run.parent
     try:
@@ -101,9 +101,9 @@ def _ground(
     from sextant.deploy.video.ground import of_terrain
     from sextant.deploy.video.sinking import Sinking
     from sextant.deploy.video.story import trail
-    from sextant.services.simulator.terrain import build_terrain
-    from sextant.shared.config import ConfigError
-    from sextant.shared.scenario import load_scenario
+    from sextant.services.simulator.physics.terrain import build_terrain
+    from sextant.shared.files.config import ConfigError
+    from sextant.shared.scenario.scenario import load_scenario
 
     if not story.true:
         return None, None

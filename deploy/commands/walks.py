@@ -21,7 +21,7 @@ from sextant.deploy.commands.common import (
 
 if TYPE_CHECKING:
     from sextant.deploy.judging.report import Report
-    from sextant.shared.transport import Endpoints
+    from sextant.shared.wire.transport import Endpoints
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -85,7 +85,7 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
 
     from sextant.deploy.replay.tum_recording import DepthRecorder
     from sextant.deploy.runs.lockstep_run import run_lockstep
-    from sextant.shared.profiles import load_profile
+    from sextant.shared.robot.profiles import load_profile
 
     with contextlib.ExitStack() as stack:
         taps = []
@@ -106,7 +106,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
     progress = open_progress(arguments.json)
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
     from sextant.deploy.interrupts import Interrupts
-    from sextant.shared.ending import end_with
+    from sextant.shared.runtime.shutdown import end_with
 
     with Interrupts() as interrupts:
         if getattr(arguments, "parent", None):

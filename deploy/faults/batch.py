@@ -19,8 +19,8 @@ from sextant.deploy.faults.watched import SCENARIO, in_walks
 from sextant.deploy.trials import kept
 from sextant.deploy.trials.batch import fingerprint, refuse_another_program
 from sextant.deploy.workers import share_out
-from sextant.shared import files
-from sextant.shared.input_file import FileError, parse_json, read_bytes
+from sextant.shared.files import whole_files
+from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 
 FILE = "faults.jsonl"
 
@@ -65,7 +65,7 @@ def run_faults(
         ChangedError: The program has changed since this process began.
     """
     refuse_another_program()
-    files.make_folder(out)
+    whole_files.make_folder(out)
     path, mark = out / FILE, fingerprint(SCENARIO)
     kept.mend(path)
     done = {(one.fault, one.number): one for one in read(path, mark)}
@@ -81,8 +81,8 @@ def run_faults(
             done[one.fault, one.number] = one
             entry = {"fingerprint": mark, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
             lines.append(json.dumps(entry, ensure_ascii=False, separators=(",", ":")) + "\n")
-        with files.reported(say):
-            files.append_text(path, "".join(lines), durable=True)
+        with whole_files.reported(say):
+            whole_files.append_text(path, "".join(lines), durable=True)
         left -= len(found)
         say(f"[{wanted - left}/{wanted}] {found[0].fault}, {len(found)} phases")
     names = [case.name for case in cases]

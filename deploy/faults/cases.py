@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Literal
 
-from sextant.shared.bus_fault import BusFault
+from sextant.shared.servo.bus_fault import BusFault
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from sextant.deploy.faults.watched import SCENARIO
 from sextant.deploy.runs.operator import Operator
-from sextant.shared import process
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime import process
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ import argparse
 import os
 
 from sextant.deploy.process_table import ENVIRONMENT, Command
-from sextant.shared.ending import end_with
+from sextant.shared.runtime.shutdown import end_with
 
 
 def commands() -> tuple[Command, ...]:

@@ -24,13 +24,13 @@ from sextant.deploy.launch.tapped_robot import Page, Places
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import ENVIRONMENT, Command
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.console.recording.reader import files_of, newest_ns
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.messages import Message, Mode, ModeCommand, RecordCommand
-from sextant.shared.scenario import load_scenario
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import ZenohLink
+from sextant.shared.recording.reader import files_of, newest_ns
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Message, Mode, ModeCommand, RecordCommand
+from sextant.shared.wire.transport import ZenohLink
 
 _GROUND = "flat"  # the scenario that the simulator is given: level ground
 _LOOK_S = 0.02

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from sextant.shared.geometry import rotation_from_rpy
-from sextant.shared.messages import Message, PlannerStatus, StepPlan
-from sextant.shared.service import AnyTopic, Every, Inbox, Service
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service
+from sextant.shared.wire.messages import Message, PlannerStatus, StepPlan
 
 PLANS_PER_STEP = 134  # fuzzed, of a planner that steps 25 times a second: 3350 in a second, a million in 300
 _REPEATED = 8  # plans that are said again and again

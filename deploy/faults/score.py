@@ -13,11 +13,11 @@ from sextant.deploy.faults.wire import Goals
 from sextant.deploy.judging.scorer import FALL_TILT_DEG
 from sextant.deploy.judging.walk_metrics import Flags, debounced, stability_margin
 from sextant.services.actuator.safety.health_monitor import LATE
-from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Mode
-from sextant.shared.robot import RobotProfile
-from sextant.shared.stability import centre_of_mass
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.stability import centre_of_mass
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode
 
 _MARGIN_S = 3.0  # [s] over which the stability margin is looked at
 _STILL_S = 0.2  # [s] for which a robot that is at rest has been so

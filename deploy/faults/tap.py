@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sextant.deploy.process_table import ENVIRONMENT, Command
-from sextant.shared.ending import end_with
-from sextant.shared.host import go_first
+from sextant.shared.runtime.process_priority import go_first
+from sextant.shared.runtime.shutdown import end_with
 
 _CHUNK = 4096  # [bytes]
 _HOST = "127.0.0.1"

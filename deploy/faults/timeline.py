@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.deploy.faults.wire import Goals, Outside, Switch
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Mode
+from sextant.shared.wire.messages import Mode
 
 STALE_S = 0.25  # [s] after which an actuator that says nothing is not known to walk
 

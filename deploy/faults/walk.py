@@ -19,11 +19,11 @@ from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
 from sextant.deploy.workers import in_copy
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
-from sextant.shared import dynamixel as dxl
-from sextant.shared import topics
-from sextant.shared.lockstep import Outage, ServiceFailedError
-from sextant.shared.messages import Mode, ModeCommand
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.lockstep import Outage, ServiceFailedError
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode, ModeCommand
 
 _LOOK_NS = 20_000_000
 _BESIDE_S = 0.001  # [s] by which a beat falls outside of what is to leave it out

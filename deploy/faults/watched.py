@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from sextant.deploy.faults.cases import Case
 from sextant.deploy.faults.timeline import STALE_S, Timeline, Truth, Word
 from sextant.deploy.faults.wire import Goals, Outside, Recorder, Switch
-from sextant.shared import codec, topics
-from sextant.shared.lockstep import ServiceFailedError
-from sextant.shared.messages import ActuatorState, GroundTruth, Mode
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Goal, Plane, Scenario
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import ServiceFailedError
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
 
 SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
 STEADY_S = 0.5  # [s] of walking before a fault, ...

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Instruction, Packet, PacketParser, Register
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register
 
 _SIDES = ("sent", "heard")
 

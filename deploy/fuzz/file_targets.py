@@ -23,10 +23,12 @@ from sextant.deploy.network.authority import Authority, held
 from sextant.deploy.trials import kept
 from sextant.services.actuator import config as actuator
 from sextant.services.perception import tum
-from sextant.services.simulator.terrain import build_terrain
-from sextant.shared import access, array_file, config, input_file, picture_file, process
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
+from sextant.services.simulator.physics.terrain import build_terrain
+from sextant.shared.files import array_file, config, input_file, picture_file
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime import process
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire import access
 
 _NESTED = 0.8  # of the tables in a table that something odd is put into
 _FLEET = """[robots.alpha]

@@ -21,13 +21,13 @@ from sextant.deploy.launch.tapped_robot import Page, Places
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared import codec, topics
-from sextant.shared.access import Keys
-from sextant.shared.live import run_live
-from sextant.shared.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import Keys
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "attacked"
 _GROUND = "flat"

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sextant.shared import codec
-from sextant.shared.codec import Timing
-from sextant.shared.messages import Health, Message, schema
+from sextant.shared.wire import codec
+from sextant.shared.wire.codec import Timing
+from sextant.shared.wire.messages import Health, Message, schema
 
 _LONGEST = 6  # of a free length
 _TRIES = 20  # for one whose fields agree with each other

@@ -18,13 +18,13 @@ from mcap.writer import CompressionType, Writer
 from sextant.deploy.fuzz import made
 from sextant.deploy.fuzz.broken import broken
 from sextant.deploy.fuzz.target import Folder
-from sextant.services.console.recording.contents import as_table, contents, in_words
-from sextant.services.console.recording.layout import RecordingError
-from sextant.services.console.recording.reader import Recording, is_whole
-from sextant.services.console.recording.records import LARGEST_BYTES, MAGIC
-from sextant.services.console.recording.recovery import recover
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import topics
+from sextant.shared.recording.contents import as_table, contents, in_words
+from sextant.shared.recording.layout import RecordingError
+from sextant.shared.recording.reader import Recording, is_whole
+from sextant.shared.recording.records import LARGEST_BYTES, MAGIC
+from sextant.shared.recording.recovery import recover
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.wire import topics
 
 _EXAMPLES = 8
 _FRAMES = 12  # of an example

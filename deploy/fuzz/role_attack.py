@@ -19,15 +19,24 @@ from sextant.deploy.faults.wire import Recorder
 from sextant.deploy.fuzz.worst import worst
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.console.recording.foxglove.translation import Foxglove
 from sextant.services.simulator.service import Simulator
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.access import ROLE_NAMED, ROLES
-from sextant.shared.lockstep import ServiceFailedError
-from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, StopOrder, Tick, VelocityCommand
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import ServiceFailedError
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import ROLE_NAMED, ROLES
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    Message,
+    Mode,
+    ModeCommand,
+    PlannerStatus,
+    StopOrder,
+    Tick,
+    VelocityCommand,
+)
 
 OFF_WITHIN_S = 0.06  # from the order to torque off on the servo bus
 GROWTH_MB = 20.0  # that a process may grow by in the second half of an attack

@@ -13,15 +13,16 @@ from sextant.deploy.fuzz.file_targets import file_targets
 from sextant.deploy.fuzz.target import Target
 from sextant.deploy.ros2 import cdr
 from sextant.deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
-from sextant.services.console import requests
 from sextant.services.console.config import Settings
-from sextant.services.console.connection import SOCKET, Connection
-from sextant.services.console.door import PROTOCOL, Door, Porter
-from sextant.services.console.pages import Page
-from sextant.shared import bridge, codec, framing, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.codec import DecodeError
-from sextant.shared.service import AnyTopic
+from sextant.services.console.web import requests
+from sextant.services.console.web.connection import SOCKET, Connection
+from sextant.services.console.web.origin_policy import PROTOCOL, Door, Porter
+from sextant.services.console.web.pages import Page
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import bridge_protocol, framing
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.codec import DecodeError
 
 _EXAMPLES = 32  # of a message
 _PREFIX = struct.Struct("<I")
@@ -33,8 +34,8 @@ def targets(rng: Random) -> tuple[Target, ...]:
     return (
         *(_of_topic(topic, rng) for topic in topics.TOPICS),
         Target("servo bus", tuple(_packets()), _broken_behind(0), _take_packets),
-        Target("bridge, host", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge.TO_HOST)),
-        Target("bridge, board", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge.FROM_HOST)),
+        Target("bridge, host", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.TO_HOST)),
+        Target("bridge, board", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.FROM_HOST)),
         *(_of_twist(kind) for kind in (TWIST, TWIST_STAMPED)),
         Target("page, request", tuple(text.encode() for text in _asked()), _odd_request, _take_request),
         _of_socket(),
@@ -101,16 +102,31 @@ def _broken_behind(start: int) -> Callable[[bytes, Random], bytes]:
 def _wire_messages() -> list[bytes]:
     ids, each, many = bytes(range(1, 19)), bytes(18), (512,) * 18
     said = (
-        bridge.Hello(bridge.VERSION, 7, 10**6, ids),
-        bridge.Goals(7, 1, 10**6, 100, many, many),
-        bridge.Torque(7, 2, 10**6, 1),
-        bridge.Limits(7, 3, 10**6, many),
-        bridge.Ask(7, 4, 10**6, 3, 2, b"\x24\x08"),
-        bridge.Welcome(bridge.VERSION, 7, 9, 10**6, "reference board"),
-        bridge.State(7, 1, 10**6, bridge.Mode(1), 1, 10, bridge.Refusal(0), 0, 0, 0, 0, *(many,) * 3, *(each,) * 3, many),
-        bridge.Answer(7, 4, bridge.Result.ANSWERED, 0, b"\x00\x08"),
+        bridge_protocol.Hello(bridge_protocol.VERSION, 7, 10**6, ids),
+        bridge_protocol.Goals(7, 1, 10**6, 100, many, many),
+        bridge_protocol.Torque(7, 2, 10**6, 1),
+        bridge_protocol.Limits(7, 3, 10**6, many),
+        bridge_protocol.Ask(7, 4, 10**6, 3, 2, b"\x24\x08"),
+        bridge_protocol.Welcome(bridge_protocol.VERSION, 7, 9, 10**6, "reference board"),
+        bridge_protocol.State(
+            7,
+            1,
+            10**6,
+            bridge_protocol.Mode(1),
+            1,
+            10,
+            bridge_protocol.Refusal(0),
+            0,
+            0,
+            0,
+            0,
+            *(many,) * 3,
+            *(each,) * 3,
+            many,
+        ),
+        bridge_protocol.Answer(7, 4, bridge_protocol.Result.ANSWERED, 0, b"\x00\x08"),
     )
-    return [bridge.encode(message) for message in said]
+    return [bridge_protocol.encode(message) for message in said]
 
 
 def _odd_frame(frame: bytes, rng: Random) -> bytes:
@@ -120,13 +136,13 @@ def _odd_frame(frame: bytes, rng: Random) -> bytes:
     return framing.frame(twisted) if len(twisted) < framing.MAX_PAYLOAD - _PREFIX.size else frame
 
 
-def _take_wire(data: bytes, expected: frozenset[type[bridge.Message]]) -> bool:
-    receiver = bridge.Receiver(expected)
+def _take_wire(data: bytes, expected: frozenset[type[bridge_protocol.Message]]) -> bool:
+    receiver = bridge_protocol.Receiver(expected)
     found = receiver.feed(data)
     if receiver.pending > framing.MAX_FRAME:
         raise AssertionError(f"{receiver.pending} bytes are held back")
     for message in found:
-        bridge.encode(message)
+        bridge_protocol.encode(message)
     return bool(found)
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from sextant.deploy.fuzz import made
-from sextant.shared import codec
-from sextant.shared.messages import MAX_ITEMS, MAX_TEXT, Dims, Message, schema
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import MAX_ITEMS, MAX_TEXT, Dims, Message, schema
 
 _LARGEST = (1 << 63) - 1
 _INTS = (0, 1, -1, 2, 255, 1 << 31, 10**9, 1 << 62, _LARGEST, -_LARGEST)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
-from sextant.shared.robot import Camera
-from sextant.shared.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
+from sextant.shared.robot.profile import Camera
+from sextant.shared.scenario.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 
 RAISED = 0.005  # [m] over the ground beside: on something
 _NARROW = 0.20  # [m] and less is the width of pillars, stones and the like
@@ -51,7 +51,9 @@ class Course:
             seed: The run's; the terrain's generator is `default_rng([seed, 0])`, as the simulator's.
             terrain: The ground, in place of the scenario's.
         """
-        from sextant.services.simulator.terrain import build_terrain  # a robot without the simulator can import this module
+        from sextant.services.simulator.physics.terrain import (
+            build_terrain,  # a robot without the simulator can import this module
+        )
 
         self.terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
         unblocked = tuple(part for part in scenario.terrain if not isinstance(part, _IN_THE_WAY))
@@ -142,11 +144,11 @@ class Course:
 
         None where the ground is none that can be drawn.
         """
-        from sextant.services.simulator.terrain import Terrain  # as above
+        from sextant.services.simulator.physics.terrain import Terrain  # as above
 
         if not isinstance(self.terrain, Terrain):
             return None
-        from sextant.services.simulator.render import Renderer
+        from sextant.services.simulator.sensors.renderer import Renderer
 
         renderer = Renderer(self.terrain, camera.intrinsics)
         return ((renderer.depth(T), self.T_start_sim @ T) for T in poses)

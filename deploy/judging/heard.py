@@ -5,10 +5,19 @@ from typing import TypeVar
 
 import numpy as np
 
-from sextant.shared import topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import ActuatorState, BodyPose, GroundTruth, Mode, PassageMap, PassagePlan, PlannerStatus, StepPlan
-from sextant.shared.service import Inbox
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    BodyPose,
+    GroundTruth,
+    Mode,
+    PassageMap,
+    PassagePlan,
+    PlannerStatus,
+    StepPlan,
+)
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
 

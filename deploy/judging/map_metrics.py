@@ -13,8 +13,8 @@ from sextant.deploy.judging.report import CourseMap, MapError
 from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
 from sextant.deploy.judging.walk_metrics import HeightAt
 from sextant.shared.geometry import Array, apply, yaw_of
-from sextant.shared.messages import TerrainMap
-from sextant.shared.robot import Camera
+from sextant.shared.robot.profile import Camera
+from sextant.shared.wire.messages import TerrainMap
 
 _MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
 _STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go

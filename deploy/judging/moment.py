@@ -10,7 +10,7 @@ from sextant.deploy.judging.said import SPEAKERS, Complaint
 from sextant.deploy.judging.trace import Trace
 from sextant.deploy.judging.walk_metrics import Flags, runs
 from sextant.shared.geometry import Array
-from sextant.shared.robot import JOINTS, LEGS
+from sextant.shared.robot.profile import JOINTS, LEGS
 
 ENDED = "ended"  # of a run that nothing else decided
 MISSED = 0.02  # [m] from the foothold that was chosen, and more, is beside it

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import PassageStep, Stance
+from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
+from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array, apply
-from sextant.shared.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
-from sextant.shared.robot import GRAVITY, JOINTS, LEGS, RobotProfile
-from sextant.shared.stability import resting_centre_of_mass, support_margin
+from sextant.shared.robot.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
+from sextant.shared.robot.profile import GRAVITY, JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 
 _TIMES = 31  # instants of a step
 _ALONG = np.linspace(0.0, 1.0, 13)  # places along a link at which its distance to others is taken

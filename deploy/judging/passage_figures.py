@@ -9,10 +9,10 @@ from sextant.deploy.judging.report import FootholdEdge, Passage, Section
 from sextant.deploy.judging.trace import Trace
 from sextant.deploy.judging.walk import Walk
 from sextant.deploy.judging.walk_metrics import runs
-from sextant.shared import topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import PassagePlan
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import PassagePlan
 
 _OVER_NOTHING = 0.03  # [m] of air under a standing foot's underside: what holds it, if anything, is an edge beside it
 _FALLEN = 0.08  # [m] under the other feet's undersides: it stands in the gap

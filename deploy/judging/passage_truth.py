@@ -4,14 +4,14 @@ import numpy as np
 
 from sextant.deploy.bench.passage_fields import RESOLUTION, field_of, stance_at
 from sextant.deploy.judging.course import Course
-from sextant.services.planner.passage.errand import BEHIND, STRIP
-from sextant.services.planner.passage.exhaustive import passable
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.mode import BEFORE
-from sextant.services.planner.passage.sections import goal_behind
-from sextant.services.planner.passage.settings import PassageSettings
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import PillarField, Scenario
+from sextant.services.planner.gap_crossing.approach import BEFORE
+from sextant.services.planner.gap_crossing.exhaustive import passable
+from sextant.services.planner.gap_crossing.sections import goal_behind
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.scenario.scenario import PillarField, Scenario
 
 _HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8  # [m] of a band whose share on a level [m] tells where the gap begins
 _CYCLES = 30  # of the gait: the whole way in one section

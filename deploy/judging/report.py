@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 _NAN = float("nan")
 _DIGITS = 6
@@ -93,7 +93,7 @@ class FootholdEdge:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What planning at one stop of a passage came to, in the words of `sextant.shared.messages.PassagePlan`."""
+    """What planning at one stop of a passage came to, in the words of `sextant.shared.wire.messages.PassagePlan`."""
 
     state: str
     reason: str
@@ -197,8 +197,8 @@ def write(report: Report, folder: Path) -> None:
     Raises:
         WriteError: It cannot be written.
     """
-    files.make_folder(folder)
-    files.write_text(folder / FILE, to_json(report), durable=True)
+    whole_files.make_folder(folder)
+    whole_files.write_text(folder / FILE, to_json(report), durable=True)
 
 
 def check(table: object, kind: type = Report) -> list[str]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sextant.deploy.judging.heard import Heard
-from sextant.shared.messages import ActuatorState, BodyPose, Mode, PlannerStatus
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PlannerStatus
 
 Speaker = Literal["planner", "actuator", "perception"]
 SPEAKERS: tuple[Speaker, ...] = ("planner", "actuator", "perception")

@@ -19,12 +19,12 @@ from sextant.deploy.judging.said import last_reason
 from sextant.deploy.judging.trace import Trace, trace_of
 from sextant.deploy.judging.walk import Walk
 from sextant.deploy.judging.walk_figures import pose_error, walk_figures
-from sextant.shared import topics
 from sextant.shared.geometry import Array, inverse, rotation_z, transform, yaw_of
-from sextant.shared.messages import GroundTruth, Message, TerrainMap
-from sextant.shared.robot import JOINTS, LEGS, RobotProfile
-from sextant.shared.scenario import Scenario
-from sextant.shared.service import Inbox, Stages
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.runtime.service import Inbox, Stages
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import GroundTruth, Message, TerrainMap
 
 FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))

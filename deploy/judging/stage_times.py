@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sextant.shared.service import Service
+from sextant.shared.runtime.service import Service
 
 
 def stages_ms(*services: Service) -> dict[str, dict[str, float]]:

@@ -10,8 +10,8 @@ from sextant.deploy.judging.heard import Heard
 from sextant.deploy.judging.walk import DEBOUNCE, Walk
 from sextant.deploy.judging.walk_metrics import is_foothold, touchdowns
 from sextant.shared.geometry import Array, apply, inverse
-from sextant.shared.messages import StepPlan
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import StepPlan
 
 _MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
 

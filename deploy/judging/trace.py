@@ -13,9 +13,9 @@ from sextant.deploy.judging.touchdowns import Touchdowns, find_touchdowns
 from sextant.deploy.judging.walk import Walk
 from sextant.deploy.judging.walk_metrics import angle_between
 from sextant.shared.geometry import Array, apply
-from sextant.shared.messages import PassageMap, PassagePlan, StepPlan
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Scenario
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire.messages import PassageMap, PassagePlan, StepPlan
 
 
 @dataclass(frozen=True, slots=True)

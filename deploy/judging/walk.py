@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from sextant.deploy.judging.course import Course
 from sextant.deploy.judging.heard import Heard
 from sextant.deploy.judging.walk_metrics import debounced, in_the_way, runs, stability_margin
-from sextant.shared import topics
 from sextant.shared.geometry import Array, apply
-from sextant.shared.kinematics import leg_points
-from sextant.shared.messages import Mode
-from sextant.shared.robot import RobotProfile
-from sextant.shared.stability import centre_of_mass
+from sextant.shared.robot.kinematics import leg_points
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.stability import centre_of_mass
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode
 
 Flags = NDArray[np.bool_]
 

@@ -19,10 +19,10 @@ from sextant.deploy.process_table import (
     rows,
 )
 from sextant.services.actuator.safety.torque_off_latch import SHARED
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
-from sextant.shared.config import ConfigError
-from sextant.shared.scenario import load_scenario
-from sextant.shared.transport import Endpoints
+from sextant.shared.files.config import ConfigError
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE
+from sextant.shared.wire.transport import Endpoints
 
 NAMESPACE = "sextant"
 KEYS = "/run/secrets/sextant"  # where a container finds its machine's certificates

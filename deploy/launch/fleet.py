@@ -17,9 +17,9 @@ from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import ENVIRONMENT, Choices, Command, Process
 from sextant.services.console.config import Settings
-from sextant.services.console.lobby.config import is_name
-from sextant.shared import config
-from sextant.shared.profiles import load_profile
+from sextant.services.console.fleet_proxy.config import is_name
+from sextant.shared.files import config
+from sextant.shared.robot.profiles import load_profile
 
 _LOBBY_SILENT_S = 10.0
 _LOBBY_MB = 128
@@ -234,5 +234,5 @@ def _lobby(page: Page, pages: dict[str, int]) -> tuple[Command]:
         *([process_table.assignment("token", page.token)] if page.token else []),
         f"robots={{{', '.join(f'{json.dumps(name)} = {port}' for name, port in pages.items())}}}",
     ]
-    arguments = ("-m", "sextant.services.console.lobby", *(word for one in words for word in ("--set", one)))
+    arguments = ("-m", "sextant.services.console.fleet_proxy", *(word for one in words for word in ("--set", one)))
     return (Command("lobby", arguments, ENVIRONMENT, restarts=3, watchdog_s=_LOBBY_SILENT_S, memory_mb=_LOBBY_MB),)

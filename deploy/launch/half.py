@@ -14,8 +14,8 @@ from sextant.deploy.network.gate import Gate
 from sextant.deploy.network.meeting import Meeting
 from sextant.deploy.process_table import Choices, Process, Role
 from sextant.deploy.provenance import version
-from sextant.shared.endpoint import occupied
-from sextant.shared.transport import Endpoints, Router, TransportError, ZenohLink
+from sextant.shared.wire.endpoint import occupied
+from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
 
 _NEEDED = ("router", "actuator", "simulator")  # without which the others are of no use
 _LOOK_S = 0.05  # between two looks for other machines, before anything is started

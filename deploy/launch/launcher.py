@@ -18,7 +18,7 @@ from typing import Self
 from sextant.deploy.launch.ports import port_taken as port_taken
 from sextant.deploy.launch.pulses import LOOK_S, Pulses, unwatched
 from sextant.deploy.process_table import Command
-from sextant.shared.transport import Endpoints, Router, TransportError
+from sextant.shared.wire.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # between SIGTERM and SIGKILL
 LAUNCHERS_GRACE_S = 6.0  # likewise for launchers as children: they have children of their own to end, and a router to close
@@ -94,7 +94,7 @@ class _Child:
 class Launcher:
     """Children of this process, from entering to leaving; a context manager.
 
-    One that has begun to give signs of life (`sextant.shared.watchdog`) and is silent for longer than its command allows ends.
+    One that has given a sign of life (`sextant.shared.runtime.watchdog`) and is silent for longer than its command allows ends.
     Start, poll and stop belong to one thread that outlives the children: Linux ends a child with the thread that made it.
     """
 

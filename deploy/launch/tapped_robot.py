@@ -8,8 +8,8 @@ from sextant.deploy.faults import tap
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import Command
-from sextant.shared.scenario import load_scenario
-from sextant.shared.transport import Endpoints
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.transport import Endpoints
 
 RESTARTS = 1000
 BASE_ROUTER = "base router"

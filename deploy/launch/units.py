@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sextant.deploy.process_table import Command
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 TARGET = "sextant.target"
 DEVICE_GROUPS = (
@@ -112,12 +112,12 @@ def install(made: Mapping[str, str], folder: Path) -> list[Path]:
             f"{', '.join(str(folder / name) for name in foreign)}: not as `sextant service install` left it; move it away, and "
             "put changes of your own into a drop-in (`systemctl edit`)"
         )
-    files.make_folder(folder)
+    whole_files.make_folder(folder)
     for path in installed(folder):
         if path.name not in made:
             path.unlink()
     for name, text in made.items():
-        files.write_text(folder / name, text, durable=True)
+        whole_files.write_text(folder / name, text, durable=True)
     return [folder / name for name in made]
 
 

@@ -14,9 +14,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from sextant.shared import files
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
-from sextant.shared.input_file import FileError, read_bytes
+from sextant.shared.files import whole_files
+from sextant.shared.files.input_file import FileError, read_bytes
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
 
 OF_AUTHORITY = "ca"  # folder of the authority, which stays where it was made
 _BEFORE = timedelta(minutes=10)  # by which clocks of two machines may differ
@@ -80,7 +80,7 @@ class Authority:
     def write(self, folder: Path) -> None:
         """Write the authority: its certificate, and the private key that signs others."""
         folder.mkdir(parents=True, mode=0o700)
-        files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
+        whole_files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
         _write_private(folder / KEY, _pem_of(self._key))
 
     def issue(self, folder: Path, role: str, addresses: Sequence[str] = HERE, ends: datetime | None = None) -> None:
@@ -95,9 +95,9 @@ class Authority:
         folder.mkdir(parents=True, mode=0o700)
         ends = ends or self.ends
         key, certificate = self._signed(role, addresses, ends)
-        files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
-        files.write_bytes(folder / CERTIFICATE, certificate, durable=True)
-        files.write_text(folder / ROLE, f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', durable=True)
+        whole_files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
+        whole_files.write_bytes(folder / CERTIFICATE, certificate, durable=True)
+        whole_files.write_text(folder / ROLE, f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', durable=True)
         _write_private(folder / KEY, key)
         _write_proxy_keys(folder / PROXY, (ends - datetime.now(UTC)) / timedelta(days=1))
 
@@ -139,11 +139,11 @@ def new(folder: Path, addresses: Mapping[str, Sequence[str]] | None = None, days
         raise AccessError(f"{folder} has {', '.join(there)} already: keys are not overwritten; name another folder")
     authority = Authority(days)
     try:
-        with files.explained(folder):
+        with whole_files.explained(folder):
             authority.write(folder / OF_AUTHORITY)
             for role in ROLES:
                 authority.issue(folder / role.name, role.name, (*HERE, *(addresses or {}).get(role.name, ())))
-    except files.WriteError:
+    except whole_files.WriteError:
         for name in (OF_AUTHORITY, *(role.name for role in ROLES)):  # half a set of keys would keep the next from being made
             shutil.rmtree(folder / name, ignore_errors=True)
         raise
@@ -202,7 +202,7 @@ def _write_proxy_keys(folder: Path, days: float) -> None:
     """
     folder.mkdir(mode=0o700)
     authority = Authority(days)
-    files.write_bytes(folder / AUTHORITY, authority.certificate.public_bytes(Encoding.PEM), durable=True)
+    whole_files.write_bytes(folder / AUTHORITY, authority.certificate.public_bytes(Encoding.PEM), durable=True)
     for name in (ROUTER, *(role.name for role in ROLES)):
         key, certificate = authority._signed(name, HERE, authority.ends)
         _write_private(folder / f"{name}.pem", certificate + key)
@@ -214,4 +214,4 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 def _write_private(file: Path, pem: bytes) -> None:
     """Write a file that its owner alone may read, from the first byte on."""
-    files.write_bytes(file, pem, durable=True, mode=0o600)
+    whole_files.write_bytes(file, pem, durable=True, mode=0o600)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sextant.shared import access, topics
-from sextant.shared.access import AccessError, Keys
-from sextant.shared.endpoint import fault, obstacle
-from sextant.shared.handshake import refusal
+from sextant.shared.wire import access, topics
+from sextant.shared.wire.access import AccessError, Keys
+from sextant.shared.wire.endpoint import fault, obstacle
+from sextant.shared.wire.handshake import refusal
 
 SECURE_ENDPOINT = "tls/0.0.0.0:7448"
 WARNING = (

@@ -10,9 +10,9 @@ from typing import Self, TextIO
 import numpy as np
 
 from sextant.deploy.network.refusals import Refusals
-from sextant.shared import codec, topics
-from sextant.shared.messages import Health
-from sextant.shared.transport import Endpoints, ZenohLink, without_source
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health
+from sextant.shared.wire.transport import Endpoints, ZenohLink, without_source
 
 _PERIOD_NS = 1_000_000_000
 _SOON_NS = 200_000_000  # between two words where there is news

@@ -7,8 +7,8 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.network.tls_dialer import TlsDialer
 from sextant.deploy.network.tls_proxy import TlsProxy
-from sextant.shared.access import Keys
-from sextant.shared.transport import Router, merged
+from sextant.shared.wire.access import Keys
+from sextant.shared.wire.transport import Router, merged
 
 _DIALLED_MS = 30_000  # [ms] that the router waits for a dialer, which ends each attempt long before
 

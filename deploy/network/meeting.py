@@ -12,10 +12,10 @@ import numpy as np
 
 from sextant.deploy.network.gate import PUBLISHED_BY
 from sextant.deploy.process_table import ON_ROBOT
-from sextant.shared import codec, topics
-from sextant.shared.access import ROLE_NAMED
-from sextant.shared.live import Link
-from sextant.shared.messages import Health, Presence
+from sextant.shared.runtime.zenoh_runner import Link
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import ROLE_NAMED
+from sextant.shared.wire.messages import Health, Presence
 
 PERIOD_NS = 1_000_000_000
 SILENT_NS = 5_000_000_000  # after which another machine counts as away

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from sextant.deploy.checks import Check, Level
 from sextant.deploy.network.authority import OF_AUTHORITY, Authority
-from sextant.shared.access import CERTIFICATE, KEY
-from sextant.shared.endpoint import place
-from sextant.shared.handshake import verdict
-from sextant.shared.transport import TransportError, overhear, scout
+from sextant.shared.wire.access import CERTIFICATE, KEY
+from sextant.shared.wire.endpoint import place
+from sextant.shared.wire.handshake import verdict
+from sextant.shared.wire.transport import TransportError, overhear, scout
 
 _LISTEN_S = 2.0
 _VERDICT_S = 3.0  # for a refusal: a robot that is slow to refuse is not to be taken for one that is open

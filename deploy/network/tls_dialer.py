@@ -14,9 +14,9 @@ from types import TracebackType
 from typing import Self
 
 from sextant.deploy.network.tls_relay import Target, TlsRelay
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from sextant.shared.endpoint import place, resolved
-from sextant.shared.transport import LEASE_MS
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from sextant.shared.wire.endpoint import place, resolved
+from sextant.shared.wire.transport import LEASE_MS
 
 _HERE = "127.0.0.1"
 _ATTEMPT_S = 0.5  # [s] of connecting and handshake

@@ -23,9 +23,9 @@ from typing import Self
 
 from sextant.deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
 from sextant.deploy.network.tls_relay import Target, TlsRelay, common_name
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from sextant.shared.endpoint import cannot_listen, listener
-from sextant.shared.transport import TransportError
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from sextant.shared.wire.endpoint import cannot_listen, listener
+from sextant.shared.wire.transport import TransportError
 
 _HERE = "127.0.0.1"
 _ROUTER_S = 3.0  # [s] in which the router has to take a connection

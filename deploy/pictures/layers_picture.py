@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.pictures.walk_picture import LEG_COLORS
-from sextant.shared import files
+from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array
-from sextant.shared.messages import TerrainMap
+from sextant.shared.wire.messages import TerrainMap
 
 UNSEEN = "#e4e4e4"
 _DPI = 100
@@ -35,8 +35,8 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
     figure = figure_of(terrain, T_world_way)
     if figure is None:
         return False
-    files.make_folder(path.parent)
-    files.write_by_name(path, figure.savefig)
+    whole_files.make_folder(path.parent)
+    whole_files.write_by_name(path, figure.savefig)
     return True
 
 

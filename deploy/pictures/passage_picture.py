@@ -24,10 +24,10 @@ from sextant.deploy.pictures.summary import (
     verdict,
 )
 from sextant.deploy.pictures.walk_picture import LEG_COLORS
-from sextant.shared import files
+from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array, apply, rotation_z, transform
-from sextant.shared.messages import UNKNOWN, PassageMap
-from sextant.shared.robot import LEGS, RobotProfile
+from sextant.shared.robot.profile import LEGS, RobotProfile
+from sextant.shared.wire.messages import UNKNOWN, PassageMap
 
 _SIZE, _DPI, _FONT = (16.0, 15.0), 100, 13
 _SECTIONS = ("#1f5fd0", "#8a2be2", "#00796b", "#b26a00", "#c2185b", "#455a64")  # colours, over again from the seventh on
@@ -49,8 +49,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         trace: How it went, with sections that were planned.
     """
     figure = figure_of(report, trace)
-    files.make_folder(path.parent)
-    files.write_by_name(path, figure.savefig)
+    whole_files.make_folder(path.parent)
+    whole_files.write_by_name(path, figure.savefig)
 
 
 def figure_of(report: Report, trace: Trace) -> Any:

@@ -21,9 +21,9 @@ from sextant.deploy.pictures.history_picture import ESTIMATE, TRUE
 from sextant.deploy.pictures.layers_picture import UNSEEN, ground_colors
 from sextant.deploy.pictures.relief import shaded
 from sextant.deploy.pictures.walk_picture import LEG_COLORS
-from sextant.shared import files
+from sextant.shared.files import whole_files
 from sextant.shared.geometry import apply
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
 
 _WIDTH, _DPI, _FONT = 16.0, 100, 13  # [in], [1/in], [pt]
 _MAP, _LEGEND, _HISTORY = (3.3, 5.2), 0.75, (6.2, 7.6)  # [in] heights: the last without and with a moment that decided
@@ -51,8 +51,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         trace: How it went; may be empty.
     """
     figure = figure_of(report, trace)
-    files.make_folder(path.parent)
-    files.write_by_name(path, figure.savefig)
+    whole_files.make_folder(path.parent)
+    whole_files.write_by_name(path, figure.savefig)
 
 
 def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:

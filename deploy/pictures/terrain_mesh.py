@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.messages import TerrainMap
+from sextant.shared.wire.messages import TerrainMap
 
 _BEST, _WORST = np.array([60, 160, 80]), np.array([200, 60, 50])  # colours of a score of 0 and of 1, from where on none stands
 _UNSCORED = 128.0

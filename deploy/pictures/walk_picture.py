@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from sextant.deploy.judging.report import Report
 from sextant.deploy.judging.trace import Trace
 from sextant.deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
-from sextant.shared import files
-from sextant.shared.robot import LEGS
+from sextant.shared.files import whole_files
+from sextant.shared.robot.profile import LEGS
 
 LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
 _SIZE, _DPI = (16.0, 15.0), 100
@@ -54,8 +54,8 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
         draw_from_aside(aside, trace)
         if published is not None:
             _as_published(height, tilt, below[0], trace, published)
-        files.make_folder(path.parent)
-        files.write_by_name(path, figure.savefig)
+        whole_files.make_folder(path.parent)
+        whole_files.write_by_name(path, figure.savefig)
     return True
 
 

@@ -17,9 +17,9 @@ from sextant.deploy.pictures import layers_picture, passage_picture, summary, wa
 from sextant.deploy.pictures.walk_picture import LEG_COLORS
 from sextant.deploy.plots.numbers import comparison
 from sextant.deploy.plots.recorded import RecordedRun
-from sextant.shared import files
+from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array
-from sextant.shared.robot import JOINTS, LEGS
+from sextant.shared.robot.profile import JOINTS, LEGS
 
 Runs = Sequence[RecordedRun]
 
@@ -62,9 +62,9 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
         figure = None if misfit(name, len(runs)) else FIGURES[name].draw(runs)
         if figure is None:
             return False
-        files.make_folder(path.parent)
+        whole_files.make_folder(path.parent)
         undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
-        files.write_by_name(path, partial(figure.savefig, metadata=undated))
+        whole_files.write_by_name(path, partial(figure.savefig, metadata=undated))
     return True
 
 

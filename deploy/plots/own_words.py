@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array, apply
-from sextant.shared.messages import ActuatorState, BodyPose, GroundTruth, TerrainMap
-from sextant.shared.scenario import Goal, Plane, Scenario
-from sextant.shared.service import AnyTopic
+from sextant.shared.recording.reader import Recording
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, BodyPose, GroundTruth, TerrainMap
 
 Frame = tuple[AnyTopic, bytes, int]  # topic, frame, time [ns]
 

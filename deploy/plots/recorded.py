@@ -14,16 +14,16 @@ from sextant.deploy.judging.report import Report
 from sextant.deploy.judging.scorer import Scorer
 from sextant.deploy.judging.trace import Trace
 from sextant.deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
-from sextant.services.console.recording.layout import RecordingError
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import codec, topics
-from sextant.shared.config import ConfigError
+from sextant.shared.files.config import ConfigError
+from sextant.shared.files.input_file import FileError, read_json
 from sextant.shared.geometry import Array
-from sextant.shared.input_file import FileError, read_json
-from sextant.shared.messages import GroundTruth, TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
-from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.recording.layout import RecordingError
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import GroundTruth, TerrainMap
 
 _INSTEAD = "give the folder of a `sextant run`"
 

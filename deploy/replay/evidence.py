@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.judging.stage_times import rounded
-from sextant.services.perception.observability import AXES, unobservable_directions
-from sextant.shared.camera import DepthSensor
-from sextant.shared.messages import BodyPose
+from sextant.services.perception.registration.observability import AXES, unobservable_directions
+from sextant.shared.robot.camera import DepthSensor
+from sextant.shared.wire.messages import BodyPose
 
 USUAL_SCALES = (1000.0, 5000.0, 10_000.0, 100.0)  # raw units per metre: mm, as in the TUM RGB-D benchmark, 0.1 mm, cm
 _SAMPLED = 4  # every how many rows and columns of a picture are counted

@@ -1,8 +1,8 @@
 """What a run through perception and mapper said: its poses, its newest map and its newest survey."""
 
-from sextant.shared import codec, topics
-from sextant.shared.messages import BodyPose, PassageMap, TerrainMap
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, PassageMap, TerrainMap
 
 
 class Listener:

@@ -22,17 +22,18 @@ from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum
 from sextant.services.perception.config import Settings as PerceptionSettings
-from sextant.services.perception.motion import VelocityPrior
+from sextant.services.perception.registration.motion_prior import VelocityPrior
 from sextant.services.perception.service import Perception
-from sextant.services.perception.trajectory import relative_size, trajectory_error
-from sextant.shared import files, topics
-from sextant.shared.camera import DepthSensor
+from sextant.services.perception.trajectory_error import relative_size, trajectory_error
+from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array, inverse, log_so3, transform
-from sextant.shared.lockstep import Lockstep, ServiceFailedError
-from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import Camera, RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Service, Stages
+from sextant.shared.robot.camera import DepthSensor
+from sextant.shared.robot.profile import Camera, RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import Lockstep, ServiceFailedError
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 
 _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
@@ -192,7 +193,7 @@ def replay_folder(
         truth = TrueComparison(error.rms, extent, relative_size(p_estimate, p_true))
     found = Evidence(tuple(pictures), _registered_range(profile, registration), truth)
     # 4. Leave trajectory and map behind.
-    with files.reported(progress.say):
+    with whole_files.reported(progress.say):
         tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
         if terrain is not None:
             _draw(out / "map.png", terrain, T_estimate)
@@ -342,4 +343,4 @@ def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
     if colored.any():
         words = f"heights {low:.2f} to {high:.2f} m in the ground's colours, cell {terrain.resolution * 100:.0f} cm"
     cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
-    files.write_bytes(path, cv2.imencode(path.suffix, picture)[1].tobytes())
+    whole_files.write_bytes(path, cv2.imencode(path.suffix, picture)[1].tobytes())

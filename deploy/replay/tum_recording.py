@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.services.perception import tum
-from sextant.shared import codec, topics
-from sextant.shared.files import WriteError
+from sextant.shared.files.whole_files import WriteError
 from sextant.shared.geometry import Array, interpolate
-from sextant.shared.messages import DepthImage, GroundTruth
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Scenario
-from sextant.shared.service import AnyTopic
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import DepthImage, GroundTruth
 
 _DOWN = np.array([0.0, 0.0, -1.0])  # gravity in the simulator's world
 

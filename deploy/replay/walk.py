@@ -15,16 +15,17 @@ from sextant.deploy.judging.stage_times import rounded, stages_ms
 from sextant.deploy.pictures import layers_picture
 from sextant.deploy.progress import Progress
 from sextant.deploy.replay.error import ReplayError
-from sextant.services.console.recording.reader import Recording
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
-from sextant.shared import codec, files, topics
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import ActuatorState, Message, StepPlan, TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic, Service
+from sextant.shared.files import whole_files
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import AnyTopic, Service
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Message, StepPlan, TerrainMap
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_FRAMES = 5000
@@ -86,7 +87,7 @@ def replay_recording(
     # 3. Compare what came of it.
     maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
     if replay.maps:
-        with files.reported(progress.say):
+        with whole_files.reported(progress.say):
             layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
     table = {
         "source": path.name,

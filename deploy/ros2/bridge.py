@@ -11,11 +11,11 @@ from sextant.deploy.ros2 import cdr, converted
 from sextant.deploy.ros2.clock import TimeOfDay
 from sextant.deploy.ros2.lead import Lead
 from sextant.deploy.ros2.names import Node, attachment, gid
-from sextant.shared import topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Message, Odometry, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Message, Odometry, Tick
 
 RATE_HZ = 50.0
 MAX_TWIST_BYTES = 1024  # of a Twist with a header whose frame has a long name
@@ -52,7 +52,7 @@ class Publisher(Protocol):
 
 
 class Wire(Protocol):
-    """The session among ROS nodes; `sextant.shared.transport` has the one for Zenoh."""
+    """The session among ROS nodes; `sextant.shared.wire.transport` has the one for Zenoh."""
 
     @property
     def id(self) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
-from sextant.shared.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
-from sextant.shared.robot import JOINTS, LEGS
+from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.shared.wire.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
 
 MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_depth_optical_frame"
 JOINT_NAMES = tuple(f"{leg.replace(' ', '_')}_{joint}" for leg in LEGS for joint in JOINTS)

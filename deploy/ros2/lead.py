@@ -13,7 +13,7 @@ import numpy as np
 
 from sextant.deploy.robot_time import RobotTime
 from sextant.shared.geometry import Array
-from sextant.shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
+from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
 DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the stick is let go
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease

@@ -10,12 +10,13 @@ from sextant.deploy.judging.report import Report, StageTime
 from sextant.deploy.judging.scorer import Scorer
 from sextant.deploy.progress import Monitor
 from sextant.deploy.runs.operator import Operator
-from sextant.shared import files, topics
-from sextant.shared.files import WriteError
-from sextant.shared.lateness import SlowComputer
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Scenario
-from sextant.shared.service import Service
+from sextant.shared.files import whole_files
+from sextant.shared.files.whole_files import WriteError
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.lateness import SlowComputer
+from sextant.shared.runtime.service import Service
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire import topics
 
 RECORDING = "recording.mcap"
 PICTURES = ("summary.png", "passage.png", "walk.png")
@@ -116,9 +117,9 @@ def clear(out: Path) -> None:
     Raises:
         WriteError: The folder cannot be made, or its files cannot be removed.
     """
-    files.make_folder(out)
+    whole_files.make_folder(out)
     for name in (reports.FILE, *PICTURES):
-        with files.explained(out / name):
+        with whole_files.explained(out / name):
             (out / name).unlink(missing_ok=True)
 
 

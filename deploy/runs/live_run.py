@@ -19,20 +19,20 @@ from sextant.deploy.launch.launcher import Launcher, free_port, host_router
 from sextant.deploy.process_table import ENVIRONMENT, Command, Process
 from sextant.deploy.progress import Progress
 from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.live import LiveRecorder, Sink
-from sextant.services.console.recording.writer import Recorder, Unwritable
-from sextant.shared.clock import going_by, now_ns
-from sextant.shared.files import WriteError
-from sextant.shared.live import run_live
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Fault, Scenario
-from sextant.shared.service import Service
-from sextant.shared.simulated_time import SERVO_BUS, SimulatedTime
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.files.whole_files import WriteError
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.live import LiveRecorder, Sink
+from sextant.shared.recording.writer import Recorder, Unwritable
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.clock import going_by, now_ns
+from sextant.shared.runtime.service import Service
+from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.scenario.scenario import Fault, Scenario
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
-_LOG = "sextant.services.log"
+_LOG = "services.log"
 _LOOK_S = 0.1  # between two looks at the run
 _SHOW_S = 0.25  # between two views of it
 _START_S = 180.0  # within which the robot must have come up

@@ -23,28 +23,28 @@ from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.services.actuator.service import Actuator
 from sextant.services.actuator.servo_bus.servos import read_timeout_ns
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.writer import Recorder
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
-from sextant.services.planner import rehearsal
+from sextant.services.planner import warmup
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
-from sextant.services.simulator.bus import MemoryPort
 from sextant.services.simulator.config import Settings as SimulatorSettings
 from sextant.services.simulator.service import Simulator
-from sextant.shared import files
-from sextant.shared.files import WriteError
-from sextant.shared.host import keep_memory, spare_collector
-from sextant.shared.lockstep import Lockstep, Outage, ServiceFailedError
-from sextant.shared.messages import Message
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Fault, Scenario
-from sextant.shared.service import AnyTopic, Service
-from sextant.shared.stopwatch import stopwatch_ns
+from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.shared.files import whole_files
+from sextant.shared.files.whole_files import WriteError
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.runtime.process_priority import keep_memory, spare_collector
+from sextant.shared.runtime.service import AnyTopic, Service
+from sextant.shared.runtime.stopwatch import stopwatch_ns
+from sextant.shared.scenario.scenario import Fault, Scenario
+from sextant.shared.wire.messages import Message
 
 CRASH = "crash.txt"  # in a run's folder: the traceback of a service that failed
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
@@ -56,7 +56,7 @@ Tap = Callable[[AnyTopic, bytes, int], object]
 
 @cache
 def _rehearse_passage(robot: str) -> None:
-    rehearsal.rehearse(load_profile(robot), PlannerSettings())
+    warmup.rehearse(load_profile(robot), PlannerSettings())
 
 
 class LockstepRun:
@@ -263,7 +263,7 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
             _log.error("%s\n%s", error, text)
             if out is not None:
                 with contextlib.suppress(WriteError):  # it is in the log
-                    files.write_text(out / CRASH, text)
+                    whole_files.write_text(out / CRASH, text)
             return str(error)
         progress.update(run.attendance.monitor.view)
     return ""

@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from sextant.deploy.robot_time import RobotTime
-from sextant.shared import topics
 from sextant.shared.geometry import Array, yaw_of
-from sextant.shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Scenario
-from sextant.shared.service import Every, Inbox, Stages
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import Every, Inbox, Stages
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 
 _OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
 _BY_TOUCH = 0.15  # [m] further for a robot that has counted its steps in the dark

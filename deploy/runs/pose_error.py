@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from sextant.shared.geometry import Array, apply, exp_so3, transform
-from sextant.shared.messages import BodyPose, Message, Scan
-from sextant.shared.service import AnyTopic, Every, Inbox, Service
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service
+from sextant.shared.wire.messages import BodyPose, Message, Scan
 
 _LONGEST_LAG_S = 2.0  # [s] to which autocorrelations are compared
 _AXES = 6

@@ -7,9 +7,9 @@ lane full is dropped, as Zenoh drops it. Rates are shared: a lane sends when the
 
 import numpy as np
 
-from sextant.shared.scenario import Link
-from sextant.shared.service import AnyTopic
-from sextant.shared.topics import Lane
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import Link
+from sextant.shared.wire.topics import Lane
 
 BASE = frozenset({"mapper", "planner", "console", "recorder", "operator"})  # who is there; all others are on the robot
 _PACKET = 1400  # [bytes]

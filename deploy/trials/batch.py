@@ -24,8 +24,8 @@ from sextant.deploy.trials import kept
 from sextant.deploy.trials.kept import Run
 from sextant.deploy.trials.statistics import Difference, Rate, difference, wilson
 from sextant.deploy.workers import share_out
-from sextant.shared import config, files
-from sextant.shared.scenario import HeightMap, Scenario
+from sextant.shared.files import config, whole_files
+from sextant.shared.scenario.scenario import HeightMap, Scenario
 
 _PACKAGES = ("shared", "services", "deploy")
 Runner = Callable[[Scenario, int], Report]
@@ -133,7 +133,7 @@ def run_trials(
         raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
     refuse_another_program()
     scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
-    files.make_folder(out)
+    whole_files.make_folder(out)
     path, mark = out / "trials.jsonl", fingerprint(scenario)
     done = _done(path, keep_in, mark, wanted)
     if done:
@@ -147,8 +147,8 @@ def run_trials(
         marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
         entry = marks | {"report": reports.as_table(report)}
         done[report.seed] = Run.read(entry)
-        with files.reported(say):
-            files.append_text(path, json.dumps(entry, ensure_ascii=False) + "\n", durable=True)
+        with whole_files.reported(say):
+            whole_files.append_text(path, json.dumps(entry, ensure_ascii=False) + "\n", durable=True)
             if keep_in is not None:
                 kept.keep(keep_in, [done[report.seed]])
         successes += report.success

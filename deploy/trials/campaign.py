@@ -8,9 +8,9 @@ from sextant.deploy.judging.report import Report
 from sextant.deploy.trials import batch as batches
 from sextant.deploy.trials.batch import Runner
 from sextant.deploy.trials.campaign_table import Campaign, Entry, write
-from sextant.shared import files
-from sextant.shared.config import ConfigError
-from sextant.shared.scenario import HeightMap, Scenario, load_scenario
+from sextant.shared.files import whole_files
+from sextant.shared.files.config import ConfigError
+from sextant.shared.scenario.scenario import HeightMap, Scenario, load_scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def run_campaign(
         table: Which table of them is written, of `sextant.deploy.trials.campaign_table.TABLES`.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
-    files.make_folder(out)
+    whole_files.make_folder(out)
     entries: list[Entry] = []
     left_out: list[str] = []
     for name in names:
@@ -72,8 +72,8 @@ def run_campaign(
             runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}-blind")
             baseline = batches.run_trials(scenario, wanted, jobs, folder, blind=True, say=say, run=runner, keep_in=keep_in)
         entries.append(Entry(seeing, baseline))
-        with files.reported(say):
-            files.write_text(folder / "trials.json", batches.to_json(seeing, baseline), durable=True)
+        with whole_files.reported(say):
+            whole_files.write_text(folder / "trials.json", batches.to_json(seeing, baseline), durable=True)
             write(Campaign(tuple(entries), tuple(left_out)), out, table)
     return Campaign(tuple(entries), tuple(left_out))
 

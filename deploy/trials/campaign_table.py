@@ -11,7 +11,7 @@ from sextant.deploy.trials import kept
 from sextant.deploy.trials.batch import Passages, Trials, in_words
 from sextant.deploy.trials.kept import Run
 from sextant.deploy.trials.statistics import Rate, wilson
-from sextant.shared import files
+from sextant.shared.files import whole_files
 
 # The courses of the public table, in its order, and what they are, in words.
 WALKED: Mapping[str, str] = {
@@ -140,8 +140,8 @@ def to_json(campaign: Campaign) -> str:
 
 def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
     """Write table.md, which of TABLES is wanted, and campaign.json."""
-    files.write_text(out / "table.md", markdown(campaign, table))
-    files.write_text(out / "campaign.json", to_json(campaign), durable=True)
+    whole_files.write_text(out / "table.md", markdown(campaign, table))
+    whole_files.write_text(out / "campaign.json", to_json(campaign), durable=True)
 
 
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:

@@ -14,8 +14,8 @@ from typing import Any, Self
 
 from sextant.deploy.judging import report as reports
 from sextant.deploy.judging.report import Passage
-from sextant.shared.files import append_text, explained
-from sextant.shared.input_file import FileError, parse_json, read_bytes
+from sextant.shared.files.input_file import FileError, parse_json, read_bytes
+from sextant.shared.files.whole_files import append_text, explained
 
 
 class KeptError(ValueError):

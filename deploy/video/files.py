@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from sextant.shared.files import make_folder, write_by_name
+from sextant.shared.files.whole_files import make_folder, write_by_name
 
 _VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels bring along
 _ANIMATED = (".webp", ".gif", ".png")

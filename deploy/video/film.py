@@ -18,10 +18,10 @@ from sextant.deploy.video.sinking import Sinking
 from sextant.deploy.video.story import Maps, Moment, Story
 from sextant.deploy.video.view import FollowingCamera
 from sextant.deploy.video.words import Caption, lay_in
-from sextant.services.console.recording.reader import Recording
 from sextant.shared.geometry import Array, apply
-from sextant.shared.messages import TerrainMap
-from sextant.shared.robot import RobotProfile
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import TerrainMap
 
 _TRAIL_NS = 200_000_000  # [ns] between the places of the trail
 _INSET = 0.40  # [1] of the picture's height

@@ -12,7 +12,7 @@ from sextant.deploy.video.robot_figure import GROUND
 from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:
-    from sextant.services.simulator.terrain import Terrain
+    from sextant.services.simulator.physics.terrain import Terrain
 
 _FAR = 60.0  # [m] how far level ground is drawn
 _FILM = 5e-4  # [m] of what lies on it: puddles

@@ -11,9 +11,9 @@ from sextant.deploy.video.ground import RELIEF
 from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS
 from sextant.deploy.video.story import Moment
 from sextant.shared.geometry import Array, apply
-from sextant.shared.kinematics import body_forward
-from sextant.shared.messages import TerrainMap
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import TerrainMap
 
 FOOTHOLD, PATH = (219, 22, 102), (36, 70, 200)
 _UNKNOWN = (214, 217, 221)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.video.raster import Sight
-from sextant.shared.compiled import compiled, written_into
 from sextant.shared.geometry import Array
+from sextant.shared.runtime.compiled import compiled, written_into
 
 BY_HEIGHT, GLOSS = 3, 4  # columns of the table of materials, after R, G, B
 _SUN = (0.99, 0.925, 0.82)  # times its cosine

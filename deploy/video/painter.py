@@ -11,7 +11,7 @@ from sextant.deploy.video.light import Grid, Scene, Shadow, light, shade_under
 from sextant.deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
 from sextant.deploy.video.robot_figure import COLORS, GROUND, occluders, robot_solids
 from sextant.shared.geometry import Array, inverse, transform
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 
 _SUN = np.array([-0.30, 0.62, 0.78])  # {world} toward it: beside the robot that sets out along x
 _SUN_AWAY = 60.0  # [m] so far that its rays are as good as parallel

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.compiled import compiled
 from sextant.shared.geometry import Array
+from sextant.shared.runtime.compiled import compiled
 
 _NEAR = 0.02  # [m] faces are clipped here
 _EDGE = 1e-7  # [px] faces overlap by this, so that rounding leaves no crack between neighbours

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, apply, rotation_from_rpy, transform
-from sextant.shared.kinematics import leg_points
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import leg_points
+from sextant.shared.robot.profile import RobotProfile
 
 # Numbers of materials; what is below `GROUND` is the robot's.
 SKY, SHELL, PLATE, JOINT, LINK, ACCENT, LENS, CARRIES, SWINGS = range(9)

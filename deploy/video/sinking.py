@@ -8,7 +8,7 @@ from sextant.deploy.video.story import Story
 from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:
-    from sextant.services.simulator.terrain import Terrain
+    from sextant.services.simulator.physics.terrain import Terrain
 
 _GIVEN = 0.008  # [m] below its top, at which a foot that carries tells that it gave way
 _BESIDE = 0.02  # [m] of its edge a foot may stand

@@ -12,10 +12,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import topics
 from sextant.shared.geometry import Array, apply, interpolate, inverse
-from sextant.shared.messages import (
+from sextant.shared.recording.reader import Recording
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     CameraState,

@@ -5,7 +5,7 @@ import numpy as np
 from sextant.deploy.video.painter import View
 from sextant.deploy.video.story import Story, trail
 from sextant.shared.geometry import Array, transform
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 
 _STEP_NS = 50_000_000  # [ns] at which the robot's way is sampled
 _PLACE_S, _HEADING_S = 0.9, 3.0  # [s] over which place and heading are averaged, standard deviations

@@ -2,6 +2,6 @@
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.live import live_actuator
-from sextant.shared import process
+from sextant.shared.runtime import process
 
 process.main("actuator", Settings, live_actuator)

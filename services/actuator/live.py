@@ -2,8 +2,8 @@
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.service import Actuator
-from sextant.shared.clock import SuspendedTime, now_ns
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.clock import SuspendedTime, now_ns
 
 
 def live_actuator(profile: RobotProfile, settings: Settings) -> Actuator:

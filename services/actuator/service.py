@@ -27,13 +27,13 @@ from sextant.services.actuator.safety.torque_off_state import OffOrder
 from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.services.actuator.servo_bus.dynamixel_bus import Port
 from sextant.services.actuator.servo_bus.joints import Joints
-from sextant.shared import topics
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.kinematics import body_forward, body_inverse, nearest_reachable
-from sextant.shared.lateness import BEAT
-from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
-from sextant.shared.robot import LEGS, RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.kinematics import body_forward, body_inverse, nearest_reachable
+from sextant.shared.robot.profile import LEGS, RobotProfile
+from sextant.shared.runtime.lateness import BEAT
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
 
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres

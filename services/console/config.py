@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sextant.shared import config
+from sextant.shared.files import config
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _TOKEN = 16  # characters of a token at least

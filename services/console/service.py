@@ -5,21 +5,30 @@ from socket import gethostname
 from types import TracebackType
 from typing import Any, Self
 
-from sextant.services.console import frames, view
-from sextant.services.console.clerk import Clerk
 from sextant.services.console.config import Settings
-from sextant.services.console.desk import Desk
-from sextant.services.console.diary import KEPT, Diary
-from sextant.services.console.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
-from sextant.services.console.server import Event, PageServer
-from sextant.shared import topics
-from sextant.shared.access import refusal_here
-from sextant.shared.clock import now_ns
-from sextant.shared.health_table import HealthTable
-from sextant.shared.lateness import SlowComputer
-from sextant.shared.messages import ActuatorState, CameraState, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.console.web import frames, view
+from sextant.services.console.web.control_arbiter import Desk
+from sextant.services.console.web.recorder_client import Clerk
+from sextant.services.console.web.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
+from sextant.services.console.web.server import Event, PageServer
+from sextant.shared.recording.event_log import KEPT, Diary
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.clock import now_ns
+from sextant.shared.runtime.health_table import HealthTable
+from sextant.shared.runtime.lateness import SlowComputer
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import refusal_here
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    CameraState,
+    Message,
+    ModeCommand,
+    PlannerStatus,
+    StopOrder,
+    TerrainMap,
+    Tick,
+)
 
 _BEAT_HZ = 15.0  # and at once, when something is asked for
 _VIEW_NS = 66_000_000  # [ns] between two views

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from sextant.shared import topics
+from sextant.shared.wire import topics
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,21 +7,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.checked_scan import FAR, CheckedScan
-from sextant.services.mapper.cloud import Strip
 from sextant.services.mapper.config import Settings
-from sextant.services.mapper.elevation import ElevationGrid, ElevationSnapshot
-from sextant.services.mapper.fusion import FusionModel
-from sextant.services.mapper.layers import FootholdLayers, Margin
-from sextant.services.mapper.passage import cell_centres, cells_of, feet_plane
-from sextant.services.mapper.score import ScoreWeights
-from sextant.services.mapper.survey import Outlook, Survey
-from sextant.services.mapper.terrain_type import TerrainType
-from sextant.services.mapper.touch import TouchWatch
-from sextant.shared import topics
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import FAR, CheckedScan
+from sextant.services.mapper.footholds.foothold_feedback import TouchWatch
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.terrain_type import TerrainType
+from sextant.services.mapper.passage_map.passage_grid import cell_centres, cells_of, feet_plane
+from sextant.services.mapper.passage_map.passage_mapping import Outlook, Survey
+from sextant.services.mapper.passage_map.voxel_cloud import Strip
 from sextant.shared.color import from_codes
 from sextant.shared.geometry import Array, apply, is_rigid
-from sextant.shared.messages import (
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     Message,
@@ -32,8 +34,6 @@ from sextant.shared.messages import (
     ScanReceipt,
     TerrainMap,
 )
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Inbox, Stages
 
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.camera import DepthSensor
-from sextant.shared.messages import Preview
+from sextant.shared.robot.camera import DepthSensor
+from sextant.shared.wire.messages import Preview
 
 _WIDTH = 320  # [px]
 _QUALITY = 80  # of the JPEG

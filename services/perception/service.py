@@ -8,17 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.cameras.watch import EMPTY, is_noise, measured_share
-from sextant.services.perception.coloring import Coloring
+from sextant.services.perception.cameras.image_quality import EMPTY, is_noise, measured_share
 from sextant.services.perception.config import Settings
-from sextant.services.perception.link_care import LinkCare
-from sextant.services.perception.motion import Motion, OdometryHistory
-from sextant.services.perception.observability import AXES, unobservable_directions
 from sextant.services.perception.preview import preview
-from sextant.services.perception.reduction import reduce_scan
-from sextant.services.perception.registration import HAND_HELD, Registered, Registration, refused
-from sextant.services.perception.sights import free_sights
-from sextant.shared import topics
+from sextant.services.perception.rate_control import LinkCare
+from sextant.services.perception.reduction.free_space_rays import free_sights
+from sextant.services.perception.reduction.scan_color import Coloring
+from sextant.services.perception.reduction.scan_reduction import reduce_scan
+from sextant.services.perception.registration.motion_prior import Motion, OdometryHistory
+from sextant.services.perception.registration.observability import AXES, unobservable_directions
+from sextant.services.perception.registration.projective_icp import HAND_HELD, Registered, Registration, refused
 from sextant.shared.geometry import (
     Array,
     inverse,
@@ -29,9 +28,10 @@ from sextant.shared.geometry import (
     transform,
     yaw_of,
 )
-from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
 
 _MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # of a prior: whatever was travelled since the last frame
 _PREVIEW_NS = 180_000_000  # [ns] at least between two pictures for people
@@ -359,7 +359,7 @@ def in_words(found: Registered) -> str:
 
 
 class Registers(Protocol):
-    """A way of finding a frame's pose; `sextant.services.perception.registration.Registration` says what the arguments are."""
+    """A way to find a frame's pose; `sextant.Registration` documents the arguments."""
 
     def update(
         self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
@@ -371,7 +371,9 @@ class Registers(Protocol):
 def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
     camera = profile.camera
     if settings.method == "kiss-icp":
-        from sextant.services.perception.kiss import KissRegistration  # heavy, for those who ask for it
+        from sextant.services.perception.registration.kiss_icp_adapter import (
+            KissRegistration,  # heavy, for those who ask for it
+        )
 
         return KissRegistration(camera.intrinsics, camera.sensor)
     return Registration(

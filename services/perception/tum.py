@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared import config, files, input_file, picture_file
-from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.files import config, input_file, picture_file, whole_files
+from sextant.shared.files.input_file import FileError
 from sextant.shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
-from sextant.shared.input_file import FileError
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 _USUAL = DepthSensor()
 _PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
@@ -241,12 +241,12 @@ class RecordingWriter:
         """
         if (folder / _DEPTH_FILE).exists():
             raise FileExistsError(f"{folder} holds a recording already; choose another folder or remove it")
-        files.make_folder(folder / "depth")
-        files.write_text(folder / "camera.toml", _camera_toml(camera))
+        whole_files.make_folder(folder / "depth")
+        whole_files.write_text(folder / "camera.toml", _camera_toml(camera))
         self._folder, self._camera = folder, camera
         self._last_ns: int | None = None
         self._has_truth = False
-        files.write_text(folder / _DEPTH_FILE, _DEPTH_HEADER)
+        whole_files.write_text(folder / _DEPTH_FILE, _DEPTH_HEADER)
 
     def __enter__(self) -> "RecordingWriter":
         return self
@@ -272,20 +272,20 @@ class RecordingWriter:
         if self._last_ns is not None and stamp_ns // 1000 <= self._last_ns // 1000:
             raise ValueError(f"a stamp of at least 1 us after {self._last_ns} ns expected, found {stamp_ns} ns")
         stamp = _seconds(stamp_ns)
-        files.write_bytes(self._folder / "depth" / f"{stamp}.png", cv2.imencode(".png", depth_raw)[1].tobytes())
+        whole_files.write_bytes(self._folder / "depth" / f"{stamp}.png", cv2.imencode(".png", depth_raw)[1].tobytes())
         if T_world_camera is not None:
             if not self._has_truth:
-                files.write_text(self._folder / _TRUTH_FILE, _TRUTH_HEADER)
+                whole_files.write_text(self._folder / _TRUTH_FILE, _TRUTH_HEADER)
                 self._has_truth = True
-            files.append_text(self._folder / _TRUTH_FILE, _truth_line(stamp_ns, T_world_camera))
-        files.append_text(self._folder / _DEPTH_FILE, f"{stamp} depth/{stamp}.png\n")
+            whole_files.append_text(self._folder / _TRUTH_FILE, _truth_line(stamp_ns, T_world_camera))
+        whole_files.append_text(self._folder / _DEPTH_FILE, f"{stamp} depth/{stamp}.png\n")
         self._last_ns = stamp_ns
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write poses in the layout of groundtruth.txt."""
     poses = zip(trajectory.stamps_ns, trajectory.T_world_camera, strict=True)
-    files.write_text(path, _TRUTH_HEADER + "".join(_truth_line(int(stamp_ns), T) for stamp_ns, T in poses))
+    whole_files.write_text(path, _TRUTH_HEADER + "".join(_truth_line(int(stamp_ns), T) for stamp_ns, T in poses))
 
 
 def _seconds(stamp_ns: int) -> str:

@@ -1,8 +1,8 @@
 """The planner's process: `python -m sextant.services.planner --connect tcp/127.0.0.1:7447`."""
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.rehearsal import rehearse
 from sextant.services.planner.service import Planner
-from sextant.shared import process
+from sextant.services.planner.warmup import rehearse
+from sextant.shared.runtime import process
 
 process.main("planner", Settings, Planner, rehearse)

@@ -9,20 +9,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.by_touch import ByTouch
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gait import GAITS, directions, swing_order
-from sextant.services.planner.holes import Holes
-from sextant.services.planner.passage.errand import Move, Over, Refused, Standing
-from sextant.services.planner.passage.mode import PassageMode
-from sextant.services.planner.pilot import Heading, Pilot, objection
-from sextant.services.planner.refusals import Refusals, Way
-from sextant.services.planner.route import NoWay
-from sextant.services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.gap_crossing.approach import PassageMode
+from sextant.services.planner.gap_crossing.state_machine import Move, Over, Refused, Standing
+from sextant.services.planner.locomotion.blind_walking import ByTouch
+from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.missing_ground import Holes
+from sextant.services.planner.locomotion.replan_attempts import Refusals, Way
+from sextant.services.planner.locomotion.step_planner import Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.navigation.path_follower import Heading, Pilot, objection
+from sextant.services.planner.navigation.path_planner import NoWay
 from sextant.services.planner.terrain import Terrain, plane_of
-from sextant.shared import topics
 from sextant.shared.geometry import Array, apply, inverse, yaw_of
-from sextant.shared.messages import (
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     Goal,
@@ -33,8 +35,6 @@ from sextant.shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Inbox, Stages
 
 State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.messages import UNKNOWN, TerrainMap
+from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 
 ACCEPTABLE = 1.0  # highest score that carries a foot
 ROOM = 0.01  # [m] around a good foothold that carries a foot, too; nine of ten feet land within it

@@ -1,8 +1,8 @@
 """The simulator's process: `python -m sextant.services.simulator --set scenario=steps --set bus_port=7450`."""
 
 from sextant.services.simulator.config import Settings
-from sextant.services.simulator.rehearsal import rehearse
 from sextant.services.simulator.service import Simulator
-from sextant.shared import process
+from sextant.services.simulator.warmup import rehearse
+from sextant.shared.runtime import process
 
 process.main("simulator", Settings, Simulator, rehearse)

@@ -8,34 +8,34 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
-from sextant.services.simulator.bus_faults import BusFaults
-from sextant.services.simulator.color_camera import ColorCamera
 from sextant.services.simulator.config import Settings
-from sextant.services.simulator.depth_camera import DepthCamera
-from sextant.services.simulator.imu import Imu as ImuSensor
-from sextant.services.simulator.imu import ImuNoise
-from sextant.services.simulator.movers import Movers, together
-from sextant.services.simulator.render import Renderer
-from sextant.services.simulator.servos import ServoBank, bank_of
-from sextant.services.simulator.solids import Boxes, Capsules
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.services.simulator.terrain import build_terrain
-from sextant.services.simulator.world import TIME_STEP_NS, Factors, World
-from sextant.shared import dynamixel as dxl
-from sextant.shared import topics
-from sextant.shared.bus_fault import BusFault
-from sextant.shared.clock import in_use
-from sextant.shared.config import ConfigError
+from sextant.services.simulator.physics.movers import Movers, together
+from sextant.services.simulator.physics.solids import Boxes, Capsules
+from sextant.services.simulator.physics.terrain import build_terrain
+from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, World
+from sextant.services.simulator.sensors.color_camera import ColorCamera
+from sextant.services.simulator.sensors.depth_camera import DepthCamera
+from sextant.services.simulator.sensors.imu import Imu as ImuSensor
+from sextant.services.simulator.sensors.imu import ImuNoise
+from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.servos import ServoBank, bank_of
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import body_inverse
-from sextant.shared.lateness import BEAT
-from sextant.shared.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.scenario import Scenario, load_scenario
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
-from sextant.shared.simulated_time import SimulatedTime
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.clock import in_use
+from sextant.shared.runtime.lateness import BEAT
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.simulated_time import SimulatedTime
+from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
 
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent

@@ -7,15 +7,15 @@ import pytest
 
 from sextant.deploy.launch.launcher import free_port
 from sextant.services.perception import tum
-from sextant.services.simulator.bus import ServoBusEmulator
-from sextant.services.simulator.servos import AX_12A_MOTOR, ServoBank
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.messages import CameraState, DepthImage, Health
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import AX_12A_MOTOR, ServoBank
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import CameraState, DepthImage, Health
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.commands import Command
 
 pytestmark = pytest.mark.live

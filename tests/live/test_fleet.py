@@ -18,12 +18,12 @@ from sextant.deploy.bench import fleet
 from sextant.deploy.bench.browser import SMALL
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network import meeting
-from sextant.services.console.door import PROTOCOL
-from sextant.shared import codec, topics
-from sextant.shared.messages import Mode, ModeCommand, StopOrder
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, Router, ZenohLink
+from sextant.services.console.web.origin_policy import PROTOCOL
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 from tests.support.commands import Command, Process, eventually, write_course
 from tests.support.states import actuator_state
 
@@ -114,7 +114,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
             base.wait_for(lambda: "off" in robots["alpha"].told, "the order at alpha")
         assert robots["beta"].told == []
         # 3. What dies is started again, also the page that leads to all of them.
-        for module, name in (("sextant.services.mapper", "alpha"), ("sextant.services.console.lobby", "")):
+        for module, name in (("sextant.services.mapper", "alpha"), ("sextant.services.console.fleet_proxy", "")):
             found = process(base, module, name)
             assert found is not None
             os.kill(found.pid, signal.SIGKILL)

@@ -15,7 +15,7 @@ from sextant.deploy.bed.bed import PORT, TLS_PORT, Bed, Namespaces, OneMachine
 from sextant.deploy.bed.cuts import BACK_S, HOLD_S, OLDEST_S
 from sextant.deploy.bed.namespace import BedError
 from sextant.deploy.bed.two_machines import TwoMachines
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
 from tests.support.commands import PATIENCE_S, ROOT, Command, skip_where_taken, write_course
 from tests.test_readme import commands
 
@@ -97,8 +97,8 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
 _SPEAKS = """
 import sys, threading
 from sextant.deploy.network.silence import SilenceLimit
-from sextant.shared import topics
-from sextant.shared.transport import LEASE_MS, Endpoints, Router, ZenohLink
+from sextant.shared.wire import topics
+from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
 silence = SilenceLimit(1e-3 * LEASE_MS)
 here = "tcp/127.0.0.1:7447"
 over = threading.Event()
@@ -111,8 +111,8 @@ with Router((here,), (sys.argv[1],)), ZenohLink(Endpoints((here,))) as link:
 _HEARS = """
 import sys, time
 from sextant.deploy.network.silence import SilenceLimit
-from sextant.shared import topics
-from sextant.shared.transport import LEASE_MS, Endpoints, Router, ZenohLink
+from sextant.shared.wire import topics
+from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
 with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))) as link:
     SilenceLimit(1e-3 * LEASE_MS).look()
     link.subscribe(topics.STEP_PLAN, lambda topic, frame: print(time.monotonic_ns(), flush=True))

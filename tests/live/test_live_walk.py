@@ -23,10 +23,10 @@ from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.process_table import BUS_PORT
 from sextant.deploy.process_table import Command as LaunchedCommand
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import topics
-from sextant.shared.messages import Health, Mode
-from sextant.shared.transport import Endpoints
+from sextant.shared.recording.reader import Recording
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Health, Mode
+from sextant.shared.wire.transport import Endpoints
 from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, skip_where_taken, write_course
 from tests.support.composed import commands_of
 

@@ -14,8 +14,8 @@ import pytest
 from sextant.deploy.bench import browser as browsers
 from sextant.deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
 from sextant.deploy.bench.page_robot import PageRobot
-from sextant.services.console.recording.reader import Recording
-from sextant.shared.messages import Mode
+from sextant.shared.recording.reader import Recording
+from sextant.shared.wire.messages import Mode
 from tests.support.commands import PATIENCE_S
 
 pytestmark = [

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from sextant.deploy.launch.launcher import host_router
-from sextant.services.console.recording.reader import Recording
-from sextant.services.console.recording.recovery import recover
-from sextant.shared import codec, topics
-from sextant.shared.messages import RecordCommand, RecorderState, VelocityCommand
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.recording.reader import Recording
+from sextant.shared.recording.recovery import recover
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import RecordCommand, RecorderState, VelocityCommand
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 pytestmark = pytest.mark.live
 ROOT = Path(__file__).parents[2]

@@ -10,15 +10,15 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.services.actuator.service import Actuator
-from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
-from sextant.services.simulator.servos import ServoBank
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
+from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.kinematics import body_forward, body_inverse, joint_torques
-from sextant.shared.messages import ActuatorState, Message, ModeCommand, StepPlan, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
+from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Message, ModeCommand, StepPlan, Tick
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()

@@ -18,10 +18,10 @@ from typing import Self
 import pytest
 
 from sextant.deploy.launch.ports import port_taken
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, Mode, PlannerStatus
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Mode, PlannerStatus
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.idle import is_giving_way, weigh_little
 
 ROOT = Path(__file__).parents[2]

@@ -7,8 +7,8 @@ import sys
 
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.deploy.warm_up import rehearse
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import load_scenario
 
 SERVICES = ("sextant.services.perception", "sextant.services.mapper", "sextant.services.planner", "sextant.services.simulator")
 

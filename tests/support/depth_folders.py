@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception import tum
-from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from tests.support.raycast import depth_image
 
 RATE_HZ = 30.0

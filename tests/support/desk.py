@@ -3,11 +3,11 @@
 import numpy as np
 
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.services.simulator.bus import MemoryPort
-from sextant.services.simulator.workbench import Workbench
-from sextant.shared import dynamixel as dxl
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
+from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
 
 PHANTOMX = load_profile("phantomx_mk2")
 

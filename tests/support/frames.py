@@ -1,7 +1,7 @@
 """Frames of machines that speak otherwise."""
 
-from sextant.shared import codec
-from sextant.shared.messages import Message
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import Message
 
 
 def of_another_version(message: Message) -> bytes:

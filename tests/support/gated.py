@@ -12,9 +12,9 @@ from typing import Any
 import zenoh
 
 from sextant.deploy.network.authority import Authority
-from sextant.shared.access import ROLES, Keys
-from sextant.shared.topics import Topic
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire.access import ROLES, Keys
+from sextant.shared.wire.topics import Topic
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 NAMESPACE = "here"
 PATIENCE_S = 10.0  # an event that has not come by then never will

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.checked_scan import CheckedScan
-from sextant.services.mapper.elevation import ElevationGrid, FusionCount
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, FusionCount
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
 
 scan_of = CheckedScan.of
 CAMERA = np.array([0.0, 0.0, 0.25])

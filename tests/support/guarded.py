@@ -9,8 +9,8 @@ import numpy as np
 from sextant.services.actuator.safety.guard import Act, Guard, Legs
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import apply, from_xyz_rpy
-from sextant.shared.messages import Mode, ModeCommand, StepPlan
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan
 
 PROFILE = load_profile("phantomx_mk2")
 START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))

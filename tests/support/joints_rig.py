@@ -7,17 +7,17 @@ import numpy as np
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.joints import Joints
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
-from sextant.services.simulator.bus_faults import BusFaults
-from sextant.services.simulator.servos import ServoBank
-from sextant.services.simulator.wire import Reply
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bus_fault import BusFault
-from sextant.shared.dynamixel import Instruction, Packet, PacketParser, Register
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import body_inverse
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register
 
 PROFILE = load_profile("phantomx_mk2")
 IDS = PROFILE.servo_ids.ravel().tolist()

@@ -202,7 +202,7 @@ def main(path: str) -> int:
     """Change a module in every way, and print what its tests did not notice."""
     settings.register_profile("once", phases=[Phase.explicit, Phase.generate])  # a failure will do; none is made smaller
     settings.load_profile("once")
-    folder, stem = Path("tests/unit") / Path(path).parts[-2], Path(path).stem
+    folder, stem = Path("tests/unit", *Path(path).parts[1:-1]), Path(path).stem
     tests = [*sorted(folder.glob(f"test_{stem}_*.py")), folder / f"test_{stem}.py"]
     return int(pytest.main([*_QUIETLY, *map(str, tests)], plugins=[Hunt(path)]))
 

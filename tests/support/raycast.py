@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.camera import DepthSensor, Intrinsics
-from sextant.shared.compiled import compiled
 from sextant.shared.geometry import from_xyz_rpy, transform
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.runtime.compiled import compiled
 
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 SENSOR = DepthSensor()

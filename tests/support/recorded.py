@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from sextant.shared import codec, topics
-from sextant.shared.messages import (
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     UNKNOWN,
     Message,
     ModeCommand,
@@ -11,7 +12,6 @@ from sextant.shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from sextant.shared.service import AnyTopic
 
 S = 1_000_000_000
 

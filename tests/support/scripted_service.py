@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sextant.shared.messages import Message, ModeCommand, PlannerStatus, VelocityCommand
-from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.wire.messages import Message, ModeCommand, PlannerStatus, VelocityCommand
 
 
 def velocity(stamp_ns: int = 0, forward: float = 0.1) -> VelocityCommand:

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sextant.shared.messages import ActuatorState, Mode
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import ActuatorState, Mode
 
 
 def actuator_state(profile: RobotProfile, **changes: Any) -> ActuatorState:

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from sextant.deploy.faults.timeline import Timeline, Truth, Word
-from sextant.shared.messages import Mode
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import Mode
 
 PROFILE = load_profile("phantomx_mk2")
 BEGIN_S, PERIOD_S = 10.0, 0.02

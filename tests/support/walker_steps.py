@@ -11,8 +11,8 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.step_executor import Targets, Walker
 from sextant.services.actuator.safety import plan_validation
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.messages import StepPlan
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import StepPlan
 
 Flags = NDArray[np.bool_]
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from sextant.deploy.judging.report import Report
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array
-from sextant.shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, Plane, Scenario, load_scenario
-from sextant.shared.service import AnyTopic, Service
-from sextant.shared.topics import Topic
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Service
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario, load_scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Message, PlannerStatus, TerrainMap
+from sextant.shared.wire.topics import Topic
 
 S = 1_000_000_000
 LOOK_NS = 100_000_000  # simulated time between two looks at a run

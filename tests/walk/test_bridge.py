@@ -9,12 +9,12 @@ import pytest
 from sextant.deploy import cli
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, open_port
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.service import Simulator
-from sextant.services.simulator.servos import ServoBank
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.shared.bridge import Mode
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.servo.bridge_protocol import Mode
 from tests.support.walks import LockstepRun, flat, walk
 
 PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] until an order must have been followed, and after which it is given in a new session

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sextant.shared import topics
-from sextant.shared.messages import Mode
-from sextant.shared.scenario import Box, Fault, Goal, Plane, Scenario, Variation
-from sextant.shared.scenario import Walk as Options
+from sextant.shared.scenario.scenario import Box, Fault, Goal, Plane, Scenario, Variation
+from sextant.shared.scenario.scenario import Walk as Options
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode
 from tests.support.walks import Walk, flat, walk
 
 AT_S, FOR_S = 4.5, 5.0

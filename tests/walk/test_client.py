@@ -6,8 +6,8 @@ import pytest
 import sextant
 from sextant.client import Client, Commander, Status
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
-from sextant.shared.messages import Goal, Mode, VelocityCommand
-from sextant.shared.scenario import load_scenario
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.messages import Goal, Mode, VelocityCommand
 
 FLAT = load_scenario("flat")
 S = 1_000_000_000

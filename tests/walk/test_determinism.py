@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import topics
-from sextant.shared.scenario import Rubble
+from sextant.shared.recording.reader import Recording
+from sextant.shared.scenario.scenario import Rubble
+from sextant.shared.wire import topics
 from tests.support.walks import flat
 
 COURSE = flat(0.25)

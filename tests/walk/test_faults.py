@@ -6,13 +6,13 @@ import pytest
 from sextant.deploy.judging.walk_metrics import stability_margin
 from sextant.deploy.runs.lockstep_run import LockstepRun
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.services.simulator.bus import MemoryPort
 from sextant.services.simulator.service import Simulator
-from sextant.shared import dynamixel as dxl
-from sextant.shared import topics
-from sextant.shared.messages import Mode
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Fault, Scenario
+from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import Fault, Scenario
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode
 from tests.support.walks import Walk, flat, walk
 
 AT_S = 4.5  # the third step is in its middle, three feet are in the air

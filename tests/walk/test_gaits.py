@@ -8,7 +8,7 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.shared.scenario import Goal, load_scenario
+from sextant.shared.scenario.scenario import Goal, load_scenario
 
 _TWO_STEPS = """
 name = "two-steps"

@@ -3,9 +3,9 @@
 import numpy as np
 
 from sextant.deploy.judging.report import as_table, check
-from sextant.shared import topics
-from sextant.shared.messages import Mode
-from sextant.shared.scenario import load_scenario
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode
 from tests.support.walks import walk
 
 

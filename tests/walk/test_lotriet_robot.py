@@ -4,8 +4,8 @@ import pytest
 
 from sextant.deploy.pictures.thesis_figures import TESTS, Measured
 from sextant.deploy.runs.lockstep_run import assemble
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import load_scenario
 
 _LOOK_NS = 500_000_000
 

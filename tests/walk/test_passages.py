@@ -2,9 +2,9 @@
 
 from itertools import pairwise
 
-from sextant.services.planner.passage.errand import STRIP
-from sextant.shared import topics
-from sextant.shared.scenario import load_scenario
+from sextant.services.planner.gap_crossing.state_machine import STRIP
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire import topics
 from tests.support.walks import walk
 
 WANTED = (topics.PASSAGE_PLAN, topics.PASSAGE_REQUEST, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.shared.scenario import Goal, Plane, Puddle, load_scenario
+from sextant.shared.scenario.scenario import Goal, Plane, Puddle, load_scenario
 from tests.support.walks import blocked, walk
 
 SHORT = replace(load_scenario("puddle"), goal=Goal(0.85))

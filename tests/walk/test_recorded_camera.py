@@ -16,12 +16,12 @@ from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
-from sextant.shared import codec, topics
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import Message, Odometry, Tick, VelocityCommand
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Message, Odometry, Tick, VelocityCommand
 from tests.support.states import actuator_state
 from tests.support.walks import Heard, flat
 

@@ -12,8 +12,8 @@ from sextant.deploy.replay import sequence as replay
 from sextant.deploy.replay.tum_recording import record_tum
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).parents[2]
 WALKED_S = 7.0  # [s] the robot stands up for two and a half

@@ -13,15 +13,15 @@ from sextant.deploy.replay.walk import Change, replay_recording
 from sextant.deploy.runs.attendance import about
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.deploy.video.story import Story
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.reader import Recording
-from sextant.services.console.recording.writer import Recorder
-from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import transform
-from sextant.shared.messages import BodyPose, Message, Scan
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
-from sextant.shared.service import AnyTopic
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.reader import Recording
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.messages import BodyPose, Message, Scan
 
 S = 1_000_000_000
 STEPS = load_scenario("steps")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.shared.scenario import Goal, Link, load_scenario
+from sextant.shared.scenario.scenario import Goal, Link, load_scenario
 
 
 def test_a_goal_on_level_ground_behind_a_late_link_names_the_link() -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.deploy.bench.model import LENGTH, ORIGIN, WIDTH, Asker
-from sextant.services.simulator.terrain import build_terrain
-from sextant.shared import codec, topics
-from sextant.shared.scenario import Box
+from sextant.services.simulator.physics.terrain import build_terrain
+from sextant.shared.scenario.scenario import Box
+from sextant.shared.wire import codec, topics
 from tests.support.walks import flat, walk
 
 BLOCK = Box((1.0, 0.35), (0.2, 0.3), 0.06)

@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 
 from sextant.deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from sextant.services.mapper.config import Settings as MapperSettings
-from sextant.services.mapper.layers import FootholdLayers
-from sextant.services.mapper.score import ScoreWeights, WalkabilityScorer, published_score
+from sextant.services.mapper.footholds.layers import FootholdLayers
+from sextant.services.mapper.footholds.score import ScoreWeights, WalkabilityScorer, published_score
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
-from sextant.services.planner.foothold import Foothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.locomotion.foothold_search import Foothold, nearest_foothold, offsets_by_distance
 from sextant.services.planner.terrain import ACCEPTABLE, GOOD, Layer, Terrain
-from sextant.services.simulator import terrain as ground
-from sextant.services.simulator.terrain import build_terrain
-from sextant.shared import codec, topics
+from sextant.services.simulator.physics import terrain as ground
+from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import Array
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import UNKNOWN, TerrainMap
-from sextant.shared.scenario import load_scenario
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 

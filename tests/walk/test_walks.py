@@ -8,7 +8,7 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.judging.report import check
 from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.shared.scenario import Walk, load_scenario
+from sextant.shared.scenario.scenario import Walk, load_scenario
 from tests.support.walks import flat
 
 BODY_HEIGHT = 0.11  # [m] commanded

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.shared.kinematics import body_inverse, within_limits
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profiles import load_profile
 from tests.support.commands import write_course
 
 DOC = (Path(__file__).parents[2] / "docs" / "your_robot.md").read_text(encoding="utf-8")

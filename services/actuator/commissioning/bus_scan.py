@@ -12,8 +12,8 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.serial_port import BusGone
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Register, ServoError, ServoModel
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Register, ServoError, ServoModel
 
 FACTORY_ID = dxl.ID.default
 ANSWER_ALL = 2  # status return level

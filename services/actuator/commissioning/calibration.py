@@ -13,7 +13,7 @@ from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.shared.geometry import Array
-from sextant.shared.robot import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
 
 STRAIGHT_OUT = (0.0, 0.0, 0.0)  # [deg] coxa, femur, tibia: a ruler along the leg is the jig
 _MEASURE = _KEEP = ""

@@ -6,9 +6,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from sextant.shared import config, input_file
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import Calibration, RobotProfile
+from sextant.shared.files import config, input_file
+from sextant.shared.robot.profile import Calibration, RobotProfile
+from sextant.shared.robot.profiles import load_profile
 
 _NEW = '# A robot of its own: what is written here stands over the profile that it extends.\nextends = "{base}"\n'
 _BLOCK = re.compile(r"^\[\[calibration\]\][^\n]*\n(?:[ \t]*(?:leg|date|trims_deg)[ \t]*=[^\n]*(?:\n|\Z))*", re.MULTILINE)

@@ -10,8 +10,8 @@ from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT,
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.shared import dynamixel as dxl
-from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.servo import dynamixel as dxl
 
 STEP_DEG = 6.0
 _STEP_TICKS = round(np.radians(STEP_DEG) / dxl.TICK_RAD)

@@ -9,10 +9,10 @@ from sextant.services.actuator.commissioning.bus_scan import Seen, ailing, call,
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servos import Servos
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Register
 from sextant.shared.geometry import Array
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Register
 
 TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air, and a finger stops it
 MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))

@@ -25,8 +25,8 @@ from sextant.services.actuator.commissioning.bus_scan import (
     wake,
 )
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
-from sextant.shared import dynamixel as dxl
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
 
 ALL_IDS = range(dxl.MAX_ID + 1)
 USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))

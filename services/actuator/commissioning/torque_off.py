@@ -8,7 +8,7 @@ from sextant.services.actuator.commissioning.limited_motion import ServoSilentEr
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servos import Servos
-from sextant.shared import dynamixel as dxl
+from sextant.shared.servo import dynamixel as dxl
 
 
 def let_go(bus: Servos) -> dict[int, str]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sextant.shared.geometry import Array, exp_so3, rotation_from_rpy
-from sextant.shared.robot import GRAVITY
+from sextant.shared.robot.profile import GRAVITY
 
 _GAIN = 0.7  # [1/s] at which gravity as it is felt pulls the estimate, the paper's k_P
 _BIAS_GAIN = 0.05  # [1/s^2] at which a lasting pull is put down to the gyro, its k_I

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import leg_jacobian
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import leg_jacobian
+from sextant.shared.robot.profile import RobotProfile
 
 _TOUCH_N = 1.5  # [N] and more is contact
 _LIFT_N = 0.8  # [N] and less is none

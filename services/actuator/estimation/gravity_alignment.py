@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.attitude import Attitude, AttitudeEstimator
 from sextant.shared.geometry import Array, exp_so3, transform, yaw_of
-from sextant.shared.messages import Imu
+from sextant.shared.wire.messages import Imu
 
 _HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
 TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, align_rigid, apply, yaw_of
-from sextant.shared.kinematics import leg_points
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import leg_points
+from sextant.shared.robot.profile import RobotProfile
 
 _MIN_LEGS = 3
 

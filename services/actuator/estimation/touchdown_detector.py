@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.feedforward import link_torques
 from sextant.shared.geometry import Array
-from sextant.shared.robot import RobotProfile, Servo
+from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; over the foot the tibia's arm is short
 # Of a robot of 2.5 kg; the pushes of one that is heavier, and what its legs make up themselves, are as much greater.

@@ -2,6 +2,6 @@
 
 from sextant.services.actuator.estop.config import Settings
 from sextant.services.actuator.estop.service import Stop
-from sextant.shared import process
+from sextant.shared.runtime import process
 
 process.main("stop", Settings, Stop)

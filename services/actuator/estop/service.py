@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from sextant.services.actuator.estop.config import Settings
 from sextant.services.actuator.safety.command_ordering import is_no_time, is_of_now
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared import topics
-from sextant.shared.messages import Message, ModeCommand, StopOrder, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Message, ModeCommand, StopOrder, Tick
 
 _BEAT_HZ = 25.0  # between two looks at what was ordered
 _HOLDERS = 64  # whose newest orders are remembered

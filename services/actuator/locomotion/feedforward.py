@@ -8,8 +8,8 @@ up and hand over their share gradually. Feet push outwards a little as they carr
 import numpy as np
 
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import joint_torques, leg_points
-from sextant.shared.robot import GRAVITY, RobotProfile
+from sextant.shared.robot.kinematics import joint_torques, leg_points
+from sextant.shared.robot.profile import GRAVITY, RobotProfile
 
 # Keeps the forces bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
 _DAMPING = np.diag([1e-6, 1e-8, 1e-8])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot import LEGS, RobotProfile
+from sextant.shared.robot.profile import LEGS, RobotProfile
 
 # [s] in which a goal may come from rest to the servos' greatest speed. To stop takes no time: a goal that braked slowly would
 # run past where the joint is wanted. The servo brakes by itself.

@@ -4,8 +4,8 @@ import numpy as np
 
 from sextant.services.actuator.locomotion.step_executor import Targets
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import body_inverse, within_limits
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profile import RobotProfile
 
 _STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
 _OFF_GROUND = 0.04  # [m] of the belly, from which it is carried

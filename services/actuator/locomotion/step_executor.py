@@ -31,8 +31,8 @@ from sextant.shared.geometry import (
     transform,
     yaw_of,
 )
-from sextant.shared.messages import StepPlan
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.wire.messages import StepPlan
 
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
 _GENTLE_S = 1.0  # [s] in which feet that hung come back to the ground, or longer, as gently as their joints go

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from sextant.shared.messages import ModeCommand, StopOrder
+from sextant.shared.wire.messages import ModeCommand, StopOrder
 
 ORDER_AGE_NS = 2_000_000_000  # [ns] by which an order may be older than now, or stamped ahead: else it was put anew
 AHEAD_NS = 500_000_000  # [ns] by which the time at which an order was given may be ahead of now, as clocks are read

@@ -18,8 +18,8 @@ from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS, Walk
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.services.actuator.safety.plan_validation import PlanCheck
 from sextant.shared.geometry import Array
-from sextant.shared.messages import Mode, ModeCommand, StepPlan, StopOrder
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan, StopOrder
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.dynamixel import ServoError
 from sextant.shared.geometry import Array
-from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.servo.dynamixel import ServoError
 
 SILENT = 4  # questions in a row that a servo has left open, from which it counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent

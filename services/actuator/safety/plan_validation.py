@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.config import SHORTEST_STEP_S
 from sextant.shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
-from sextant.shared.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
-from sextant.shared.messages import StepPlan
-from sextant.shared.robot import JOINTS, LEGS, RobotProfile
-from sextant.shared.stability import resting_centre_of_mass, support_margin
+from sextant.shared.robot.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
+from sextant.shared.wire.messages import StepPlan
 
 FURTHEST = 1e6  # [m] from the origin of {world}
 MAX_TRAVEL = 0.20  # [m] of the body in one step

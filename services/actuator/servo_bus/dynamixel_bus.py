@@ -27,8 +27,8 @@ from sextant.services.actuator.servo_bus.serial_port import (
     gone,
     open_port,
 )
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
 
 __all__ = [
     "BAUD_RATE",

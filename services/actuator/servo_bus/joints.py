@@ -11,10 +11,10 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWER
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.servos import Outlet, Servos, connect
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import ServoError
 from sextant.shared.geometry import Array
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import ServoError
 
 # [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up.
 _PATIENCE_NS = 3_000_000_000

@@ -20,10 +20,10 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import (
     reading,
     whole,
 )
-from sextant.shared import bridge
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bridge import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
-from sextant.shared.dynamixel import PacketParser, Register, ServoError, ServoModel
+from sextant.shared.servo import bridge_protocol
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bridge_protocol import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
+from sextant.shared.servo.dynamixel import PacketParser, Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] of goals
@@ -65,15 +65,15 @@ class Bridge:
         Raises:
             ValueError: Too many ids, one out of range or given twice.
         """
-        if len(servo_ids) > bridge.MAX_SERVOS:
-            raise ValueError(f"at most {bridge.MAX_SERVOS} servos behind a bridge expected, found {len(servo_ids)}")
+        if len(servo_ids) > bridge_protocol.MAX_SERVOS:
+            raise ValueError(f"at most {bridge_protocol.MAX_SERVOS} servos behind a bridge expected, found {len(servo_ids)}")
         n = len(servo_ids)
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
         self.state: State | None = None  # the newest
         self.restarts = 0  # of the microcontroller, while it was used
         self._port = port
         self._clock = clock
-        self._receiver = Receiver(bridge.TO_HOST)
+        self._receiver = Receiver(bridge_protocol.TO_HOST)
         questions = _Questions(self)
         self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
@@ -188,8 +188,8 @@ class Bridge:
             if self._receiver.other_version is not None:
                 found = self._receiver.other_version
                 raise BusSetupError(
-                    f"the bridge speaks version {found} of the wire, version {bridge.VERSION} expected; "
-                    f"flash it with a firmware of version {bridge.VERSION}, see docs/bridge.md"
+                    f"the bridge speaks version {found} of the wire, version {bridge_protocol.VERSION} expected; "
+                    f"flash it with a firmware of version {bridge_protocol.VERSION}, see docs/bridge.md"
                 )
             if self._clock() >= until:
                 raise BusSetupError(
@@ -231,7 +231,7 @@ class Bridge:
             self._goals_since_ns = now_ns
         self._goals_ns = now_ns
         goals, speeds = self._whole(goal_ticks, dxl.GOAL_POSITION), self._whole(speed_ticks, dxl.MOVING_SPEED)
-        self._send(bridge.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
+        self._send(bridge_protocol.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
 
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off; off is sent again until it is done.
@@ -246,7 +246,7 @@ class Bridge:
 
         This ends the shutdown of a servo that was overloaded or hot: call it only when an operator asks for that.
         """
-        self._send(bridge.Limits(*self._head(), self._whole(limit_ticks, dxl.TORQUE_LIMIT)))
+        self._send(bridge_protocol.Limits(*self._head(), self._whole(limit_ticks, dxl.TORQUE_LIMIT)))
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """The newest reading of every servo that has been read since the last call: all of them, ten milliseconds old at most.
@@ -288,7 +288,7 @@ class Bridge:
         Raises:
             BusGone: The port is gone.
         """
-        self._send(bridge.Ask(*self._head(), servo_id, instruction, parameters))
+        self._send(bridge_protocol.Ask(*self._head(), servo_id, instruction, parameters))
         return self._sequence
 
     def answer(self, question: int) -> Answer | None:
@@ -308,10 +308,10 @@ class Bridge:
 
     def _greet(self) -> None:
         self._greeted_ns = self._clock()
-        self._send(bridge.Hello(bridge.VERSION, self._session, self._clock() // _US, bytes(self.servo_ids)))
+        self._send(bridge_protocol.Hello(bridge_protocol.VERSION, self._session, self._clock() // _US, bytes(self.servo_ids)))
 
     def _order_torque(self) -> None:
-        self._send(bridge.Torque(*self._head(), int(bool(self._torque))))
+        self._send(bridge_protocol.Torque(*self._head(), int(bool(self._torque))))
 
     def _whole(self, values: ArrayLike, register: Register) -> tuple[int, ...]:
         found = whole(values, register, len(self))
@@ -319,7 +319,7 @@ class Bridge:
 
     def _send(self, message: Message) -> None:
         try:
-            self._port.write(bridge.encode(message))
+            self._port.write(bridge_protocol.encode(message))
         except LOST as error:
             raise gone(error) from error
 
@@ -368,16 +368,16 @@ class Bridge:
 
     def _note_goals(self, state: State) -> None:
         """Keep when the microcontroller took the newest goals, if they are new ones: to a millisecond, which it rounds down."""
-        if state.goals_age_ms != bridge.NEVER:
+        if state.goals_age_ms != bridge_protocol.NEVER:
             taken_us = state.time_us - 1000 * state.goals_age_ms - 500
             if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
                 self._taken_us = (self._taken_us[1], taken_us)
 
     def _note(self, state: State, index: int, stamp_ns: int) -> None:
         """Keep the reading of one servo, if it is a new one."""
-        if state.age[index] == bridge.NEVER:
+        if state.age[index] == bridge_protocol.NEVER:
             return
-        age_us = state.age[index] * bridge.AGE_UNIT_US
+        age_us = state.age[index] * bridge_protocol.AGE_UNIT_US
         measured_us = state.time_us - age_us
         if measured_us - self._measured_us[index] < _NEW_US:
             return

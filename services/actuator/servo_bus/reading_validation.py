@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared import dynamixel as dxl
+from sextant.shared.servo import dynamixel as dxl
 
 _SEC = 1e9
 _FASTEST = 8.0  # [rad/s] the AX-12A turns at 59 rpm and the RX-64 at 64 rpm without load; a leg that is pushed, a little faster

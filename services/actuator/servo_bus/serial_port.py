@@ -19,10 +19,10 @@ import serial
 from serial.urlhandler import protocol_socket
 
 from sextant.services.actuator.servo_bus import usb_adapter
-from sextant.shared import dynamixel as dxl
-from sextant.shared.clock import now_ns
-from sextant.shared.dynamixel import Packet, PacketParser, ServoError
-from sextant.shared.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.shared.runtime.clock import now_ns
+from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Packet, PacketParser, ServoError
 
 log = logging.getLogger(__name__)
 

@@ -11,9 +11,9 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
 from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusGone, Port, ServoBus, ServoReading, open_port
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Register
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Register
 
 
 class Servos(Protocol):

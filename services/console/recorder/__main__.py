@@ -2,6 +2,6 @@
 
 from sextant.services.console.recorder.config import Settings
 from sextant.services.console.recorder.service import RecorderService
-from sextant.shared import process
+from sextant.shared.runtime import process
 
 process.main("recorder", Settings, RecorderService)

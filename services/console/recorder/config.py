@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sextant.shared import config
+from sextant.shared.files import config
 
 
 @dataclass(frozen=True, slots=True)

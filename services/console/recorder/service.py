@@ -9,15 +9,16 @@ from types import TracebackType
 from typing import Self
 
 from sextant.services.console.recorder.config import Settings
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.live import LiveRecorder
-from sextant.services.console.recording.rotation import Rotation
-from sextant.services.console.recording.writer import LEFT_OUT, Recorder
-from sextant.shared import clock, topics
-from sextant.shared.live import Link
-from sextant.shared.messages import Message, RecordCommand, RecorderState, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AHEAD_NS, AnyTopic, Every, Inbox, Stages
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.live import LiveRecorder
+from sextant.shared.recording.rotation import Rotation
+from sextant.shared.recording.writer import LEFT_OUT, Recorder
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime import clock
+from sextant.shared.runtime.service import AHEAD_NS, AnyTopic, Every, Inbox, Stages
+from sextant.shared.runtime.zenoh_runner import Link
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Message, RecordCommand, RecorderState, Tick
 
 _LOGGER = logging.getLogger(__name__)
 

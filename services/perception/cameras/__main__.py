@@ -2,6 +2,6 @@
 
 from sextant.services.perception.cameras.config import Settings
 from sextant.services.perception.cameras.live import live_camera
-from sextant.shared import process
+from sextant.shared.runtime import process
 
 process.main("camera", Settings, live_camera)

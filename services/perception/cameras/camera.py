@@ -8,7 +8,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.camera import Intrinsics
+from sextant.shared.robot.camera import Intrinsics
 
 FOCAL_TOLERANCE = 0.02  # [1] by which a device's focal lengths may differ from the profile's
 CENTRE_TOLERANCE = 0.02  # [1] of the picture's size, by which its principal point may

@@ -15,7 +15,7 @@ from sextant.services.perception.cameras.camera import (
     check_depth_scale,
     check_intrinsics,
 )
-from sextant.shared.robot import Camera as CameraProfile
+from sextant.shared.robot.profile import Camera as CameraProfile
 
 _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --lockstep --record-depth` writes it"
 

@@ -4,7 +4,7 @@ import time
 
 from sextant.services.perception.cameras.config import Settings
 from sextant.services.perception.cameras.service import CameraService
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 
 
 def live_camera(profile: RobotProfile, settings: Settings) -> CameraService:

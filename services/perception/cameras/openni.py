@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception.cameras.camera import CameraError, DeviceClock, Frame, check_intrinsics
-from sextant.shared.camera import Intrinsics
-from sextant.shared.robot import Camera as CameraProfile
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "OpenNI2"
 _PLUG = "plug the camera into a USB 2 port with enough power, look for it with `lsusb`, and see that its device may be written"

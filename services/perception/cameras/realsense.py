@@ -7,8 +7,8 @@ from typing import Any, Self
 import numpy as np
 
 from sextant.services.perception.cameras.camera import CameraError, DeviceClock, Frame, check_depth_scale, check_intrinsics
-from sextant.shared.camera import Intrinsics
-from sextant.shared.robot import Camera as CameraProfile
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "Intel RealSense"
 _PLUG = "plug it into a USB 3 port with its own cable, and look for it with `rs-enumerate-devices` or `lsusb`"

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Self
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
+from sextant.services.perception.cameras.camera_supervisor import Keeper
 from sextant.services.perception.cameras.config import Settings
-from sextant.services.perception.cameras.keeper import Keeper
-from sextant.services.perception.cameras.watch import Watch
-from sextant.shared import topics
-from sextant.shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.perception.cameras.image_quality import Watch
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Message, Tick
 
 _LOOKS = 4  # at the device in the time of one picture
 _STATE_NS = 250_000_000  # [ns] between two state messages while nothing changes

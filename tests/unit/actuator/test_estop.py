@@ -11,10 +11,10 @@ from sextant.services.actuator.estop.config import Settings
 from sextant.services.actuator.estop.service import Stop
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.shared import codec, topics
-from sextant.shared.messages import ModeCommand, StopOrder, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ModeCommand, StopOrder, Tick
 
 PROFILE = load_profile("phantomx_mk2")
 PORT = "/dev/ttyUSB0"

@@ -62,7 +62,7 @@ def test_the_role_installs_in_150_megabytes() -> None:
 def test_its_processes_import_nothing_heavy(process: str) -> None:
     """All that is imported by the time that `process.main` is called."""
     look = (
-        "import sys; from sextant.shared import process; process.main = lambda *_: None; "
+        "import sys; from sextant.shared.runtime import process; process.main = lambda *_: None; "
         f"import {process}.__main__; print(*{{name.partition('.')[0] for name in sys.modules}})"
     )
     ran = subprocess.run([sys.executable, "-c", look], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -9,12 +9,12 @@ import pytest
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.simulator.bus import ServoBusEmulator
-from sextant.services.simulator.servos import ServoBank
-from sextant.shared import dynamixel as dxl
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.geometry import apply, from_xyz_rpy, inverse
-from sextant.shared.kinematics import body_forward, joint_torques
-from sextant.shared.messages import Mode, ModeCommand, Odometry
+from sextant.shared.robot.kinematics import body_forward, joint_torques
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode, ModeCommand, Odometry
 from tests.support.actuator_rig import CRAWL, OUT, PERIOD, PROFILE, REST, TRIPOD, Rig
 
 

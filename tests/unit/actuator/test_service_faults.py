@@ -5,11 +5,11 @@ import pytest
 
 from sextant.services.actuator.locomotion.feedforward import lag_feed_forward
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
-from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.kinematics import body_forward
-from sextant.shared.messages import Mode
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode
 from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
 
 

@@ -5,10 +5,10 @@ import pytest
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.step_executor import Walker
-from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
-from sextant.shared.kinematics import body_forward
-from sextant.shared.messages import ActuatorState, Imu, Mode
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import ActuatorState, Imu, Mode
 from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
 
 

@@ -8,8 +8,8 @@ import pytest
 from sextant.services.actuator.safety.command_ordering import WalkOrder
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.walk_authorization import Permit
-from sextant.shared import dynamixel as dxl
-from sextant.shared.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig
 
 

@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.unit.console.test_frames import read, read_map, terrain
 from websockets.sync.client import ClientConnection, connect
 
 from sextant.services.console.config import Settings
-from sextant.services.console.door import PROTOCOL
 from sextant.services.console.service import Console
-from sextant.shared import codec, topics
-from sextant.shared.messages import (
+from sextant.services.console.web.origin_policy import PROTOCOL
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     BodyPose,
     CameraState,
     Health,
@@ -34,11 +37,8 @@ from sextant.shared.messages import (
     Tick,
     VelocityCommand,
 )
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
 from tests.support.served import Serving
 from tests.support.states import actuator_state
-from tests.unit.console.test_frames import read, read_map, terrain
 
 PROFILE = load_profile("phantomx_mk2")
 PATIENCE_S = 20.0

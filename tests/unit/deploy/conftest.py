@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from sextant.deploy.judging.scorer import Scorer
-from sextant.services.simulator.terrain import build_terrain
-from sextant.shared import codec, topics
+from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.messages import (
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     GroundTruth,
@@ -24,9 +27,6 @@ from sextant.shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, Plane, Scenario
-from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 _MS = 1_000_000

@@ -16,8 +16,8 @@ from sextant.deploy.bed.ear import Heard
 from sextant.deploy.bed.namespace import BedError
 from sextant.deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
 from sextant.deploy.launch.launcher import free_port
-from sextant.shared.messages import Mode
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
+from sextant.shared.wire.messages import Mode
 
 _MS, _SEC = 1_000_000, 1_000_000_000
 _FOREVER = 10**15

@@ -24,11 +24,11 @@ from sextant.deploy.bench import (
 from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
 from sextant.deploy.bench.scenes import MAPPED, REGISTERED
 from sextant.deploy.judging.true_ground import TrueGround
-from sextant.services.perception.registration import Registration
-from sextant.services.simulator.terrain import Terrain
+from sextant.services.perception.registration.projective_icp import Registration
+from sextant.services.simulator.physics.terrain import Terrain
 from sextant.shared.geometry import inverse
-from sextant.shared.messages import PassageMap, TerrainMap
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import PassageMap, TerrainMap
 
 SCENES = {**MAPPED, **REGISTERED}
 

@@ -10,11 +10,11 @@ import pytest
 from sextant.deploy.bench import fleet
 from sextant.deploy.bench.fleet import Load
 from sextant.deploy.bench.played_robot import Heard, Player
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, PlannerStatus, ScanReceipt, StepPlan
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, PlannerStatus, ScanReceipt, StepPlan
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

@@ -4,7 +4,7 @@ import pytest
 
 from sextant.deploy.bench.passage import LENGTH, SHIFT, TWO, Y
 from sextant.deploy.bench.passage_fields import GAP, thesis_blocks
-from sextant.shared.scenario import Course, Gap, Pillars, load_scenario
+from sextant.shared.scenario.scenario import Course, Gap, Pillars, load_scenario
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])

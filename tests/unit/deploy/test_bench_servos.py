@@ -7,9 +7,9 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.bench import servo_bus
-from sextant.services.simulator.bus import MemoryPort
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import PacketParser
+from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import PacketParser
 from tests.support.desk import PHANTOMX, Desk
 
 IDS = list(PHANTOMX.servo_names)

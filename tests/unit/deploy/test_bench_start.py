@@ -7,7 +7,7 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.bench import start
-from sextant.shared import dynamixel as dxl
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.desk import PHANTOMX
 
 

@@ -15,9 +15,9 @@ from sextant.deploy.commands.common import out_folder
 from sextant.deploy.judging.report import Report, write
 from sextant.deploy.process_table import Command
 from sextant.deploy.trials import batch
-from sextant.shared.messages import GaitName
-from sextant.shared.scenario import Scenario
-from sextant.shared.topics import TOPICS
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.wire.messages import GaitName
+from sextant.shared.wire.topics import TOPICS
 
 ROOT = Path(cli.__file__).resolve().parents[1]
 
@@ -396,7 +396,7 @@ def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
 ) -> None:
     from sextant.deploy.runs import lockstep_run
     from sextant.deploy.trials import campaign_table
-    from sextant.shared.scenario import trouble_names
+    from sextant.shared.scenario.scenario import trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
     assert cli.main(["trials", "troubles", "--seeds", "5:7", "--out", str(tmp_path)]) == 0

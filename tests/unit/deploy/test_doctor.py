@@ -11,7 +11,7 @@ import pytest
 from sextant.deploy import doctor, rehearsal
 from sextant.deploy.checks import Check, Level
 from sextant.deploy.rehearsal import StageLoad
-from sextant.shared import host
+from sextant.shared.runtime import process_priority
 
 
 def test_every_complaint_says_what_to_do() -> None:
@@ -55,7 +55,7 @@ def clocked(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
 
 @pytest.fixture(params=["", "real-time priority is refused; allow it"])
 def refused(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(host, "go_first", lambda: request.param)
+    monkeypatch.setattr(process_priority, "go_first", lambda: request.param)
     return str(request.param)
 
 

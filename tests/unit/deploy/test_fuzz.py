@@ -13,7 +13,7 @@ from sextant.deploy.fuzz import fuzzing, table
 from sextant.deploy.fuzz.broken import broken, odd
 from sextant.deploy.fuzz.target import Target
 from sextant.deploy.fuzz.targets import targets
-from sextant.shared.topics import TOPICS
+from sextant.shared.wire.topics import TOPICS
 
 MESSAGES = 500  # for each
 

@@ -15,7 +15,7 @@ from sextant.deploy.launch.launcher import free_port
 # Gives signs of life as a service does, until it reads a line; then it hangs.
 _LIVING = """
 import os, sys, threading, time
-from sextant.shared.watchdog import Watchdog
+from sextant.shared.runtime.watchdog import Watchdog
 hung = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.readline(), hung.set()), daemon=True).start()
 with Watchdog(os.environ) as watchdog:

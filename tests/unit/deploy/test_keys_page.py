@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli, keys_page
-from sextant.shared import codec, messages
-from sextant.shared.messages import Mode, ModeCommand, VelocityCommand
-from sextant.shared.topics import OF_TYPE, TOPICS
+from sextant.shared.wire import codec, messages
+from sextant.shared.wire.messages import Mode, ModeCommand, VelocityCommand
+from sextant.shared.wire.topics import OF_TYPE, TOPICS
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "keys.md").read_text(encoding="utf-8")

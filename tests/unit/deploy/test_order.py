@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sextant.deploy.order import Order
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
 from tests.support.states import actuator_state
 
 MS = 1_000_000

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from sextant.deploy import cli, rates, shown
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
-from sextant.shared import codec, topics
-from sextant.shared.codec import DecodeError, Timing
-from sextant.shared.messages import CameraState, Odometry, TerrainMap, VelocityCommand
-from sextant.shared.topics import TOPICS, Lane
-from sextant.shared.transport import Endpoints, Router, ZenohLink
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.codec import DecodeError, Timing
+from sextant.shared.wire.messages import CameraState, Odometry, TerrainMap, VelocityCommand
+from sextant.shared.wire.topics import TOPICS, Lane
+from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 50 * S

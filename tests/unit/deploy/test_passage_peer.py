@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 
 from sextant.deploy.bench.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
 from sextant.deploy.bench.passage_peer import NumpyTests
-from sextant.services.planner.passage import search
-from sextant.services.planner.passage.settings import PassageSettings
-from sextant.services.planner.passage.tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.shared.geometry import Array
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
 
 PASSAGE = PassageSettings(body_height=0.11)
 PROFILES = [load_profile(name) for name in ("phantomx_mk2", "lotriet_rx64")]
@@ -33,7 +33,7 @@ def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple
     )
     goals = profile.rest_feet()[leg] + body + off
     verdict, lifts = np.zeros((4, 6), dtype=np.int64), np.zeros((4, 6))
-    search.judge(legs, rules, field, feet, leg, body, bodies, goals, verdict, lifts)
+    roadmap_search.judge(legs, rules, field, feet, leg, body, bodies, goals, verdict, lifts)
     return (verdict, lifts), NumpyTests(legs, rules, field).judge(feet, leg, body, bodies, goals)
 
 
@@ -51,4 +51,12 @@ def test_all_kinds_of_verdicts_are_among_them() -> None:
         for seed in range(120)
         for code in np.unique(judged(seed, seed % 6, 0, seed % 2, 0.02 + 0.02 * (seed % 3))[0][0])
     }
-    assert seen >= {search.OK, search.REACH, search.MARGIN, search.APART, search.LEVEL, search.TORQUE, search.SWING}
+    assert seen >= {
+        roadmap_search.OK,
+        roadmap_search.REACH,
+        roadmap_search.MARGIN,
+        roadmap_search.APART,
+        roadmap_search.LEVEL,
+        roadmap_search.TORQUE,
+        roadmap_search.SWING,
+    }

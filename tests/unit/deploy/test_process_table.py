@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from sextant.deploy import process_table
 from sextant.deploy.process_table import Choices, assignment, choices, commands, rows
-from sextant.shared import process
-from sextant.shared.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
-from sextant.shared.transport import Endpoints
+from sextant.shared.runtime import process
+from sextant.shared.scenario.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
+from sextant.shared.wire.transport import Endpoints
 
 ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sextant.deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
-from sextant.shared import codec, topics
-from sextant.shared.lateness import SlowComputer
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Every, Worker
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lateness import SlowComputer
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import Every, Worker
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
 from tests.support.scripted_service import Scripted
 from tests.support.states import actuator_state
 

@@ -10,11 +10,11 @@ from sextant.deploy import cli
 from sextant.deploy.fuzz import role_attack
 from sextant.deploy.fuzz.role_attack import Row
 from sextant.deploy.fuzz.worst import worst
-from sextant.shared import codec
-from sextant.shared.access import ROLE_NAMED
-from sextant.shared.messages import schema
-from sextant.shared.service import AnyTopic
-from sextant.shared.topics import TOPICS
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec
+from sextant.shared.wire.access import ROLE_NAMED
+from sextant.shared.wire.messages import schema
+from sextant.shared.wire.topics import TOPICS
 
 NOW_NS = 10_000_000_000
 

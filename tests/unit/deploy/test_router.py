@@ -17,9 +17,9 @@ import pytest
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network import meeting
 from sextant.deploy.provenance import version
-from sextant.shared import codec, topics
-from sextant.shared.messages import Health, Presence
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health, Presence
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 60.0

@@ -11,11 +11,11 @@ import pytest
 from sextant.deploy import servo_checks
 from sextant.deploy.checks import Check, Level
 from sextant.deploy.launch.launcher import free_port
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.services.simulator.workbench import Workbench
-from sextant.shared import dynamixel as dxl
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import LEGS, Calibration
+from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.robot.profile import LEGS, Calibration
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
 
 PROFILE = load_profile("phantomx_mk2")
 TODAY = date(2026, 7, 30)

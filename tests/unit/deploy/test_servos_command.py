@@ -20,14 +20,14 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.services.simulator.wire import Reply
-from sextant.services.simulator.workbench import Workbench
-from sextant.shared import dynamixel as dxl
-from sextant.shared.clock import now_ns
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import LEGS
+from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.clock import now_ns
+from sextant.shared.servo import dynamixel as dxl
 
 PROFILE = load_profile("phantomx_mk2")
 

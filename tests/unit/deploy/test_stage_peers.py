@@ -8,14 +8,14 @@ from sextant.deploy.bench.map_peer import NumpyGrid
 from sextant.deploy.bench.reduction_peers import NumpyReduction, Open3dCloud
 from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
 from sextant.deploy.bench.scenes import MAPPED
-from sextant.services.mapper.checked_scan import CheckedScan
-from sextant.services.mapper.elevation import ElevationGrid
-from sextant.services.mapper.foothold_map import FootholdRules
-from sextant.services.mapper.fusion import FusionModel
-from sextant.services.mapper.holes import fill_small_holes
-from sextant.services.mapper.layers import FootholdLayers, Margin
-from sextant.services.mapper.score import ScoreWeights
-from sextant.services.perception.reduction import reduce_scan
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.footholds.foothold_map import FootholdRules
+from sextant.services.mapper.footholds.hole_filling import fill_small_holes
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.perception.reduction.scan_reduction import reduce_scan
 
 WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 MODEL = FusionModel()

@@ -8,7 +8,7 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
-from sextant.shared import endpoint, transport
+from sextant.shared.wire import endpoint, transport
 
 COMMANDS = (
     ["order", "stand"],

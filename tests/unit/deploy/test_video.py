@@ -19,15 +19,17 @@ from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
 from sextant.deploy.video.sinking import Sinking
 from sextant.deploy.video.story import Maps, Moment, Story, Track
 from sextant.deploy.video.words import Caption
-from sextant.services.console.recording.reader import Recording
-from sextant.services.console.recording.writer import Recorder
-from sextant.services.simulator.solids import Boxes
-from sextant.services.simulator.terrain import Terrain, Weak
-from sextant.shared import codec
-from sextant.shared.files import WriteError
+from sextant.services.simulator.physics.solids import Boxes
+from sextant.services.simulator.physics.terrain import Terrain, Weak
+from sextant.shared.files.whole_files import WriteError
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, transform
-from sextant.shared.kinematics import body_forward, body_inverse
-from sextant.shared.messages import (
+from sextant.shared.recording.reader import Recording
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.kinematics import body_forward, body_inverse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     GroundTruth,
@@ -38,9 +40,7 @@ from sextant.shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic
-from sextant.shared.topics import OF_TYPE
+from sextant.shared.wire.topics import OF_TYPE
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
-from sextant.shared.profiles import load_profile
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire import codec, topics
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

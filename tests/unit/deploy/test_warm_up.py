@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sextant.deploy import warm_up
-from sextant.services.planner.passage import search
+from sextant.services.planner.gap_crossing import roadmap_search
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
@@ -35,9 +35,9 @@ def test_two_cores_share_what_has_never_been_compiled(
 
 
 def test_what_numba_keeps_is_found_where_numba_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled: Any = search.grow
+    compiled: Any = roadmap_search.grow
     assert Path(compiled.stats.cache_path).is_dir()
-    monkeypatch.setattr(search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
+    monkeypatch.setattr(roadmap_search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
     (tmp_path / "roadmap.other-1.py311.nbi").touch()
     assert not warm_up._compiled_before()
     (tmp_path / "search.grow-1132.py311.nbi").touch()

@@ -8,13 +8,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sextant.services.mapper.config import Settings
-from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.service import Mapper
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.messages import BodyPose, Scan, TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, Scan, TerrainMap
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = (0.1, 0.0, 0.25)

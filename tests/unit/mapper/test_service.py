@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.services.planner.terrain import Terrain
-from sextant.shared import codec, topics
 from sextant.shared.color import codes, ycocg_from_rgb
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.messages import (
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     Message,
@@ -24,8 +26,6 @@ from sextant.shared.messages import (
     ScanReceipt,
     TerrainMap,
 )
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 Flags = NDArray[np.bool_]

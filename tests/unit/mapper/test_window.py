@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from tests.support.grid_scans import centres, scan
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from tests.support.raycast import INTRINSICS, SENSOR, camera_pose, depth_image
 
 

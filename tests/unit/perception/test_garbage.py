@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
-from sextant.shared import codec, topics
-from sextant.shared.camera import Intrinsics
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, DepthImage, Message, Odometry, Scan
 
 PHANTOM = load_profile("phantomx_mk2")
 PROFILE = replace(PHANTOM, camera=replace(PHANTOM.camera, intrinsics=Intrinsics(320, 240, 292.5, 292.5, 159.5, 119.5)))

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from sextant.services.perception.motion import VelocityPrior
-from sextant.services.perception.registration import HAND_HELD, Acceptance, Registered, Registration
+from sextant.services.perception.registration.motion_prior import VelocityPrior
+from sextant.services.perception.registration.projective_icp import HAND_HELD, Acceptance, Registered, Registration
 from tests.support.depth_folders import CAMERA, RATE_HZ, SENSOR, room
 from tests.support.raycast import camera_pose, depth_image
 

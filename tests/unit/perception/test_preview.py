@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.preview import preview
-from sextant.shared import codec, topics
-from sextant.shared.camera import DepthSensor
-from sextant.shared.messages import MAX_PREVIEW
+from sextant.shared.robot.camera import DepthSensor
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import MAX_PREVIEW
 
 SENSOR = DepthSensor()
 

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
-from sextant.shared import codec, topics
-from sextant.shared.camera import Intrinsics
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
-from sextant.shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
-from sextant.shared.service import AnyTopic, Inbox
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
 
 MS = 1_000_000
 FRAME = 33 * MS

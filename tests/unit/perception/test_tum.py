@@ -15,10 +15,10 @@ from sextant.services.perception.tum import (
     read_trajectory,
     write_trajectory,
 )
-from sextant.shared.camera import Intrinsics
-from sextant.shared.files import WriteError
+from sextant.shared.files.input_file import FileError
+from sextant.shared.files.whole_files import WriteError
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.input_file import FileError
+from sextant.shared.robot.camera import Intrinsics
 
 CAMERA = Camera(Intrinsics(32, 24, 30.0, 31.0, 15.5, 11.5), 1000.0, 15.0, np.array([0.0, 0.0, -1.0]))
 

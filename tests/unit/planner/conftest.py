@@ -7,7 +7,7 @@ import pytest
 
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
-from sextant.shared.messages import TerrainMap
+from sextant.shared.wire.messages import TerrainMap
 
 RESOLUTION = 0.01
 

@@ -6,17 +6,17 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.planner.crossing import Prices, SeenGround, Size
-from sextant.services.planner.passage.errand import BEHIND, STRIP
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.sections import bare, goal_behind, without
-from sextant.services.planner.passage.verge import Verge, gap_ahead
-from sextant.services.planner.route import NoWay, find_way
+from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
+from sextant.services.planner.gap_crossing.sections import bare, goal_behind, without
+from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.navigation.path_planner import NoWay, find_way
+from sextant.services.planner.navigation.traversability import Prices, SeenGround, Size
 from sextant.services.planner.terrain import Terrain
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.messages import Goal, PassageMap, PassageRequest, StepPlan, TerrainMap
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Goal, PassageMap, PassageRequest, StepPlan, TerrainMap
 from tests.unit.planner.test_service import HEIGHT, Rig
 
 CAMERA = load_profile("phantomx_mk2").camera

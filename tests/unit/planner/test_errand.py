@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.passage.errand import (
+from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.services.planner.gap_crossing.state_machine import (
     ATTEMPTS,
     PLANNINGS,
     STRIP,
@@ -19,11 +20,10 @@ from sextant.services.planner.passage.errand import (
     Standing,
     Wait,
 )
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
-from sextant.shared.messages import UNKNOWN, Mode, PassageMap
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import UNKNOWN, Mode, PassageMap
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

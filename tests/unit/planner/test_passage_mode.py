@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.passage.errand import Outcome, Over, Refused, Standing
-from sextant.services.planner.passage.mode import BEFORE, PassageMode
-from sextant.services.planner.passage.verge import Verge, gap_ahead
-from sextant.services.planner.pilot import Heading
+from sextant.services.planner.gap_crossing.approach import BEFORE, PassageMode
+from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
+from sextant.services.planner.gap_crossing.state_machine import Outcome, Over, Refused, Standing
+from sextant.services.planner.navigation.path_follower import Heading
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, yaw_of
-from sextant.shared.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
 from tests.unit.planner.conftest import terrain_of
 from tests.unit.planner.test_service import HEIGHT, Rig
 
@@ -161,7 +161,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
         def advance(self, *_: object) -> Over:
             return Over("behind the gap")
 
-    monkeypatch.setattr("sextant.services.planner.passage.mode.Errand", Errand)
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.Errand", Errand)
     rig, terrain = Rig(), Terrain(gap(0.8))
     mode = PassageMode(load_profile("phantomx_mk2"), Settings())
     body = rig.state.T_odom_body.copy()

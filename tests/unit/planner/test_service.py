@@ -10,14 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.pilot import Heading
-from sextant.services.planner.route import NoWay
+from sextant.services.planner.locomotion.step_planner import SHARES, Blocked
+from sextant.services.planner.navigation.path_follower import Heading
+from sextant.services.planner.navigation.path_planner import NoWay
 from sextant.services.planner.service import Planner
-from sextant.services.planner.stride import SHARES, Blocked
 from sextant.services.planner.terrain import Terrain, flat_terrain
-from sextant.shared import codec, topics
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
-from sextant.shared.messages import (
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     BodyPose,
     CameraState,
     Goal,
@@ -28,8 +30,6 @@ from sextant.shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 from tests.unit.planner.conftest import terrain_of
 

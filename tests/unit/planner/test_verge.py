@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sextant.services.planner.passage.verge import Verge, gap_ahead
+from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
 

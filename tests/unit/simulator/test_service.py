@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from sextant.services.simulator.config import Settings
+from sextant.services.simulator.physics.world import TIME_STEP_NS
 from sextant.services.simulator.service import Simulator
-from sextant.services.simulator.world import TIME_STEP_NS
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bus_fault import BusFault
-from sextant.shared.config import ConfigError
-from sextant.shared.lockstep import Lockstep
-from sextant.shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
-from sextant.shared.service import AnyTopic, Inbox
+from sextant.shared.files.config import ConfigError
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import Lockstep
+from sextant.shared.runtime.service import AnyTopic, Inbox
+from sextant.shared.scenario.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 
 PROFILE = load_profile("phantomx_mk2")
 FLAT = Scenario("flat", (Plane(),), Goal(1.0))

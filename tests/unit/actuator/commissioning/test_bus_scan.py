@@ -8,8 +8,8 @@ import pytest
 from sextant.services.actuator.commissioning import bus_scan
 from sextant.services.actuator.commissioning.bus_scan import NotAServoBusError, Voice, look
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, ServoBus
-from sextant.services.simulator.bus import Reply
-from sextant.shared import dynamixel as dxl
+from sextant.services.simulator.servo_bus.bus import Reply
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from sextant.services.actuator.commissioning import calibration, calibration_file
 from sextant.services.actuator.commissioning.calibration import calibrate, implausible, trims_deg
 from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT, ServoSilentError
-from sextant.shared import config
-from sextant.shared import dynamixel as dxl
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import LEGS, Calibration, RobotProfile
+from sextant.shared.files import config
+from sextant.shared.robot.profile import LEGS, Calibration, RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 
@@ -280,7 +280,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 
 def test_straight_out_is_a_pose_of_every_profile_that_comes_along() -> None:
-    from sextant.shared.profiles import profile_names
+    from sextant.shared.robot.profiles import profile_names
 
     for name in profile_names():
         for leg in LEGS:

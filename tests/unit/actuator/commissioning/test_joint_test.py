@@ -7,8 +7,8 @@ import pytest
 
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, exercise
 from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT
-from sextant.shared import dynamixel as dxl
-from sextant.shared.robot import JOINTS, LEGS
+from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.builder import Answer, Builder
 from tests.support.desk import Desk
 

@@ -8,10 +8,10 @@ import pytest
 from sextant.services.actuator.commissioning import set_ids
 from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
-from sextant.services.simulator.wire import Reply
-from sextant.shared import dynamixel as dxl
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 

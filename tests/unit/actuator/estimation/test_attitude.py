@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from sextant.services.actuator.estimation.attitude import Attitude, AttitudeEstimator
-from sextant.services.simulator.imu import Imu, ImuNoise
+from sextant.services.simulator.sensors.imu import Imu, ImuNoise
 from sextant.shared.geometry import Array, exp_so3, rotation_from_rpy, rotation_z, yaw_of
 
 DT = 0.02

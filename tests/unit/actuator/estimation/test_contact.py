@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.contact import ContactEstimate
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.kinematics import body_inverse, joint_torques
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_inverse, joint_torques
+from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.gravity_alignment import Plumb
 from sextant.shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
-from sextant.shared.messages import Imu
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import Imu
 
 G = np.array([0.0, 0.0, 9.81])
 MS = 1_000_000

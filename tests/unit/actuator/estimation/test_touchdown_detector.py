@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Feeler, FemurReading
 from sextant.services.actuator.locomotion.feedforward import link_torques
-from sextant.services.simulator.terrain import build_terrain
-from sextant.services.simulator.world import World
-from sextant.shared import dynamixel as dxl
+from sextant.services.simulator.physics.terrain import build_terrain
+from sextant.services.simulator.physics.world import World
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.kinematics import body_inverse
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, Plane, Scenario
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.servo import dynamixel as dxl
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo

@@ -16,8 +16,8 @@ from sextant.services.actuator.locomotion.feedforward import (
     sag_feed_forward,
 )
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques, leg_points
+from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

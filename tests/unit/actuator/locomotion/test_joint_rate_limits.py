@@ -8,8 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENTLE, LOWERED, GoalLimits
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import body_inverse, within_limits
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 LIMITS = PROFILE.joint_limits

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.locomotion.stand_sit import LieDown, StandUp
 from sextant.shared.geometry import Array
-from sextant.shared.kinematics import body_inverse, within_limits
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sextant.services.actuator.estimation.touchdown_detector import Felt
 from sextant.services.actuator.locomotion.step_executor import Targets, Walker
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
 from tests.support.walker_steps import (
     ALL,
     DT,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sextant.services.actuator.estimation.touchdown_detector import Felt
 from sextant.services.actuator.locomotion.step_executor import Targets, Walker
 from sextant.shared.geometry import apply, from_xyz_rpy
-from sextant.shared.messages import StepPlan
+from sextant.shared.wire.messages import StepPlan
 from tests.support.walker_steps import (
     ALL,
     DT,

@@ -7,7 +7,7 @@ import pytest
 from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS
 from sextant.services.actuator.safety.guard import AWAY_NS, LEASE_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
-from sextant.shared.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, ORDERS, in_mode
 
 MODES = list(Mode)

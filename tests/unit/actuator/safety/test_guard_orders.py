@@ -4,7 +4,7 @@ import pytest
 
 from sextant.services.actuator.safety.guard import Act, Guard
 from sextant.services.actuator.safety.health_monitor import Verdict
-from sextant.shared.messages import Mode, ModeCommand
+from sextant.shared.wire.messages import Mode, ModeCommand
 from tests.support.guarded import BROKEN, EPOCH, PROFILE, SPENT, in_mode, rested
 
 MODES = list(Mode)

@@ -8,7 +8,7 @@ import pytest
 from sextant.services.actuator.safety.guard import DEADLINE_NS, LEASE_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.messages import Mode, ModeCommand
+from sextant.shared.wire.messages import Mode, ModeCommand
 from tests.support.guarded import BAD, BROKEN, CYCLE, EPOCH, FEET, PROFILE, SPENT, in_mode, rested
 
 POWERED = [mode for mode in Mode if mode is not Mode.OFF]

@@ -7,7 +7,7 @@ import pytest
 from sextant.services.actuator.safety.command_ordering import AHEAD_NS, ORDER_AGE_NS, WalkOrder
 from sextant.services.actuator.safety.guard import AWAY_NS, LEASE_NS, Act, Guard
 from sextant.services.actuator.safety.health_monitor import Verdict
-from sextant.shared.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
 
 MOVES = [mode for mode in ORDERS if mode not in ("off", "stop")]

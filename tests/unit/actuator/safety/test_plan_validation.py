@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.safety.plan_validation import PlanCheck, reaches
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
-from sextant.shared.kinematics import body_inverse, within_limits
-from sextant.shared.messages import StepPlan
-from sextant.shared.profiles import load_profile
-from sextant.shared.stability import resting_centre_of_mass, support_margin
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
+from sextant.shared.wire.messages import StepPlan
 
 Flags = NDArray[np.bool_]
 

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusGone, Lost, ServoBus
 from sextant.services.actuator.servo_bus.reading_validation import Doubt
-from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
-from sextant.services.simulator.bus_faults import BusFaults
-from sextant.services.simulator.servos import ServoBank
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bus_fault import GRID, BusFault
-from sextant.shared.messages import FaultKind, FaultTarget
+from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import GRID, BusFault
+from sextant.shared.wire.messages import FaultKind, FaultTarget
 
 WILD = settings(deadline=None, derandomize=True, max_examples=150)
 IDS = tuple(range(1, 19))

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Lost, ServoBus, open_port
-from sextant.services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
-from sextant.services.simulator.servos import ServoBank
-from sextant.services.simulator.tcp_port import TcpBusServer
-from sextant.shared import clock
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Dropped, ServoError
-from sextant.shared.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.runtime import clock
+from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Dropped, ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=50)
 

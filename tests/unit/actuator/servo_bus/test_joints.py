@@ -10,8 +10,8 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWER
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
 from sextant.services.actuator.servo_bus.joints import Joints
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Instruction
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Instruction
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ---------------------------------------------------------------------------------------------------------- a beginning

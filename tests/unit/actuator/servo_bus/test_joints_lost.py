@@ -7,11 +7,11 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import servos
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.bus import MemoryPort
-from sextant.services.simulator.wire import Reply
-from sextant.shared import dynamixel as dxl
-from sextant.shared.dynamixel import Instruction, Register
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Instruction, Register
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ------------------------------------------------------------------------------------------------------ a port that goes

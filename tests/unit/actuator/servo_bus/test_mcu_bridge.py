@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Lost
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
-from sextant.services.simulator.board import Board
-from sextant.services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
-from sextant.services.simulator.firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
-from sextant.services.simulator.servos import ServoBank
-from sextant.shared import bridge
-from sextant.shared import dynamixel as dxl
-from sextant.shared.bridge import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
-from sextant.shared.dynamixel import ServoError
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bridge_firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
+from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.shared.servo import bridge_protocol
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
+from sextant.shared.servo.dynamixel import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=40)
 
@@ -372,15 +372,15 @@ def test_states_that_waited_in_a_buffer_have_their_true_times() -> None:
 
 def test_another_version_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
-    monkeypatch.setattr(bridge, "VERSION", 2)
-    hello = bridge.encode(bridge.Hello(2, 5, 0, bytes(IDS)))
-    welcome = bridge.encode(bridge.Welcome(2, 0, 1, 0, "from next year"))
+    monkeypatch.setattr(bridge_protocol, "VERSION", 2)
+    hello = bridge_protocol.encode(bridge_protocol.Hello(2, 5, 0, bytes(IDS)))
+    welcome = bridge_protocol.encode(bridge_protocol.Welcome(2, 0, 1, 0, "from next year"))
     monkeypatch.undo()
     rig.port.write(hello)
     rig.pass_time(2)
     assert rig.board.firmware.mode is Mode.WAITING
-    said = [m for r in rig.board.speak(rig.now_ns) for m in bridge.Receiver(bridge.TO_HOST).feed(r.data)]
-    assert {m.version for m in said if isinstance(m, bridge.Welcome)} == {1}, "it says its own"
+    said = [m for r in rig.board.speak(rig.now_ns) for m in bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(r.data)]
+    assert {m.version for m in said if isinstance(m, bridge_protocol.Welcome)} == {1}, "it says its own"
     rig.plug_in(lambda data: welcome)
     words = "the bridge speaks version 2 of the wire, version 1 expected; flash it"
     with pytest.raises(BusSetupError, match=words):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import Doubt, Plausibility, State
-from sextant.shared import dynamixel as dxl
+from sextant.shared.servo import dynamixel as dxl
 
 WILD = settings(deadline=None, derandomize=True)
 MS = 1_000_000

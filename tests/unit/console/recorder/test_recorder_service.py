@@ -8,12 +8,12 @@ import pytest
 
 from sextant.services.console.recorder.config import Settings
 from sextant.services.console.recorder.service import RecorderService
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import codec, topics
-from sextant.shared.live import Listening
-from sextant.shared.messages import RecordCommand, RecorderState, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.runtime.zenoh_runner import Listening
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import RecordCommand, RecorderState, Tick
 from tests.support.recorded import frames, some_messages
 
 PROFILE = load_profile("phantomx_mk2")
@@ -125,7 +125,7 @@ def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path,
     desk = Desk(tmp_path)
     with desk.recorder:
         assert desk.beat(True, 1).recording
-        monkeypatch.setattr("sextant.services.console.recording.writer.Recorder.write", full)
+        monkeypatch.setattr("sextant.shared.recording.writer.Recorder.write", full)
         desk.link.say()
         state = desk.beat()
         while state.recording:  # its thread has yet to find out

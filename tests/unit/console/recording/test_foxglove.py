@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from sextant.services.console.recording.foxglove import ground, numbers, robot
-from sextant.services.console.recording.foxglove.translation import Foxglove
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
 from sextant.shared.geometry import exp_se3, rotation_from_quaternion, transform
-from sextant.shared.kinematics import body_forward
-from sextant.shared.messages import (
+from sextant.shared.recording.foxglove import ground, numbers, robot
+from sextant.shared.recording.foxglove.translation import Foxglove
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
     BodyPose,
     CameraState,
     Health,
@@ -28,7 +29,6 @@ from sextant.shared.messages import (
     Preview,
     StepPlan,
 )
-from sextant.shared.profiles import load_profile
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

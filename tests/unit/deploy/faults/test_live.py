@@ -15,12 +15,12 @@ from sextant.deploy.faults.live import LiveWalk
 from sextant.deploy.launch.tapped_robot import Places
 from sextant.deploy.process_table import Command
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
-from sextant.shared import dynamixel as dxl
-from sextant.shared.messages import Health, Message, Mode
-from sextant.shared.service import AnyTopic
-from sextant.shared.transport import Endpoints
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health, Message, Mode
+from sextant.shared.wire.transport import Endpoints
 from tests.support.states import actuator_state
 from tests.support.timelines import PROFILE
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from sextant.deploy.faults.planner import PLANS_PER_STEP, Meddler, fuzzed
 from sextant.services.actuator.safety.plan_validation import PlanCheck
-from sextant.shared import codec
-from sextant.shared.messages import Message, PlannerStatus, StepPlan
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import Message, PlannerStatus, StepPlan
 from tests.support.timelines import PROFILE
 
 STATUS = PlannerStatus(0, "stepping", "", 1, 0, -1)

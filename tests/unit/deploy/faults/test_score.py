@@ -11,8 +11,8 @@ from sextant.deploy.faults.cases import BY_NAME
 from sextant.deploy.faults.score import cycles, off_time, score
 from sextant.deploy.faults.timeline import Timeline
 from sextant.deploy.faults.wire import Goals, Switch
-from sextant.shared import dynamixel as dxl
-from sextant.shared.messages import Mode
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode
 from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeline, word
 
 KILLED, SILENT, OFF, HEAT = (BY_NAME[name] for name in ("planner-killed", "servo-silent", "off-bus-gone", "heat"))

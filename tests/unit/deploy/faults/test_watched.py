@@ -9,8 +9,8 @@ import pytest
 from sextant.deploy.faults.cases import BY_NAME, Case
 from sextant.deploy.faults.timeline import Timeline
 from sextant.deploy.faults.watched import NoWalkError, Seen, Watched, in_walks
-from sextant.shared import codec
-from sextant.shared.messages import Mode
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import Mode
 from tests.support.states import actuator_state
 from tests.support.timelines import timeline
 

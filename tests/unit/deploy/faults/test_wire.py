@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.deploy.faults.wire import Recorder
-from sextant.shared import dynamixel as dxl
+from sextant.shared.servo import dynamixel as dxl
 from tests.support.timelines import PROFILE
 
 IDS = PROFILE.servo_ids.ravel().tolist()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from sextant.deploy.judging.heard import Heard
-from sextant.shared import codec, topics
-from sextant.shared.messages import ActuatorState, GroundTruth, Mode
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import Inbox, Stages
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox, Stages
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

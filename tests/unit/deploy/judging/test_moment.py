@@ -6,8 +6,8 @@ import pytest
 
 from sextant.deploy.judging.moment import MISSED, decisive_moment, missed_by, refusal, signs
 from sextant.deploy.judging.said import kind_of
-from sextant.shared.messages import Mode
-from sextant.shared.robot import LEGS
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.wire.messages import Mode
 
 
 def _moment(scorer):

@@ -9,11 +9,11 @@ import pytest
 from sextant.deploy.bench import passage as bench
 from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
 from sextant.deploy.judging.passage_checker import Demands, violations
-from sextant.services.planner.passage.field import Field
-from sextant.services.planner.passage.roadmap import Crossing, PassageStep, Roadmap, Stance
-from sextant.services.planner.passage.settings import PassageSettings
-from sextant.services.planner.passage.trail import Trail
-from sextant.shared.profiles import load_profile
+from sextant.services.planner.gap_crossing.backtracking import Trail
+from sextant.services.planner.gap_crossing.roadmap import Crossing, PassageStep, Roadmap, Stance
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 GAP, HEIGHT = 0.8, 0.11

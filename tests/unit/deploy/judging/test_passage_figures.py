@@ -12,7 +12,7 @@ from sextant.deploy.judging.course import Course
 from sextant.deploy.judging.passage_figures import feet_off, steps_of
 from sextant.deploy.judging.report import FootholdEdge, Passage, Section
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
 
 PLATFORM = Box((0.0, 0.0), (1.0, 1.0), 0.0)
 GAP = Scenario("gap", (Plane(height=-0.4), PLATFORM, Pillars(((0.7, 0.1), (0.9, -0.1)), 0.10, 0.02)), Goal(1.0))

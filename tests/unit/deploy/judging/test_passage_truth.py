@@ -9,8 +9,8 @@ from sextant.deploy.judging import passage_truth
 from sextant.deploy.judging.course import Course
 from sextant.deploy.judging.passage_truth import decided_by_seed, gap_begins, strip_from, way_exists
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, PillarField, Plane, Scenario, load_scenario
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import Goal, PillarField, Plane, Scenario, load_scenario
 
 PROFILE = load_profile("phantomx_mk2")
 FIELD = load_scenario("pillar_field")
@@ -59,7 +59,7 @@ def test_without_pillars_there_is_no_way(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def _one_attempt(*told: object) -> bool | None:
-    from sextant.services.planner.passage.exhaustive import passable
+    from sextant.services.planner.gap_crossing.exhaustive import passable
 
     return passable(*told, attempts=1)  # type: ignore[arg-type]
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from sextant.deploy.judging import report as reports
-from sextant.shared.messages import TerrainMap
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Box, Goal, Plane, Scenario, Stairs
-from sextant.shared.service import Inbox
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.scenario.scenario import Box, Goal, Plane, Scenario, Stairs
+from sextant.shared.wire.messages import TerrainMap
 
 STEPS = Scenario(
     "blocks",

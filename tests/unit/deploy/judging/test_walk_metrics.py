@@ -16,10 +16,10 @@ from sextant.deploy.judging.walk_metrics import (
     touchdowns,
     walked_into,
 )
-from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Box, Goal, Hole, Plane, Scenario, Slope
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import Box, Goal, Hole, Plane, Scenario, Slope
 
 
 def test_what_is_walked_into_is_counted_and_a_step_is_not():

@@ -20,8 +20,8 @@ from sextant.deploy.launch.compose import (
     offboard_yaml,
 )
 from sextant.deploy.process_table import TABLE
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
-from sextant.shared.config import ConfigError
+from sextant.shared.files.config import ConfigError
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from tests.support.composed import commands_of, services_of
 
 DEPLOY = Path(deploy.__file__).resolve().parent

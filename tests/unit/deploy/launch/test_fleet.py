@@ -7,9 +7,9 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.launch import fleet
 from sextant.deploy.launch.fleet import Base, FleetError
-from sextant.services.console.lobby.config import Settings
-from sextant.shared.config import ConfigError
-from sextant.shared.process import load_settings
+from sextant.services.console.fleet_proxy.config import Settings
+from sextant.shared.files.config import ConfigError
+from sextant.shared.runtime.process import load_settings
 
 TWO = """
 [robots.alpha-1]
@@ -59,7 +59,7 @@ def test_where_no_robot_has_a_console_there_is_no_page(tmp_path: Path) -> None:
 
 
 def test_folders_and_profiles_are_seen_from_the_file(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_bytes((Path("shared/profiles") / "phantomx_mk2.toml").read_bytes())
+    (tmp_path / "mine.toml").write_bytes((Path("shared/robot/profiles") / "phantomx_mk2.toml").read_bytes())
     text = '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nkeys = "keys/base"\nrobot = "mine.toml"\n'
     (member,) = fleet.load(written(tmp_path, text)).robots.values()
     assert member.keys == str(tmp_path / "keys" / "base")

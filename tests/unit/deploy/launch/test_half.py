@@ -14,8 +14,8 @@ from sextant.deploy.network import meeting
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import Choices, Role
 from sextant.deploy.provenance import version
-from sextant.shared import codec, topics
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
 
 OWN = "tcp/127.0.0.1:7447"
 

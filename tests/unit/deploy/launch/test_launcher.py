@@ -16,7 +16,7 @@ from sextant.deploy import process_table
 from sextant.deploy.launch import launcher as launcher_module
 from sextant.deploy.launch.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
 from sextant.deploy.process_table import Command
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[3] / "support" / "stand_in.py")
 PATIENCE_S = 20.0  # for a busy machine; nothing waits that long when all is well
@@ -260,7 +260,7 @@ import sys
 from sextant.deploy.interrupts import Interrupts
 from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.process_table import Command
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 def hear(name, line):
     sys.stdout.write(line + "\\n")

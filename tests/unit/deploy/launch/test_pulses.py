@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.deploy.launch.pulses import Pulses, unwatched
-from sextant.shared.watchdog import Watchdog
+from sextant.shared.runtime.watchdog import Watchdog
 
 ME = os.getpid()
 SEND = "import socket; socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b'WATCHDOG=1', {!r})"

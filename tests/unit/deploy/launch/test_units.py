@@ -12,7 +12,7 @@ from sextant.deploy.launch import units
 from sextant.deploy.launch.units import TARGET, Manager, UnitError
 from sextant.deploy.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
 from sextant.services.actuator.safety.torque_off_latch import SHARED
-from sextant.shared.transport import Endpoints
+from sextant.shared.wire.transport import Endpoints
 from tests.support.unit_files import read_unit, words_of
 
 MINE, MACHINE = Manager("/opt/sextant/bin/python"), Manager("/opt/sextant/bin/python", user="root")

@@ -18,9 +18,9 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network import gate
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.network.hosting import hosted
-from sextant.shared import topics
-from sextant.shared.access import PROXY, ROLES, AccessError, Keys
-from sextant.shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import PROXY, ROLES, AccessError, Keys
+from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from sextant.deploy.launch.launcher import free_port, port_taken
 from sextant.deploy.network.gatekeeper import Gatekeeper
 from sextant.deploy.network.refusals import Refusals, RefusedConnections
-from sextant.shared import codec, topics
-from sextant.shared.messages import Health
-from sextant.shared.transport import Endpoints, ZenohLink
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health
+from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, PATIENCE_S, session, stranger, tls_of
 

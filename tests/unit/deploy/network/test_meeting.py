@@ -7,9 +7,9 @@ import pytest
 
 from sextant.deploy.network import meeting
 from sextant.deploy.network.meeting import Meeting, objection
-from sextant.shared import codec, topics
-from sextant.shared.messages import Health, Presence
-from sextant.shared.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health, Presence
 from tests.support.frames import of_another_version
 
 SEC = 1_000_000_000

@@ -16,9 +16,9 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network import authority, stranger
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.network.hosting import hosted
-from sextant.shared import topics
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY
-from sextant.shared.transport import Router
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY
+from sextant.shared.wire.transport import Router
 from tests.support.gated import NAMESPACE, Inside
 
 

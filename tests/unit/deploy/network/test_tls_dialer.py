@@ -12,7 +12,7 @@ import pytest
 
 from sextant.deploy.network import tls_dialer
 from sextant.deploy.network.tls_dialer import TlsDialer
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
 from tests.support import gated
 from tests.support.echo_server import EchoServer, read
 

@@ -18,9 +18,9 @@ from sextant.deploy.network import tls_proxy
 from sextant.deploy.network.admission import Limits
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.tls_proxy import TlsProxy
-from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
-from sextant.shared.handshake import verdict
-from sextant.shared.transport import TransportError
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
+from sextant.shared.wire.handshake import verdict
+from sextant.shared.wire.transport import TransportError
 from tests.support import gated
 from tests.support.echo_server import EchoServer, read
 

@@ -8,7 +8,7 @@ import pytest
 
 from sextant.deploy.pictures import layers_picture
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.messages import TerrainMap
+from sextant.shared.wire.messages import TerrainMap
 
 
 def terrain(known: slice, relief: float = 0.05, good: bool = True) -> TerrainMap:

@@ -8,7 +8,7 @@ from sextant.deploy.pictures import passage_picture
 from sextant.deploy.pictures.passage_picture import stance_at_end
 from sextant.deploy.pictures.summary import verdict
 from sextant.deploy.runs.attendance import Attendance
-from sextant.shared.scenario import Pillars, load_scenario
+from sextant.shared.scenario.scenario import Pillars, load_scenario
 
 PASSAGE = load_scenario("passage2")
 PLANNED = (slice(150, 530), slice(120, 1430))  # where the plans are drawn

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.deploy.pictures.terrain_mesh import terrain_mesh
-from sextant.shared.messages import TerrainMap
+from sextant.shared.wire.messages import TerrainMap
 from tests.support.recorded import terrain
 
 

@@ -3,8 +3,8 @@ import pytest
 
 from sextant.deploy.pictures import walk_picture
 from sextant.deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import load_scenario
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import load_scenario
 
 
 def test_the_tests_of_the_thesis_are_walked_by_its_robot_with_its_stride_and_height():

@@ -5,8 +5,8 @@ import pytest
 
 from sextant.deploy.judging import report as reports
 from sextant.deploy.plots.recorded import RecordedRun, recorded_run
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.wire import codec, topics
 
 SCENARIO = 'name = "story"\n[goal]\ndistance = 0.5\n[[terrain]]\nkind = "plane"\n'
 

@@ -7,11 +7,11 @@ import pytest
 from sextant.deploy.judging import report as reports
 from sextant.deploy.plots.own_words import WORDS, MappedGround
 from sextant.deploy.plots.recorded import recorded_run
-from sextant.services.console.recording.layout import RecordingError
-from sextant.services.console.recording.writer import Recorder
-from sextant.shared import codec, topics
-from sextant.shared.config import ConfigError
-from sextant.shared.messages import BodyPose, TerrainMap
+from sextant.shared.files.config import ConfigError
+from sextant.shared.recording.layout import RecordingError
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, TerrainMap
 
 
 def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scenario):

@@ -15,10 +15,10 @@ from sextant.deploy.replay.evidence import (
     in_words,
     picture_evidence,
 )
-from sextant.services.perception.trajectory import relative_size
-from sextant.shared.camera import DepthSensor
+from sextant.services.perception.trajectory_error import relative_size
 from sextant.shared.geometry import exp_so3
-from sextant.shared.messages import BodyPose
+from sextant.shared.robot.camera import DepthSensor
+from sextant.shared.wire.messages import BodyPose
 
 SENSOR = DepthSensor(max_range=2.5)
 DEPTH = depth_range(np.full((48, 64), 1500, np.uint16), SENSOR)

@@ -15,17 +15,17 @@ from sextant.deploy.replay.error import ReplayError
 from sextant.deploy.replay.sequence import HandHeld, Player
 from sextant.deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
 from sextant.deploy.runs.attendance import about
-from sextant.services.console.recording.writer import Recorder
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum
-from sextant.shared import codec, topics
-from sextant.shared.camera import DepthSensor, Intrinsics
 from sextant.shared.geometry import exp_se3, from_xyz_rpy, transform
-from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import MapOptions, load_scenario
-from sextant.shared.service import AnyTopic, Inbox, Stages, Worker
+from sextant.shared.recording.writer import Recorder
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages, Worker
+from sextant.shared.scenario.scenario import MapOptions, load_scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
 
 S = 1_000_000_000
 INTRINSICS = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)

@@ -31,14 +31,24 @@ from sextant.deploy.ros2.definitions import DEFINITIONS
 from sextant.deploy.ros2.interface import type_hash
 from sextant.deploy.ros2.lead import Lead, Walk
 from sextant.deploy.ros2.names import Node, dds_name, gid
-from sextant.shared import codec, topics
-from sextant.shared.codec import Timing
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.live import run_live
-from sextant.shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
-from sextant.shared.profiles import load_profile
-from sextant.shared.service import AnyTopic, Inbox
-from sextant.shared.transport import Endpoints, ForeignLink, Router, ZenohLink
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.codec import Timing
+from sextant.shared.wire.messages import (
+    BodyPose,
+    Message,
+    Mode,
+    ModeCommand,
+    Odometry,
+    Preview,
+    TerrainMap,
+    Tick,
+    VelocityCommand,
+)
+from sextant.shared.wire.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually
 from tests.support.states import actuator_state
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sextant.deploy.ros2 import cdr, converted
 from sextant.shared.geometry import exp_se3, from_xyz_rpy, rotation_from_quaternion
-from sextant.shared.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
 from tests.support.states import actuator_state
 
 S = 1_000_000_000

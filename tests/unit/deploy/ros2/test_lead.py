@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.deploy.ros2.lead import DEAD_MAN_NS, Lead, Walk
-from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
-from sextant.shared.profiles import load_profile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
 from tests.support.states import actuator_state
 
 MS = 1_000_000

@@ -9,11 +9,11 @@ from sextant.deploy.judging import report as reports
 from sextant.deploy.launch.launcher import host_router
 from sextant.deploy.runs.attendance import Attendance
 from sextant.deploy.runs.live_run import Attendants, Faults, ServiceLog, Speed
-from sextant.shared import topics
-from sextant.shared.messages import Message, ModeCommand, Tick
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Fault, load_scenario
-from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.scenario.scenario import Fault, load_scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Message, ModeCommand, Tick
 
 PATIENCE_S = 20.0
 
@@ -172,8 +172,8 @@ def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: 
 
 
 def test_lines_of_services_that_do_not_fit_are_dropped_and_that_is_said(tmp_path: Path) -> None:
-    (tmp_path / "sextant.services.log").symlink_to("/dev/full")
-    for path in (tmp_path / "sextant.services.log", tmp_path / "gone" / "sextant.services.log"):
+    (tmp_path / "services.log").symlink_to("/dev/full")
+    for path in (tmp_path / "services.log", tmp_path / "gone" / "services.log"):
         log = ServiceLog(path)
         log.hear("mapper", "mapper: mapping")
         log.hear("mapper", "mapper: mapping still")
@@ -183,8 +183,8 @@ def test_lines_of_services_that_do_not_fit_are_dropped_and_that_is_said(tmp_path
 
 
 def test_lines_of_services_are_kept_as_they_come(tmp_path: Path) -> None:
-    log = ServiceLog(tmp_path / "sextant.services.log")
+    log = ServiceLog(tmp_path / "services.log")
     log.hear("mapper", "mapper: käme")
-    assert (tmp_path / "sextant.services.log").read_text(encoding="utf-8") == "mapper: käme\n"
+    assert (tmp_path / "services.log").read_text(encoding="utf-8") == "mapper: käme\n"
     log.close()
     assert log.problem == ""

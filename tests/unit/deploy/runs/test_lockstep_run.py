@@ -15,12 +15,12 @@ from sextant.deploy.progress import Silent
 from sextant.deploy.runs.attendance import Attendance, clear
 from sextant.deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
 from sextant.deploy.trials.batch import run_trials
-from sextant.services.console.recording.reader import Recording
-from sextant.shared import topics
-from sextant.shared.files import WriteError
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Fault, Goal, Plane, Scenario
-from sextant.shared.service import AnyTopic
+from sextant.shared.files.whole_files import WriteError
+from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.scenario.scenario import Fault, Goal, Plane, Scenario
+from sextant.shared.wire import topics
 
 ROOT = Path(__file__).parents[4]
 S = 1_000_000_000
@@ -168,7 +168,7 @@ class Told(Silent):
 
 
 def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sextant.services.console.recording.writer.RESERVE_BYTES", 1 << 60)
+    monkeypatch.setattr("sextant.shared.recording.writer.RESERVE_BYTES", 1 << 60)
     told = Told()
 
     def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:

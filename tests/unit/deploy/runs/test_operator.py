@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from sextant.deploy.runs.operator import Operator
-from sextant.shared import codec, topics
 from sextant.shared.geometry import from_xyz_rpy, rotation_z, yaw_of
-from sextant.shared.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
-from sextant.shared.messages import Goal as GoalMessage
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, Plane, Scenario
-from sextant.shared.service import Inbox
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from sextant.shared.wire.messages import Goal as GoalMessage
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

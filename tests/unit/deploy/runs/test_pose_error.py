@@ -19,13 +19,13 @@ from sextant.deploy.runs.pose_error import (
     fitted,
     moved_by,
 )
-from sextant.shared import topics
 from sextant.shared.geometry import apply, exp_so3, from_xyz_rpy, inverse, log_so3
-from sextant.shared.messages import BodyPose, Message, Scan
-from sextant.shared.profiles import load_profile
-from sextant.shared.scenario import Goal, Plane, Scenario
-from sextant.shared.service import AnyTopic, Inbox, Stages
-from sextant.shared.transport import Endpoints
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
+from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import BodyPose, Message, Scan
+from sextant.shared.wire.transport import Endpoints
 from tests.support.recordings import recording
 
 MODEL = PoseErrorModel((0.01, 0.02, 0.005), (0.004, 0.006, 0.008), Correlation(0.7, 2.0, 0.1), Correlation(0.4, 1.0, 0.05))

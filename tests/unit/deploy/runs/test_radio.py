@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.deploy.runs.radio import Radio
-from sextant.shared import topics
-from sextant.shared.scenario import Link
+from sextant.shared.scenario.scenario import Link
+from sextant.shared.wire import topics
 
 MS = 1_000_000
 

@@ -10,7 +10,7 @@ from sextant.deploy.judging import report as reports
 from sextant.deploy.judging.report import CourseMap, HeightError, PoseError, Report, Spread
 from sextant.deploy.provenance import Made
 from sextant.deploy.trials import batch
-from sextant.shared.scenario import Goal, HeightMap, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 

@@ -8,7 +8,7 @@ import pytest
 
 from sextant.deploy.judging.report import HeightError, Report, Slip, Spread, Torque, as_table
 from sextant.deploy.trials import batch, campaign, campaign_table, kept
-from sextant.shared.scenario import load_scenario
+from sextant.shared.scenario.scenario import load_scenario
 
 
 def _report(scenario, seed):

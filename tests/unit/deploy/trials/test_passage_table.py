@@ -9,7 +9,7 @@ from sextant.deploy.judging.report import ARRIVED, FootholdEdge, Passage, Report
 from sextant.deploy.trials import batch, campaign_table, kept, passage_table
 from sextant.deploy.trials.kept import Run
 from sextant.deploy.trials.passage_table import THESIS
-from sextant.shared.scenario import load_scenario
+from sextant.shared.scenario.scenario import load_scenario
 
 
 def section(seed, number, state="partial"):

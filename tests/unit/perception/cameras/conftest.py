@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.shared.camera import Intrinsics
-from sextant.shared.profiles import load_profile
-from sextant.shared.robot import RobotProfile
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 
 SMALL = Intrinsics(64, 48, 58.5, 58.5, 31.5, 23.5)
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.services.perception.cameras.camera import CameraError, DeviceClock, check_depth_scale, check_intrinsics
-from sextant.shared.camera import Intrinsics
+from sextant.shared.robot.camera import Intrinsics
 
 LENS = Intrinsics(640, 480, 585.0, 585.0, 319.5, 239.5)
 

@@ -8,9 +8,9 @@ import pytest
 from sextant.services.perception.cameras.camera import CameraError, Frame
 from sextant.services.perception.cameras.config import Settings
 from sextant.services.perception.cameras.service import CameraService, find, open_camera
-from sextant.shared import topics
-from sextant.shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
-from sextant.shared.service import Inbox
+from sextant.shared.runtime.service import Inbox
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Message, Tick
 
 
 class Device:

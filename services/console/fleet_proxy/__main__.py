@@ -1,0 +1,67 @@
+"""The lobby's process: `python -m sextant.services.console.fleet_proxy --set robots.alpha=8101 --set robots.beta=8102`."""
+
+import argparse
+import asyncio
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+
+from sextant.services.console.fleet_proxy.config import Settings
+from sextant.services.console.fleet_proxy.proxy import HEAD_BYTES, Front
+from sextant.shared.runtime.process import load_settings
+from sextant.shared.runtime.shutdown import end_with
+from sextant.shared.runtime.watchdog import Watchdog
+
+_BEAT_S = 0.25  # between two signs of life
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to stop; 0 then, 1 where the address cannot be listened on, 2 for what the caller got wrong."""
+    parser = argparse.ArgumentParser(
+        prog="python -m sextant.services.console.fleet_proxy", description="One address for several consoles."
+    )
+    parser.add_argument("--config", help="TOML file with settings")
+    words = "one setting of: host, port, token, robots"
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=words)
+    parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
+    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    arguments = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="lobby: %(message)s")
+    if arguments.parent:
+        end_with(arguments.parent)
+    os.nice(arguments.nice)
+    try:
+        settings = load_settings(Settings, arguments.config, arguments.set)
+    except ValueError as error:
+        logging.error("%s", error)
+        return 2
+    try:
+        asyncio.run(_serve(settings))
+    except OSError as error:
+        words = f"the pages cannot be served on {settings.host} port {settings.port}: {error.strerror or error}"
+        logging.error("%s; is another console running? --set port=8081 takes another", words)
+        return 1
+    return 0
+
+
+async def _serve(settings: Settings) -> None:
+    over = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, over.set)
+    front = Front(settings)
+    server = await asyncio.start_server(front.meet, settings.host, settings.port, limit=HEAD_BYTES)
+    with Watchdog(os.environ) as watchdog:
+        while not over.is_set():
+            watchdog.beat(time.monotonic_ns())
+            try:
+                await asyncio.wait_for(over.wait(), _BEAT_S)
+            except TimeoutError:
+                continue
+    server.close()  # those who are connected are hung up on with this process
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""One connection of a browser: a file of the page and done, or a socket for as long as the page is open.
+
+HTTP and WebSocket are spoken by `websockets` without its own server, which would take twice as long for each message.
+"""
+
+import asyncio
+import logging
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import Protocol, cast
+
+from websockets.datastructures import Headers
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request as HttpRequest
+from websockets.http11 import Response
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+
+from sextant.services.console.web.origin_policy import PROTOCOL, Door, Porter
+from sextant.services.console.web.page_files import HEADERS, headers_of
+from sextant.services.console.web.pages import Page
+from sextant.services.console.web.requests import MAX_BYTES
+
+log = logging.getLogger(__name__)
+
+SOCKET = "/socket"
+GLANCE = "glance"  # behind it, of a page that only wants to know how the robot fares
+_PATIENCE_S = 5.0  # for a request
+_SENDING_S = 30.0  # for a file to be taken
+_PING_S = 5.0  # between two; one that is not answered until the next ends the connection
+_CLOSING_S = 1.0  # for the other end to hang up, too
+_wire_log = logging.getLogger("websockets.server")
+
+
+class Host(Protocol):
+    """Who has the pages."""
+
+    door: Door
+    porter: Porter
+    files: dict[str, bytes]
+
+    def opened(self, connection: "Connection") -> None:
+        """Somebody has connected."""
+        ...
+
+    def closed(self, connection: "Connection") -> None:
+        """And has gone."""
+        ...
+
+    def pages_open(self) -> int:
+        """How many."""
+        ...
+
+    def arrived(self, connection: "Connection", glances: bool) -> Page:
+        """A page has connected, to see all there is or only how the robot fares."""
+        ...
+
+    def left(self, page: Page) -> None:
+        """It has gone."""
+        ...
+
+    def hear(self, page: Page, text: str) -> None:
+        """It has said something."""
+        ...
+
+
+class Connection(asyncio.Protocol):
+    """Speaks with one browser."""
+
+    def __init__(self, host: Host):
+        """Nothing has come yet."""
+        _wire_log.setLevel(logging.WARNING)
+        self._host = host
+        self._wire = ServerProtocol(subprotocols=[PROTOCOL], max_size=MAX_BYTES, logger=_wire_log)  # type: ignore[list-item]
+        self._loop = asyncio.get_running_loop()
+        self._page: Page | None = None
+        self._full = False  # the other end takes no more for now
+        self._answered = True  # the newest ping
+
+    # --------------------------------------------------------------------------------------------------- what the loop calls
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Wait for a request, but not for ever."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._timer = self._loop.call_later(_PATIENCE_S, self._transport.abort)
+        self._host.opened(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Take in what has come."""
+        self._wire.receive_data(data)
+        for event in self._wire.events_received():
+            if isinstance(event, HttpRequest):
+                self._begin(event)
+            elif isinstance(event, Frame):
+                self._take(event)
+        self._flush()
+
+    def eof_received(self) -> None:
+        """The other end says no more."""
+        self._wire.receive_eof()
+        self._flush()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is over."""
+        self._timer.cancel()
+        self._host.closed(self)
+        if self._page is not None:
+            self._host.left(self._page)
+            self._page = None
+
+    def pause_writing(self) -> None:
+        """Enough waits to be sent."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        """There is room again."""
+        self._full = False
+        self.send()
+
+    # -------------------------------------------------------------------------------------------------- what its page does
+
+    def send(self) -> None:
+        """Send what is there to be sent now."""
+        if self._page is None or self._full or self._wire.state is not State.OPEN:
+            return
+        for message in self._page.take():
+            if isinstance(message, str):
+                self._wire.send_text(message.encode())
+            else:
+                self._wire.send_binary(message)
+        self._flush()
+
+    def close(self, code: int) -> None:
+        """Say good-bye."""
+        if self._wire.state is State.OPEN:
+            self._wire.send_close(code)
+            self._flush()
+
+    def abort(self) -> None:
+        """Hang up."""
+        self._transport.abort()
+
+    # ------------------------------------------------------------------------------------------------------------- in here
+
+    def _begin(self, request: HttpRequest) -> None:
+        if self._wire.parser_exc is not None:  # what came behind it in the same breath is no WebSocket: there is no answering
+            self.abort()
+            return
+        response = self._answer(request)
+        self._wire.send_response(response)
+        self._timer.cancel()
+        if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
+            self._page = self._host.arrived(self, request.path.partition("?")[2] == GLANCE)
+            self._timer = self._loop.call_later(_PING_S, self._ping)
+        else:
+            self._timer = self._loop.call_later(_SENDING_S, self._transport.abort)
+
+    def _answer(self, request: HttpRequest) -> Response:
+        path, hosts = request.path.partition("?")[0], request.headers.get_all("Host")
+        if len(hosts) != 1:
+            return _plain(HTTPStatus.BAD_REQUEST, f"one Host expected, found {len(hosts)}")
+        return self._open(request) if path == SOCKET else self._file(path, hosts[0])
+
+    def _open(self, request: HttpRequest) -> Response:
+        headers = {name.lower(): value for name, value in request.headers.raw_items()}
+        offered = [word.strip() for words in request.headers.get_all("Sec-WebSocket-Protocol") for word in words.split(",")]
+        refusal = self._host.door.refusal(headers, offered, self._host.pages_open())
+        if refusal:
+            if words := self._host.porter.words(refusal, self._loop.time()):
+                log.warning("%s", words)
+            return self._wire.reject(HTTPStatus.FORBIDDEN, refusal)
+        return self._wire.accept(request)
+
+    def _file(self, path: str, host: str) -> Response:
+        if not self._host.door.is_own(host):
+            return _plain(HTTPStatus.FORBIDDEN, "this address is not the console's own")
+        name = path.removeprefix("/") or "index.html"
+        content = self._host.files.get(name)
+        if content is None:
+            return _plain(HTTPStatus.NOT_FOUND, "no such file")
+        return _response(HTTPStatus.OK, headers_of(name), content)
+
+    def _take(self, frame: Frame) -> None:
+        match frame.opcode:
+            case Opcode.TEXT if frame.fin and self._page is not None:
+                try:
+                    text = bytes(frame.data).decode()
+                except UnicodeDecodeError:
+                    self._wire.fail(1007, "a text in UTF-8 expected")
+                    return
+                self._host.hear(self._page, text)
+            case Opcode.TEXT | Opcode.BINARY | Opcode.CONT:
+                self._wire.fail(1003, "a text in one piece expected")
+            case Opcode.PONG:
+                self._answered = True
+
+    def _ping(self) -> None:
+        if not self._answered:
+            self._transport.abort()
+            return
+        self._answered = False
+        if self._wire.state is State.OPEN:
+            self._wire.send_ping(b"")
+            self._flush()
+        self._timer = self._loop.call_later(_PING_S, self._ping)
+
+    def _flush(self) -> None:
+        for data in self._wire.data_to_send():
+            if data:
+                self._transport.write(data)
+            elif self._transport.can_write_eof():
+                self._transport.write_eof()
+        if self._page is not None and self._wire.close_expected():
+            self._timer.cancel()
+            self._timer = self._loop.call_later(_CLOSING_S, self._transport.abort)
+
+
+def _plain(status: HTTPStatus, words: str) -> Response:
+    return _response(status, {**HEADERS, "Content-Type": "text/plain; charset=utf-8"}, words.encode())
+
+
+def _response(status: HTTPStatus, headers: dict[str, str], body: bytes) -> Response:
+    fields: Iterator[tuple[str, str]] = iter({**headers, "Connection": "close", "Content-Length": str(len(body))}.items())
+    return Response(status.value, status.phrase, Headers(fields), body)

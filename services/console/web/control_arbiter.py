@@ -1,0 +1,367 @@
+"""What the operators at their pages have asked for, and the messages that follow from it. Pure: time comes in.
+
+Several pages may look on, one at a time leads. Each sits at a seat, and orders as the holder `console N at PLACE`, so that the
+lease says who leads. Nothing moves but while a press of the pad is being repeated, or to a goal whose page is still there:
+a press that was let go, or was silent for longer than the dead-man allows, has lapsed for good, whatever comes in later.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sextant.services.console.web.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, Request, TakeOver
+from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
+
+SEATS = 8  # pages that may lead; others look on, and may stop
+DEAD_MAN_NS = 300_000_000  # [ns] without a word from a page that holds the pad, after which it has let go
+_AWAY_NS = 5_000_000_000  # [ns] without any word, after which a page leads no more: it is hidden, frozen or cut off
+_REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
+_URGENT_NS = 100_000_000  # [ns] likewise, of one that turns torque off, until it has come about
+_HEARD_NS = 2_000_000_000  # [ns] in which an order is heard, or is too old to be obeyed
+_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least; a page that holds the pad says so every 66 ms
+_ZERO_NS = 300_000_000  # [ns] for which a pad that was let go says so
+_GOAL_NS = 200_000_000  # [ns] between two messages of a goal
+_TOLERANCE = 0.05  # [m] from a goal
+_LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can be led
+
+
+@dataclass(slots=True)
+class _Page:
+    """One browser."""
+
+    seat: int  # 0: it looks on
+    name: str
+    holder: str  # as which it orders, unlike any other page's that leads, of whatever console
+    heard_ns: int
+    lapsed: int = -1  # newest press of its pad that is over
+    told: int = -1  # newest of those that this has been said of
+    order: ModeCommand | None = None  # its newest
+    said_ns: int = 0  # when that was last said
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """Who sits where, for everybody to see."""
+
+    seat: int
+    name: str
+    holder: str  # as the lease names it
+    leads: bool
+
+
+@dataclass(slots=True)
+class _Press:
+    page: int
+    drive: Drive
+    heard_ns: int
+
+
+@dataclass(slots=True)
+class _Errand:
+    page: int
+    goal: GoTo
+    said_ns: int = -_GOAL_NS
+    begun_ns: int = 0
+
+
+class Desk:
+    """Takes requests of pages, and says what goes out; one call of `beat` every few hundredths of a second."""
+
+    def __init__(self, max_speed: float, place: str):
+        """Nobody is there yet.
+
+        Args:
+            max_speed: [m/s] of the robot.
+            place: Where this is, unlike that of any other console of the robot.
+        """
+        self._max_speed, self._place = max_speed, place
+        self._pages: dict[int, _Page] = {}
+        self._state: ActuatorState | None = None
+        self._press: _Press | None = None
+        self._errand: _Errand | None = None
+        self._zero: VelocityCommand | None = None  # what is said after a press
+        self._zero_until_ns = 0
+        self._velocity_ns = 0  # when one was last sent
+        self._sequence = 0
+        self._off_ns = -1  # when torque was off last
+        self._new: list[Message] = []  # to go out at the next beat
+        self._words: list[str] = []  # for the log
+
+    # ------------------------------------------------------------------------------------------------- pages come and go
+
+    def arrive(self, page: int, now_ns: int, leads: bool = True) -> int:
+        """Give a page a seat; 0 where all are taken, or where it is not here to lead."""
+        taken = {other.seat for other in self._pages.values()}
+        seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
+        name, holder = (f"page {seat}", f"console {seat}") if seat else ("looking on", "console")
+        self._pages[page] = _Page(seat, name, f"{holder} at {self._place}", now_ns)
+        return seat
+
+    def leave(self, page: int, now_ns: int) -> None:
+        """A page has gone: what it led ends."""
+        found = self._pages.get(page)
+        if found is None:
+            return
+        self._end_leading(page, found, now_ns, f"{found.name} has gone")
+        del self._pages[page]
+
+    @property
+    def seats(self) -> tuple[Seat, ...]:
+        """Who is there, in the order of the seats."""
+        lease = "" if self._state is None else self._state.lease
+        pages = sorted(self._pages.values(), key=lambda page: page.seat)
+        return tuple(Seat(p.seat, p.name, p.holder, bool(p.seat) and p.holder == lease) for p in pages)
+
+    @property
+    def at_the_pad(self) -> int:
+        """Seat of the page that holds the pad, 0 for none."""
+        return 0 if self._press is None else self._pages[self._press.page].seat
+
+    @property
+    def goal(self) -> GoTo | None:
+        """Where the robot is being sent."""
+        return None if self._errand is None else self._errand.goal
+
+    def drain_words(self) -> list[str]:
+        """What has come about at the desk since this was last asked, for the log."""
+        words, self._words = self._words, []
+        return words
+
+    # ----------------------------------------------------------------------------------------------------------- requests
+
+    def ask(self, page: int, request: Request, now_ns: int) -> str:
+        """Take in a request; why it is refused, in words, or nothing."""
+        sender = self._pages.get(page)
+        if sender is None:
+            return "this page has been taken for gone; it connects anew"
+        sender.heard_ns = now_ns
+        match request:
+            case Drive():
+                return self._drive(page, sender, request, now_ns)
+            case Release():
+                self._release_pad(page, now_ns, "")
+            case Command():
+                return self._command(sender, request, now_ns)
+            case TakeOver():
+                return self._take_over(sender, now_ns)
+            case GoTo():
+                return self._go(page, sender, request, now_ns)
+            case GiveUp():
+                self._end_errand(now_ns, f"{sender.name} gives the goal up")
+            case Name():
+                sender.name = request.name
+            case Here():
+                pass
+            case _:
+                return "not a matter of the desk"
+        return ""
+
+    def _drive(self, page: int, sender: _Page, drive: Drive, now_ns: int) -> str:
+        press = self._press
+        if press is not None and press.page == page and now_ns - press.heard_ns > DEAD_MAN_NS:
+            self._release_pad(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
+            press = None
+        if drive.press <= sender.lapsed:  # it comes too late
+            told, sender.told = sender.told, max(sender.told, drive.press)
+            return "the robot was stopped; let go of the pad and press it anew" if drive.press > told else ""
+        if press is not None and press.page == page and press.drive.press == drive.press:
+            press.drive, press.heard_ns = drive, now_ns
+            return ""
+        refused = self._cannot_lead(sender)
+        if press is not None and press.page != page:
+            refused = refused or f"{self._pages[press.page].name} holds the pad"
+        if refused:
+            sender.lapsed = sender.told = drive.press  # it has to be pressed anew
+            return refused
+        self._end_errand(now_ns, f"{sender.name} takes the pad")
+        self._press = _Press(page, drive, now_ns)
+        self._order(sender, "walk", now_ns)
+        return ""
+
+    def _command(self, sender: _Page, command: Command, now_ns: int) -> str:
+        refused = "" if command.order in ("off", "stop") else self._led_by_another(sender)
+        if not refused:
+            self._order_anew(sender, command.order, now_ns)
+        return refused
+
+    def _take_over(self, sender: _Page, now_ns: int) -> str:
+        if not sender.seat:
+            return f"{SEATS} pages are open; close one"
+        self._order_anew(sender, "stop", now_ns, take=True)
+        return ""
+
+    def _go(self, page: int, sender: _Page, goal: GoTo, now_ns: int) -> str:
+        refused = self._cannot_lead(sender)
+        if self._press is not None:
+            refused = refused or f"{self._pages[self._press.page].name} holds the pad"
+        if refused:
+            return refused
+        self._errand = _Errand(page, goal, begun_ns=now_ns)
+        self._order(sender, "walk", now_ns)
+        return ""
+
+    def _led_by_another(self, sender: _Page) -> str:
+        if not sender.seat:
+            return f"this page looks on, and may stop; no more than {SEATS} lead"
+        if self._state is None:
+            return "no word from the actuator yet; is it up?"
+        lease = self._state.lease
+        return f"{self._named(lease)} leads the robot; take over first" if lease not in ("", sender.holder) else ""
+
+    def _cannot_lead(self, sender: _Page) -> str:
+        refused = self._led_by_another(sender)
+        if refused or self._state is None or self._state.mode in _LED:
+            return refused
+        return f"the robot cannot walk, its mode is {self._state.mode}: {self._state.reason}"
+
+    def _named(self, holder: str) -> str:
+        return next((page.name for page in self._pages.values() if page.seat and page.holder == holder), holder)
+
+    # ------------------------------------------------------------------------------------------------------- what goes out
+
+    def beat(self, now_ns: int, state: ActuatorState | None, status: PlannerStatus | None) -> list[Message]:
+        """What goes out now.
+
+        Args:
+            now_ns: [ns]
+            state: Newest word of the actuator; None where it has not said one for a while.
+            status: Newest word of the planner, likewise.
+        """
+        self._state = state
+        for page, sitting in self._pages.items():
+            if now_ns - sitting.heard_ns > _AWAY_NS:
+                self._end_leading(page, sitting, now_ns, f"nothing was heard of {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
+                sitting.order = None  # the lease ends
+        self._watch_press(now_ns)
+        self._watch_errand(now_ns, status)
+        self._repeat_orders(now_ns)
+        out, self._new = self._new, []
+        return [*out, *self._velocity(now_ns), *self._goal(now_ns)]
+
+    def _watch_press(self, now_ns: int) -> None:
+        press = self._press
+        if press is None:
+            return
+        sitting = self._pages[press.page]
+        if now_ns - press.heard_ns > DEAD_MAN_NS:
+            self._release_pad(press.page, now_ns, f"nothing was heard of {sitting.name} while the pad was held")
+        elif self._state is not None and self._state.lease not in ("", sitting.holder):
+            self._words.append(f"{self._named(self._state.lease)} has taken over")
+            self._lapse()
+
+    def _watch_errand(self, now_ns: int, status: PlannerStatus | None) -> None:
+        errand, state = self._errand, self._state
+        if errand is None or state is None:
+            return
+        if state.lease not in ("", self._pages[errand.page].holder):
+            self._words.append(f"{self._named(state.lease)} has taken over, the goal is given up")
+            self._errand = None
+        elif state.mode in (Mode.OFF, Mode.READY, Mode.SIT):
+            self._words.append(f"the goal is given up: {state.mode}: {state.reason}")
+            self._errand = None
+        elif status is not None and status.state == "arrived" and status.stamp_ns > errand.begun_ns:
+            self._words.append(f"arrived: {status.reason}")
+            self._end_errand(now_ns, "")
+
+    def _repeat_orders(self, now_ns: int) -> None:
+        for sitting in self._pages.values():
+            if sitting.order is not None and self._is_over(sitting.order, now_ns):
+                sitting.order = None
+            order = sitting.order
+            if order is None:
+                continue
+            pending = order.mode == "off" and (self._state is None or self._state.mode is not Mode.OFF)
+            if now_ns - sitting.said_ns >= (_URGENT_NS if pending else _REPEAT_NS):
+                self._say(sitting, order, now_ns)
+
+    def _is_over(self, order: ModeCommand, now_ns: int) -> bool:
+        """Whether nobody is to hear of an order any more: torque is, or was, off for it, or it has stopped somebody else."""
+        state, heard = self._state, now_ns - order.sequence > _HEARD_NS
+        if state is None or state.stamp_ns < order.sequence:
+            return False
+        if state.mode is Mode.OFF:
+            self._off_ns = state.stamp_ns
+            return heard
+        if order.mode == "off" and self._off_ns >= order.sequence:  # somebody has taken it back
+            return True
+        return order.mode == "stop" and heard and state.lease != order.holder
+
+    def _velocity(self, now_ns: int) -> list[Message]:
+        if now_ns - self._velocity_ns < _VELOCITY_NS:
+            return []
+        press, state = self._press, self._state
+        if press is not None and state is not None and state.lease == self._pages[press.page].holder:
+            self._velocity_ns = now_ns
+            drive, walk = press.drive, press.drive.walk
+            speed = math.hypot(drive.forward, drive.left)
+            share = min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
+            velocity = np.array([share * drive.forward, share * drive.left])
+            return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.by_touch)]
+        if press is None and self._zero is not None and now_ns < self._zero_until_ns:
+            self._velocity_ns = now_ns
+            return [replace(self._zero, stamp_ns=now_ns)]
+        return []
+
+    def _goal(self, now_ns: int) -> list[Message]:
+        errand, state = self._errand, self._state
+        if errand is None or state is None or state.lease != self._pages[errand.page].holder:
+            return []
+        if now_ns - errand.said_ns < _GOAL_NS:
+            return []
+        errand.said_ns = now_ns
+        goal, walk = errand.goal, errand.goal.walk
+        speed = min(goal.speed, self._max_speed)
+        waypoints = np.array(goal.waypoints)
+        return [Goal(now_ns, waypoints, _TOLERANCE, speed, walk.height, walk.lift, walk.gait, goal.passage)]
+
+    # ------------------------------------------------------------------------------------------------------------- endings
+
+    def _end_leading(self, page: int, sitting: _Page, now_ns: int, why: str) -> None:
+        self._release_pad(page, now_ns, why)
+        if self._errand is not None and self._errand.page == page:
+            self._end_errand(now_ns, f"{why}, and its goal with it")
+
+    def _release_pad(self, page: int, now_ns: int, why: str) -> None:
+        """The pad is let go, or taken for it: the robot stops."""
+        if self._press is None or self._press.page != page:
+            return
+        if why:
+            self._words.append(f"the robot is stopped: {why}")
+        walk = self._press.drive.walk
+        self._lapse()
+        self._zero = VelocityCommand(now_ns, np.zeros(2), 0.0, walk.height, walk.lift, walk.gait, False)
+        self._zero_until_ns, self._velocity_ns = now_ns + _ZERO_NS, 0
+        self._order(self._pages[page], "stop", now_ns)
+
+    def _lapse(self) -> None:
+        """The press that is on moves nothing any more."""
+        assert self._press is not None
+        self._pages[self._press.page].lapsed = self._press.drive.press
+        self._press = None
+
+    def _end_errand(self, now_ns: int, why: str) -> None:
+        if self._errand is None:
+            return
+        if why:
+            self._words.append(why)
+        page, self._errand = self._errand.page, None
+        self._order(self._pages[page], "stop", now_ns)
+
+    def _order_anew(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
+        """An order that ends whatever press or goal there is."""
+        if self._press is not None:
+            self._lapse()
+        self._errand = None
+        self._order(sitting, mode, now_ns, take)
+
+    def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
+        ahead = self._sequence - now_ns > _HEARD_NS  # the robot's clock has begun anew
+        self._sequence = now_ns if ahead else max(self._sequence + 1, now_ns)
+        order = ModeCommand(now_ns, mode, self._sequence, sitting.holder, take)  # type: ignore[arg-type]
+        sitting.order = order
+        self._say(sitting, order, now_ns)
+
+    def _say(self, sitting: _Page, order: ModeCommand, now_ns: int) -> None:
+        sitting.said_ns = now_ns
+        self._new.append(replace(order, stamp_ns=now_ns))

@@ -1,0 +1,82 @@
+"""What operators want of the recorder, repeated until it follows, and what it says of it. Pure: time comes in."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from sextant.shared.recording.event_log import Diary
+from sextant.shared.wire.messages import RecordCommand, RecorderState
+
+_REPEAT_NS = 1_000_000_000  # [ns] between two repetitions of an order that is not followed yet
+
+
+class Clerk:
+    """Passes orders on to the recorder. One that dies and comes back is told again, so that the recording goes on."""
+
+    def __init__(self, diary: Diary):
+        """Begin with nothing wanted; what comes about goes into a diary."""
+        self._diary = diary
+        self._order: RecordCommand | None = None  # the newest, which holds until the recorder says that it cannot
+        self._due_ns = 0
+        self._state: RecorderState | None = None  # None: it has not spoken for a while, or never
+        self._was_heard = False
+        self._told = ""
+
+    def want(self, record: bool, now_ns: int) -> str:
+        """An operator wants a recording to begin, or to end; why not, in words, or nothing."""
+        if self._state is None:
+            return "no recorder is running; `sextant up` starts one"
+        sequence = now_ns if self._order is None else max(now_ns, self._order.sequence + 1)
+        self._order = RecordCommand(now_ns, record, sequence)  # above those of a console that ran before
+        self._due_ns = now_ns
+        return ""
+
+    def beat(self, now_ns: int, state: RecorderState | None) -> Iterator[RecordCommand]:
+        """See what the recorder says, None where it has been silent; the order, where it is to be said now."""
+        self._see(now_ns, state)
+        order = self._order
+        if order is None or state is None or state.sequence == order.sequence or now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + _REPEAT_NS
+        yield order
+
+    def view(self) -> dict[str, Any] | None:
+        """What a page is told of it; None where there is no recorder."""
+        state = self._state
+        if state is None:
+            return None
+        return {
+            "recording": state.recording,
+            "file": state.file,
+            "seconds": round(state.seconds),
+            "megabytes": round(state.size / 1e6, 1),
+            "free_gigabytes": None if state.free < 0 else round(state.free / 1e9, 1),
+            "dropped": state.dropped,
+            "reason": state.reason,
+        }
+
+    def _see(self, now_ns: int, state: RecorderState | None) -> None:
+        before, self._state = self._state, state
+        if state is None:
+            if self._was_heard and before is not None:
+                wanted = self._order is not None and self._order.record
+                lost = ": what is said now is not recorded" if wanted or before.recording else ""
+                self._note(now_ns, f"no word from the recorder{lost}", bool(lost))
+            return
+        self._was_heard = True
+        if before is not None and before.recording and state.sequence < 0:
+            self._note(now_ns, "the recorder died and is back: what was said meanwhile is not recorded", True)
+        if state.reason:
+            if self._order is not None and state.sequence == self._order.sequence:
+                self._order = None  # it cannot: whoever mends that asks again
+            self._note(now_ns, state.reason, True)
+        elif state.recording:
+            self._note(now_ns, f"recording to {state.file}")
+        elif state.file:
+            self._note(now_ns, f"recorded {state.file}")
+        if before is not None and state.recording and state.dropped > before.dropped:
+            self._diary.note(now_ns, "recorder", f"{state.dropped} messages were not recorded: the disk is too slow", bad=True)
+
+    def _note(self, now_ns: int, words: str, bad: bool = False) -> None:
+        if words != self._told:
+            self._told = words
+            self._diary.note(now_ns, "recorder", words, bad)

@@ -1,0 +1,1 @@
+"""Fuse scans into the elevation map."""

@@ -1,0 +1,313 @@
+"""The height map around the robot: a circular buffer in the world frame, one Kalman filter per cell.
+
+The window follows the robot, its memory never shifts: a cell's place is its world index modulo the size (Lotriet 2024,
+eq. 4.11). Each cell holds the height it believes in and one rival. A measurement that fails the gate never drags the
+height; it votes for the rival, and a rival that persists takes the cell over, upward and downward alike. So an object
+that moved away is cleared in time, and symmetric noise leaves no bias, however badly its size was guessed.
+
+Where the ground behind such an object is not measured, lines of sight clear it: a cell through which the camera looks at
+something behind, well below its height and scan after scan, becomes unseen again. And where the pose's height drifts from
+that of ground that is well known, the drift is taken out of what is fused, so that what was seen early and what is seen late
+fit together; what the map tells fits the newest pose, by which its reader's feet go.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, Cells
+from sextant.services.mapper.elevation.fusion import FusionModel, merge, update_cells
+from sextant.services.mapper.elevation.height_drift import HeightDrift, height_sigma
+from sextant.services.mapper.elevation.ray_clearing import FOLLOWED, SETTLED, WELL_BELOW, SightLines
+from sextant.services.mapper.elevation.validated_scan import FAR, CheckedScan
+from sextant.services.mapper.elevation.vertical_surfaces import heed_faces
+from sextant.shared.runtime.compiled import compiled
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class FusionCount:
+    """What became of the points of one scan."""
+
+    updated: int  # cells whose height took a measurement in
+    disputed: int  # cells whose measurement failed the gate and went to the rival, or says nothing against a wall
+    replaced: int  # cells taken over by their rival
+    outside: int  # points beyond the window
+    cleared: int = 0  # cells that lines of sight have made unseen again
+
+
+@dataclass(frozen=True, slots=True)
+class ElevationSnapshot:
+    """The map in world order, detached from the grid. Cell (i, j) is centred at origin + resolution * (i, j)."""
+
+    resolution: float  # [m] cell edge
+    origin: NDArray[np.float64]  # (2,) [m] {world} centre of cell (0, 0)
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where never seen
+    variance: NDArray[np.float32]  # (nx, ny) [m^2] of elevation, NaN where never seen
+    assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane and nothing was measured yet
+    height_drift: float = 0.0  # [m] by which the elevation lies higher than the ground was first seen
+
+
+class ElevationGrid:
+    """Height, variance and rival of nx x ny cells around the robot, aligned with the world axes.
+
+    The window spans the cells [c - n // 2, c + n - n // 2) around the robot's cell c, along x and along y. It starts
+    around the world's origin with every cell unseen.
+
+    Source: Lotriet 2024, section 4.3.
+    """
+
+    def __init__(self, size: int | tuple[int, int] = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
+        """Begin with every cell unseen.
+
+        Args:
+            size: [cells] along x and along y, one number for a square.
+            resolution: [m] cell edge.
+            model: Noise of the measurements.
+
+        Raises:
+            ValueError: Fewer than 8 cells along an axis, or a resolution out of its range.
+        """
+        shape = (size, size) if isinstance(size, int) else (int(size[0]), int(size[1]))
+        if min(shape) < 8:
+            raise ValueError(f"at least 8 cells a side expected, found {size}")
+        if not 1e-4 <= resolution <= 1.0:
+            raise ValueError(f"resolution from 0.0001 to 1 m expected, found {resolution}")
+        self.shape = shape
+        self.resolution = resolution
+        self.model = model or FusionModel()
+        self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
+        self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
+        self._cells = Cells.unseen(shape)
+        self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+        self._drift, self._sights = HeightDrift(), SightLines(shape)
+
+    @property
+    def low(self) -> NDArray[np.int64]:
+        """(2,) world index of the window's lowest cell, that is of cell (0, 0) of a snapshot."""
+        return self._low.copy()
+
+    @property
+    def height_drift(self) -> float:
+        """[m] by which the poses of scans are believed to lie higher by now than those that the map was begun with.
+
+        Heights are kept as they were first seen and told with this added, as the newest scans see them.
+        """
+        return self._drift.value
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """(2,) [m] {world} centre of the window's lowest cell."""
+        return np.asarray((self._low + 0.5) * self.resolution)
+
+    def move_to(self, p_world_xy: ArrayLike) -> None:
+        """Centre the window on the cell of p_world_xy (2,) [m] {world}; cells that leave it are forgotten, only those.
+
+        Raises:
+            ValueError: Not two finite coordinates within 1000 km.
+        """
+        centre = np.asarray(p_world_xy, dtype=np.float64)
+        if centre.shape != (2,) or not (np.abs(centre) < FAR).all():
+            raise ValueError(f"two coordinates within {FAR:g} m expected, found {p_world_xy!r}")
+        before, n = self._low.tolist(), self.shape
+        low = [math.floor(centre[axis] / self.resolution) - n[axis] // 2 for axis in range(2)]
+        for axis in range(2):
+            shift = low[axis] - before[axis]
+            leaving = min(abs(shift), n[axis])
+            if leaving:
+                first = before[axis] if shift > 0 else before[axis] + n[axis] - leaving
+                self._cells.forget(axis, first % n[axis], leaving)
+        self._low = np.array(low, dtype=np.int64)
+
+    def fuse(self, scan: CheckedScan) -> FusionCount:
+        """Take one reduced scan into the map; a cell counts at most once per scan.
+
+        1. Each point gets a variance from the sensor model and the pose's covariance through the map's own slope; the
+           part that does not average away is its floor.
+        2. Points of one cell, several where the scan's cells are smaller, are merged; what they differ by beyond their noise
+           is the ground's own, as a point's spread is. Across an edge the upper one stands (Masri 2016, section 4.4).
+        3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
+           its variance never below the floor; one outside votes for the rival (see the module).
+        4. Cells that stand in a line of sight become unseen again after a while.
+        Before 3, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`),
+        and faces are heeded (`faces`): what is seen of a wall from near does not lower it.
+        """
+        cells = self._cells
+        # 1. Where the points lie, and how far their heights may be off.
+        touched, z, random, systematic, ray = self.model.measure(
+            scan, cells.height, self.resolution, int(self._low[0]), int(self._low[1])
+        )
+        inside, silent = len(touched), 0
+        # 2. One measurement for each cell, without what the pose has drifted in height.
+        merged = merge(touched, z, random, systematic, self._slot, self.model.gate, self.model.step_in(self.resolution))
+        touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
+        if inside:
+            self._drift.follow(cells, touched, z, ray, scan.pose_covariance)
+            z -= self._drift.value
+            sigma = height_sigma(ray, scan.pose_covariance)
+            merged = heed_faces(cells, touched, z, random, systematic, self._slot, sigma, self._low)
+            self._sights.raised(float(z.max()))
+            silent = len(touched) - merged
+            touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
+        # 3. Into the filters.
+        updated, disputed, replaced = update_cells(
+            touched, z, random, systematic,
+            cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
+            cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
+            cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
+            self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
+        )  # fmt: skip
+        # 4. What stands in a line of sight.
+        at = (cells, self._low, self.resolution, self._drift.value, scan)
+        cleared = self._sights.look(*at, scan.points, every=FOLLOWED)
+        cleared += self._sights.look(*at, scan.sights, nearest=scan.nearest)
+        self._sights.scanned()
+        return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
+
+    def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
+        """Take in that a foot has found ground at a place, or none above it; the cells changed under its sole.
+
+        Nothing that was seen outweighs it: where it is off by more than both let expect, it counts for as many scans as it
+        takes.
+
+        Args:
+            p_world: (3,) [m] underside of the foot.
+            sigma: [m] standard deviation of its height.
+            radius: [m] of the sole.
+        """
+        p = np.asarray(p_world, dtype=np.float64)
+        if p.shape != (3,) or not np.isfinite(p).all():
+            raise ValueError(f"a finite point (3,) expected, found {p_world!r}")
+        n = math.ceil(radius / self.resolution)
+        i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+        off = self.resolution * np.column_stack([i.ravel(), j.ravel()])
+        sole = p[:2] + off[(off**2).sum(axis=1) <= radius**2]
+        inside = _cell_indices(sole, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
+        known = np.unique(inside[inside >= 0])
+        z, noise, none = np.array([p[2] - self._drift.value]), np.array([sigma**2]), np.zeros(1)
+        cells, changed = self._cells, 0
+        for cell in known.reshape(-1, 1):
+            for _ in range(self.model.patience + 1):
+                updated, _, replaced = update_cells(
+                    cell, z, none, noise,
+                    cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
+                    cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
+                    cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
+                    self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
+                )  # fmt: skip
+                if updated or replaced:
+                    changed += 1
+                    break
+        return changed
+
+    def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
+        """Fill the unseen cells of a region with a plane, marked as assumed; the first measurement replaces each.
+
+        Args:
+            polygon: (k, 2) [m] {world} corners in order, k >= 3; cells whose centre lies inside (even-odd) are filled.
+            plane: (3,) height is plane[0] + plane[1] * x + plane[2] * y, [m], [m/m], [m/m].
+            sigma: [m] standard deviation given to the assumed heights.
+
+        Returns:
+            The number of cells filled.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is not finite or out of its range.
+
+        Source: Masri 2016, section 4.7 (the ground under the robot is modelled as a plane until it is measured).
+        """
+        corners = np.asarray(polygon, dtype=np.float64)
+        coefficients = np.asarray(plane, dtype=np.float64)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not (np.abs(corners) < FAR).all():
+            raise ValueError(f"polygon of at least 3 finite corners (k, 2) expected, found {polygon!r}")
+        if coefficients.shape != (3,) or not np.isfinite(coefficients).all():
+            raise ValueError(f"plane of 3 finite coefficients expected, found {plane!r}")
+        if not 0 < sigma < math.inf:
+            raise ValueError(f"positive sigma expected, found {sigma}")
+        low = np.maximum(np.floor(corners.min(axis=0) / self.resolution).astype(np.int64), self._low)
+        high = np.minimum(np.floor(corners.max(axis=0) / self.resolution).astype(np.int64), self._low + self._size - 1)
+        if (low > high).any():
+            return 0
+        i, j = (np.arange(low[axis], high[axis] + 1) for axis in range(2))
+        x, y = ((i + 0.5) * self.resolution)[:, None], ((j + 0.5) * self.resolution)[None, :]
+        box = np.ix_(i % self.shape[0], j % self.shape[1])
+        fill = _inside_polygon(x, y, corners) & np.isnan(self._cells.height[box])
+        rows, columns = np.nonzero(fill)
+        filled = i[rows] % self.shape[0], j[columns] % self.shape[1]
+        heights = coefficients[0] - self._drift.value + coefficients[1] * x + coefficients[2] * y
+        self._cells.height[filled] = heights[rows, columns]
+        self._cells.variance[filled] = sigma**2
+        self._cells.assumed[filled] = 1
+        self._cells.through[filled] = 0
+        return len(rows)
+
+    def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:
+        """Heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m]; NaN where unseen or outside the window.
+
+        Raises:
+            ValueError: The last axis is not 2.
+        """
+        p = np.asarray(p_world_xy, dtype=np.float64)
+        if p.ndim == 0 or p.shape[-1] != 2:
+            raise ValueError(f"points (..., 2) expected, found shape {p.shape}")
+        near = np.where(np.abs(p) < FAR, p, 2 * FAR).reshape(-1, 2)  # NaN too lies outside
+        # Lotriet 2024, eq. 4.11
+        cell = _cell_indices(near, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
+        height = np.where(cell >= 0, self._cells.height.ravel()[cell] + self._drift.value, np.nan)  # -1 is masked
+        return np.asarray(height.reshape(p.shape[:-1]), dtype=np.float64)
+
+    def snapshot(self) -> ElevationSnapshot:
+        """Copy the map in world order."""
+        elevation = self._unrolled(self._cells.height)
+        if self._drift.value != 0.0:
+            elevation += np.float32(self._drift.value)
+        return ElevationSnapshot(
+            resolution=self.resolution,
+            origin=self.origin,
+            elevation=elevation,
+            variance=self._unrolled(self._cells.variance),
+            assumed=self._unrolled(self._cells.assumed),
+            height_drift=self._drift.value,
+        )
+
+    def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Copy of a layer with the window's lowest cell first."""
+        i, j = (int(low % n) for low, n in zip(self._low, self.shape, strict=True))
+        out = np.empty_like(layer)
+        m, n = self.shape[0] - i, self.shape[1] - j
+        out[:m, :n], out[:m, n:] = layer[i:, j:], layer[i:, :j]
+        out[m:, :n], out[m:, n:] = layer[:i, j:], layer[:i, :j]
+        return out
+
+
+def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Even-odd rule on the grid x (nx, 1), y (1, ny)."""
+    inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), dtype=np.bool_)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if ay == by:
+            continue
+        crosses = (y < ay) != (y < by)
+        inside ^= crosses & (x < ax + (y - ay) * ((bx - ax) / (by - ay)))
+    return inside
+
+
+@compiled
+def _cell_indices(
+    p_world_xy: NDArray[np.float64], resolution: float, low_i: int, low_j: int, rows: int, columns: int
+) -> NDArray[np.int64]:
+    """Flat buffer index (n,) of each point, -1 outside the window of rows x columns that starts at cell (low_i, low_j)."""
+    cell = np.empty(len(p_world_xy), dtype=np.int64)
+    wrap_i, wrap_j = low_i % rows, low_j % columns
+    for k in range(len(p_world_xy)):
+        i = math.floor(p_world_xy[k, 0] / resolution) - low_i
+        j = math.floor(p_world_xy[k, 1] / resolution) - low_j
+        if 0 <= i < rows and 0 <= j < columns:
+            i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
+            cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
+        else:
+            cell[k] = -1
+    return cell

@@ -1,0 +1,1 @@
+"""Score how well each cell of the elevation map carries a foot."""

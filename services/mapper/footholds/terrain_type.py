@@ -1,0 +1,472 @@
+"""What the ground is made of: firm, water or loose, a probability per cell, from colour, shape and touch.
+
+Lotriet 2024, section 9.2, asks for a "terrain type" score for pools of water and loose earth, which no height map shows. The
+model is naive Bayes over what is known of a cell, with a prior that ground is firm:
+
+    P(type | cell)  ~  P(type) * p(colour | type) * p(shape | type) * product over touches of p(sink | type)
+
+- **Colour** c = (ln Y, Co / Y, Cg / Y): light that varies in strength moves the first alone. p(c | type) has a share of
+  Gaussians around colours on which a foot has found that type, and a share for colours not met yet. Those are spread widely
+  around what the robot stands on; for water they are shifted towards the sky that it mirrors. So colours are never good or bad
+  by themselves: what carried is known to carry, what gave way spreads its bad name to cells of like colour (kernel inference,
+  as in Shan et al. 2018, *Bayesian generalized kernel inference for terrain traversability mapping*), and only what has not
+  been met yet is judged by how it differs from the ground that the robot came from.
+- **Shape**: water lies level and smooth, so that slope or roughness speaks against it; that ground is flat says little.
+- **Touch**: how far below the mapped height a foot came to carry, or that it found nothing. It counts for the cells under the
+  foot and, through the colours, for all that look like them.
+
+Touches add up in a cell, and feet that sank in the prior, each being a fact of its own. Colour and shape are the same fact from
+scan to scan: they are filtered (the colour by a running mean) and count once.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.runtime.compiled import compiled
+
+Array = NDArray[np.float64]
+Layer = NDArray[np.float32]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class Type(IntEnum):
+    """Kinds of ground, in the order of every array over them."""
+
+    FIRM = 0
+    WATER = 1
+    LOOSE = 2
+
+
+_TYPES = len(Type)
+_FIRMLY = np.array([1.0, 0.0, 0.0])
+_SETTLED = 16  # colour pictures over which a cell's colour is averaged
+_DARKEST = 4.0  # [1/255] luma below which chroma means nothing
+_SMALLEST = 1e-12
+_LUMA_STEP, _LUMA_BINS = 4, 64  # [1/255] bins in which colours are judged together
+_CHROMA_STEP, _CHROMA_BINS = 0.025, 80  # [1] of Co / Y and Cg / Y, from -1 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class TypeModel:
+    """The numbers of the model. Where none was measured, they are said to be assumed, and why."""
+
+    prior: tuple[float, float, float] = (0.92, 0.04, 0.04)  # assumed: most ground on which a robot is sent is firm
+    # Feet that sank make such ground likelier everywhere. Feet that carried make it no rarer: they were put on chosen ground.
+    prior_touches: float = 15.0  # touches that the prior is worth; assumed
+    # Colours, as one sigma of (ln Y, Co / Y, Cg / Y). One material varies in light, not in hue; another is anything.
+    same_sigma: tuple[float, float, float] = (0.22, 0.05, 0.04)
+    other_sigma: tuple[float, float, float] = (0.60, 0.16, 0.12)  # of firm or loose material about the known ground
+    # A clear sky has Co / Y of -0.4 to -0.5 (R, G, B about 135, 170, 215); water seen from a walking robot, 20 to 60 degrees
+    # from grazing, mirrors up to a third of it and is darker than the ground beside it for the rest.
+    water_shift: tuple[float, float, float] = (-0.20, -0.22, 0.0)  # of water about the known ground
+    water_sigma: tuple[float, float, float] = (0.45, 0.10, 0.06)
+    new_share: float = 0.3  # [1] of a type's ground that has a colour not met yet; assumed
+    # Shape.
+    flat_share: float = 0.5  # [1] of firm and loose ground that is as level and smooth as water; assumed
+    water_slope: float = 0.06  # [m/m] one sigma of what a map shows of level water
+    ground_slope: float = 0.30  # [m/m] of ground that is not flat
+    water_roughness: float = 0.0015  # [m] mean of what it shows beyond noise
+    ground_roughness: float = 0.004  # [m] of ground that is not flat
+    # Touch: how far a foot sinks below the map.
+    firm_sink_sigma: float = 0.006  # [m] errors of map, pose and joints together, as walks on firm ground show them
+    firm_outlier: float = 0.05  # [1] of touches on firm ground that are wrong by anything
+    loose_sink: float = 0.015  # [m] mean: sand or earth under the 1 cm foot of a robot of 2.5 kg; assumed
+    water_sink: float = 0.05  # [m] mean depth of puddles; assumed
+    deepest: float = 0.10  # [m] further down no foot reaches
+    nothing_found: tuple[float, float, float] = (0.02, 0.30, 0.10)  # P(the foot carries nothing where it should | type)
+    sank_ratio: float = 3.0  # [1] of likelihoods from which on a foot tells against firm ground of that colour: 12 mm deep
+    touch_radius: float = 0.015  # [m] within which a touch tells about the ground: the foot and the error of its place
+    # What follows from it.
+    free_below: float = 0.20  # [1] probability of not being firm that costs nothing
+    refused_from: float = 0.50  # [1] from which on it is no foothold
+    clearance: float = 0.03  # [m] that a foot keeps from such ground: its radius and the error of its place
+    first_feet: float = 6.0  # touches that the first ground seen is worth: the robot stands on it, six feet strong
+
+    def __post_init__(self) -> None:
+        if len(self.prior) != _TYPES or min(self.prior) <= 0 or abs(sum(self.prior) - 1.0) > 1e-6:
+            raise ValueError(f"three positive priors that sum to 1 expected, found {self.prior}")
+        if not 0 < self.free_below < self.refused_from < 1:
+            raise ValueError(f"0 < free_below < refused_from < 1 expected, found {self.free_below} and {self.refused_from}")
+        if not (0 < self.new_share < 1 and 0 < self.flat_share < 1):
+            raise ValueError(f"shares between 0 and 1 expected, found {self.new_share} and {self.flat_share}")
+
+
+@dataclass(frozen=True, slots=True)
+class TypeMap:
+    """What is known of the ground's type, cell by cell in world order."""
+
+    probability: Layer  # (nx, ny, 3) of firm, water, loose; they sum to one
+    cost: Layer  # (nx, ny) to be added to a score whose limit is 1: 0 for firm ground, above 1 for no foothold
+    hazard: NDArray[np.uint8]  # (nx, ny) the type for which a foot here is refused, 0 for none
+    confidence: NDArray[np.uint8]  # (nx, ny) [%] of the most probable type, 0 where neither seen in colour nor touched
+
+
+class Palette:
+    """Colours that feet have found to be of a type: at most a few per type, each with the touches behind it."""
+
+    SIZE = 6
+
+    def __init__(self) -> None:
+        self.mean = np.zeros((_TYPES, self.SIZE, 3))
+        self.weight = np.zeros((_TYPES, self.SIZE))
+
+    def add(self, kind: int, color: Array, weight: float, sigma: Array) -> None:
+        """Let a colour (3,) count for a type: it joins the nearest known one within two sigma, or takes the weakest's place."""
+        far = np.linalg.norm((self.mean[kind] - color) / sigma, axis=1)
+        far[self.weight[kind] == 0.0] = np.inf
+        k = int(np.argmin(far))
+        if far[k] > 2.0:
+            k = int(np.argmin(self.weight[kind]))
+            if self.weight[kind, k] > weight:
+                return
+            self.mean[kind, k], self.weight[kind, k] = color, 0.0
+        self.weight[kind, k] += weight
+        self.mean[kind, k] += weight / self.weight[kind, k] * (color - self.mean[kind, k])
+
+    def take_back(self, kind: int, color: Array, weight: float, sigma: Array) -> None:
+        """Let a colour (3,) count less for a type, where it is within two sigma of known ones."""
+        near = (np.linalg.norm((self.mean[kind] - color) / sigma, axis=1) <= 2.0) & (self.weight[kind] > 0.0)
+        if near.any():
+            self.weight[kind, near] = np.maximum(self.weight[kind, near] - weight / near.sum(), 0.0)
+
+
+class TerrainType:
+    """Colours and touches of the cells around the robot, and what they say together."""
+
+    def __init__(self, shape: tuple[int, int], resolution: float, low: NDArray[np.int64], model: TypeModel | None = None):
+        """Know nothing of any cell.
+
+        Args:
+            shape: Cells along x and y.
+            resolution: [m] cell edge.
+            low: (2,) world index of the lowest cell: the cell whose edges begin at low * resolution.
+            model: The numbers.
+        """
+        self.model = model or TypeModel()
+        self.palette = Palette()
+        self._resolution = resolution
+        self._low = low.copy()
+        self._color = np.full((*shape, 3), np.nan, dtype=np.float32)  # mean Y, Co, Cg
+        self._pictures = np.full(shape, 0, dtype=np.uint8)  # behind it
+        self._touch = np.full((*shape, _TYPES), 0.0, dtype=np.float32)  # log likelihood of all touches
+        self._reference: Array | None = None  # colour of the ground that carried, of all touches
+        self._carried = 0.0  # touches behind it
+        self._falsely = self._sinks_on_firm_ground()
+        self._bin_of = np.full(_LUMA_BINS * _CHROMA_BINS**2, -1, dtype=np.int32)
+        self._near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, [2 * round(self.model.clearance / resolution) + 1] * 2)
+
+    def move_to(self, low: NDArray[np.int64]) -> None:
+        """Move the window; what leaves it is forgotten."""
+        shift = low - self._low
+        if not shift.any():
+            return
+        self._color = _shifted(self._color, shift, np.nan)
+        self._pictures = _shifted(self._pictures, shift, 0)
+        self._touch = _shifted(self._touch, shift, 0.0)
+        self._low = low.copy()
+
+    def see(self, p_world_xy: Array, color: Layer) -> None:
+        """Take in colours Y, Co, Cg (n, 3), NaN for none, of the cells at (n, 2) [m] {world}, at most one per cell."""
+        if len(p_world_xy) != len(color) or not np.isfinite(p_world_xy).all():
+            raise ValueError(f"a colour for each of {len(p_world_xy)} finite places expected, found {len(color)}")
+        _take_in(
+            np.ascontiguousarray(p_world_xy, dtype=np.float64), color, self._resolution, self._low, self._color, self._pictures
+        )
+
+    def stand_on(self, cells: NDArray[np.bool_]) -> bool:
+        """Take the commonest colour of cells (nx, ny) for that of the ground under the robot; False while too few have one."""
+        known = self._color[cells & (self._pictures > 0)]
+        if len(known) < 100:
+            return False
+        self._teach(np.median(features(known), axis=0), _FIRMLY, self.model.first_feet)
+        return True
+
+    def touch(self, p_world_xy: Array, sink: float | None) -> None:
+        """Take in what a foot found.
+
+        Args:
+            p_world_xy: (2,) [m] {world} where it stood.
+            sink: [m] from the mapped height down to where it carried, None where it carried nothing.
+        """
+        said = self.sink_log_likelihood(sink)
+        centre = p_world_xy / self._resolution - self._low - 0.5
+        reach = math.ceil(2.5 * self.model.touch_radius / self._resolution)
+        low = np.maximum(np.floor(centre).astype(int) - reach, 0)
+        high = np.minimum(np.floor(centre).astype(int) + reach + 2, self._pictures.shape)
+        if (low >= high).any():
+            return
+        here = slice(low[0], high[0]), slice(low[1], high[1])
+        i, j = np.ogrid[here]
+        off2 = ((i - centre[0]) ** 2 + (j - centre[1]) ** 2) * self._resolution**2
+        near = np.exp(-off2 / (2.0 * self.model.touch_radius**2))
+        self._touch[here] += (near[..., None] * said).astype(np.float32)
+        under = self._color[here][(off2 <= self.model.touch_radius**2) & (self._pictures[here] > 0)]
+        if len(under):
+            color = features(under).mean(axis=0)
+            # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a
+            # colour on which nothing but firm ground has been found would still get a bad name, since it is new.
+            sank = self._sank(said)
+            likely = np.exp(said - said.max()) * self._density(color) * self._prior() if sank else _FIRMLY
+            self._teach(color, likely / likely.sum(), 1.0)
+            if not sank:
+                # Now and then a foot seems to sink on firm ground, too: those that do not take back what that has taught.
+                for kind in (Type.WATER, Type.LOOSE):
+                    self.palette.take_back(kind, color, self._falsely, np.array(self.model.same_sigma))
+
+    def sink_log_likelihood(self, sink: float | None) -> Array:
+        """Log likelihood (3,) of firm, water and loose ground, given how far a foot sank [m], None where it found nothing.
+
+        Firm ground: Gaussian errors and a few outliers; loose ground and water: an exponential depth, blurred by those errors.
+        """
+        m = self.model
+        if sink is None:
+            return np.asarray(np.log(m.nothing_found))
+        error = math.exp(-0.5 * (sink / m.firm_sink_sigma) ** 2) / (m.firm_sink_sigma * math.sqrt(2.0 * math.pi))
+        firm = (1.0 - m.firm_outlier) * error + m.firm_outlier / m.deepest
+        water, loose = (_blurred_exponential(sink, mean, m.firm_sink_sigma) for mean in (m.water_sink, m.loose_sink))
+        floor = m.firm_outlier / m.deepest
+        return np.asarray(np.log([firm, max(water, floor), max(loose, floor)]))
+
+    def _sank(self, said: Array) -> bool:
+        """Whether log likelihoods (3,) tell against firm ground."""
+        return bool(said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio))
+
+    def _sinks_on_firm_ground(self) -> float:
+        """How often feet seem to sink on firm ground, per foot that does not."""
+        m = self.model
+        sinks = np.linspace(0.0, m.deepest, 201)[1:]
+        told = np.array([self._sank(self.sink_log_likelihood(float(sink))) for sink in sinks])
+        error = np.exp(-0.5 * (sinks / m.firm_sink_sigma) ** 2) / (m.firm_sink_sigma * math.sqrt(2.0 * math.pi))
+        density = (1.0 - m.firm_outlier) * error + m.firm_outlier / m.deepest
+        falsely = float((density * told).sum() * (sinks[1] - sinks[0])) * (1.0 - m.nothing_found[Type.FIRM])
+        falsely += m.nothing_found[Type.FIRM] * self._sank(self.sink_log_likelihood(None))
+        return falsely / (1.0 - falsely)
+
+    def classify(self, slope: Layer, roughness: Layer) -> TypeMap:
+        """What every cell is.
+
+        Args:
+            slope: (nx, ny) [m/m] of the map, NaN where unknown.
+            roughness: (nx, ny) [m] of the map beyond its noise, NaN where unknown.
+        """
+        m = self.model
+        share, base_mean, base_sigma = self._known_colors()
+        p, doubt = np.empty_like(self._touch), np.empty(self._pictures.shape, dtype=np.float32)
+        confidence = np.empty_like(self._pictures)
+        _posterior(
+            self._color, self._pictures, self._touch, slope, roughness, (self.palette.mean, share, base_mean, base_sigma),
+            np.array(m.same_sigma), m.new_share, self._prior(),
+            (m.water_slope, m.water_roughness, m.ground_slope, m.ground_roughness, m.flat_share),
+            self._bin_of, p, doubt, confidence,
+        )  # fmt: skip
+        return self._judged(p, doubt, confidence)
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """Colours R, G, B (nx, ny, 3) of the cells, 0 for none; black ground is 1."""
+        out = np.empty(self._color.shape, dtype=np.uint8)
+        _to_rgb(self._color, self._pictures, out)
+        return out
+
+    def _prior(self) -> Array:
+        """How common (3,) each type is, by what is assumed and by the feet that sank."""
+        count = self.model.prior_touches * np.array(self.model.prior)
+        count[Type.WATER] += self.palette.weight[Type.WATER].sum()
+        count[Type.LOOSE] += self.palette.weight[Type.LOOSE].sum()
+        return np.asarray(count / count.sum())
+
+    def _known_colors(self) -> tuple[Array, Array, Array]:
+        """Shares (types, k) of the palette's colours, and mean and sigma (types, 3) of those not met yet."""
+        m = self.model
+        if self._reference is None:  # there is nothing to compare with: colours say nothing
+            return np.zeros_like(self.palette.weight), np.zeros((_TYPES, 3)), np.full((_TYPES, 3), 1e3)
+        share = self.palette.weight / np.maximum(self.palette.weight.sum(axis=1, keepdims=True), _SMALLEST)
+        base_mean = np.stack([self._reference, self._reference + m.water_shift, self._reference])
+        return share, base_mean, np.array([m.other_sigma, m.water_sigma, m.other_sigma])
+
+    def _density(self, color: Array) -> Array:
+        """How likely (3,) a colour (3,) is on each type of ground, but for a common factor; `_posterior` has it for many."""
+        share, base_mean, base_sigma = self._known_colors()
+        new = np.exp(-0.5 * (((color - base_mean) / base_sigma) ** 2).sum(axis=1)) / base_sigma.prod(axis=1)
+        same = np.array(self.model.same_sigma)
+        met = np.exp(-0.5 * (((color - self.palette.mean) / same) ** 2).sum(axis=2)) / same.prod()
+        mixed = (1.0 - self.model.new_share) * (share * met).sum(axis=1) + self.model.new_share * new
+        return np.asarray(np.maximum(np.where(share.sum(axis=1) > 0.0, mixed, new), _SMALLEST))
+
+    def _teach(self, color: Array, share: Array, weight: float) -> None:
+        """Let a colour (3,) count for the types by their shares (3,) of a touch, or more touches."""
+        for kind in Type:
+            if share[kind] > 0.05:
+                self.palette.add(kind, color, weight * float(share[kind]), np.array(self.model.same_sigma))
+        weight *= float(share[Type.FIRM])
+        if weight > 0.0:
+            self._carried += weight
+            before = color if self._reference is None else self._reference
+            self._reference = before + weight / self._carried * (color - before)
+
+    def _judged(self, p: Layer, doubt: Layer, confidence: NDArray[np.uint8]) -> TypeMap:
+        """What follows for feet, which reach further than the cell they stand on."""
+        m = self.model
+        cost, hazard = np.zeros_like(doubt), np.zeros_like(confidence)
+        if doubt.max() > m.free_below:
+            doubt = np.asarray(cv2.dilate(doubt, self._near), dtype=np.float32)
+            cost = np.maximum((doubt - np.float32(m.free_below)) / np.float32(m.refused_from - m.free_below), np.float32(0.0))
+            i, j = np.nonzero(cost > 1.0)
+            if len(i):
+                near = cv2.dilate(np.ascontiguousarray(p[..., 1:]), self._near)[i, j]
+                hazard[i, j] = np.where(near[:, 0] >= near[:, 1], Type.WATER, Type.LOOSE)
+        return TypeMap(p, cost, hazard, confidence)
+
+
+def features(color: Layer) -> Array:
+    """(n, 3) ln Y, Co / Y, Cg / Y of colours Y, Co, Cg (n, 3)."""
+    y = np.maximum(color[:, 0].astype(np.float64), _DARKEST)
+    return np.column_stack([np.log(y), color[:, 1] / y, color[:, 2] / y])
+
+
+def _blurred_exponential(x: float, mean: float, sigma: float) -> float:
+    """Density [1/m] at x of an exponential variable with a Gaussian error added (an exponentially modified Gaussian)."""
+    rate = 1.0 / mean
+    return (
+        0.5
+        * rate
+        * math.exp(0.5 * rate * (rate * sigma**2 - 2.0 * x))
+        * math.erfc((rate * sigma**2 - x) / (math.sqrt(2) * sigma))
+    )
+
+
+def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: float) -> NDArray[Scalar]:
+    """A layer whose cell (i, j) is the old (i, j) + shift, and `fill` where there was none."""
+    out = np.full_like(layer, fill)
+    to, of = [], []
+    for n, by in zip(layer.shape, shift.tolist(), strict=False):
+        to.append(slice(max(-by, 0), max(n - max(by, 0), 0)))
+        of.append(slice(max(by, 0), max(n - max(-by, 0), 0)))
+    out[tuple(to)] = layer[tuple(of)]
+    return out
+
+
+@compiled
+def _take_in(
+    p_world_xy: Array, color: Layer, resolution: float, low: NDArray[np.int64], mean: Layer, pictures: NDArray[np.uint8]
+) -> None:
+    """Running means of the colours of cells; points with NaN or outside are left out."""
+    nx, ny = pictures.shape
+    for n in range(len(color)):
+        i = math.floor(p_world_xy[n, 0] / resolution) - low[0]
+        j = math.floor(p_world_xy[n, 1] / resolution) - low[1]
+        if not (0 <= i < nx and 0 <= j < ny) or np.isnan(color[n, 0]):
+            continue
+        seen = min(int(pictures[i, j]) + 1, _SETTLED)
+        for k in range(3):
+            before = mean[i, j, k] if seen > 1 else np.float32(0.0)
+            mean[i, j, k] = before + (color[n, k] - before) / np.float32(seen)
+        pictures[i, j] = seen
+
+
+@compiled
+def _posterior(
+    color: Layer,
+    pictures: NDArray[np.uint8],
+    touch: Layer,
+    slope: Layer,
+    roughness: Layer,
+    palette: tuple[Array, Array, Array, Array],
+    sigma: Array,
+    new_share: float,
+    prior: Array,
+    shape: tuple[float, float, float, float, float],
+    bin_of: NDArray[np.int32],
+    out: Layer,
+    doubt: Layer,
+    confidence: NDArray[np.uint8],
+) -> None:
+    """Probabilities (nx, ny, types) of each cell.
+
+    doubt is that of not being firm, confidence [%] the highest of a known cell. palette: mean (types, k, 3) and shares (types,
+    k) of known colours, mean and sigma (types, 3) of those not met yet. Colours fall into bins, each worked out once; bin_of is
+    -1 everywhere, before and after.
+    """
+    mean, share, base_mean, base_sigma = palette
+    types, colors = share.shape
+    narrow = 1.0 / (sigma[0] * sigma[1] * sigma[2])
+    slope_water, rough_water, slope_ground, rough_ground, flat_share = shape
+    volume = (1.0 - flat_share) * slope_water * rough_water / (slope_ground * rough_ground)
+    by_slope = 0.5 / slope_water**2 - 0.5 / slope_ground**2
+    by_roughness = 1.0 / rough_water - 1.0 / rough_ground
+    most = min(len(bin_of), pictures.size)
+    density = np.empty((most, types), dtype=np.float32)
+    used = np.empty(most, dtype=np.int32)
+    n = 0
+    for i in range(color.shape[0]):
+        for j in range(color.shape[1]):
+            firm, water, loose = prior[0], prior[1], prior[2]
+            touched = abs(touch[i, j, 0]) + abs(touch[i, j, 1]) > 1e-6
+            if pictures[i, j] == 0 and not touched:
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = firm, water, loose
+                doubt[i, j], confidence[i, j] = water + loose, 0
+                continue
+            if pictures[i, j] > 0:
+                y = max(float(color[i, j, 0]), _DARKEST)
+                b, c = color[i, j, 1] / y, color[i, j, 2] / y
+                u = min(int(y) // _LUMA_STEP, _LUMA_BINS - 1)
+                v = min(max(int((b + 1.0) / _CHROMA_STEP), 0), _CHROMA_BINS - 1)
+                w = min(max(int((c + 1.0) / _CHROMA_STEP), 0), _CHROMA_BINS - 1)
+                place = (u * _CHROMA_BINS + v) * _CHROMA_BINS + w
+                at = bin_of[place]
+                if at < 0:
+                    at = bin_of[place] = n
+                    used[n] = place
+                    n += 1
+                    a = math.log(max((u + 0.5) * _LUMA_STEP, _DARKEST))
+                    b, c = (v + 0.5) * _CHROMA_STEP - 1.0, (w + 0.5) * _CHROMA_STEP - 1.0
+                    for kind in range(types):
+                        s, m = base_sigma[kind], base_mean[kind]
+                        d = ((a - m[0]) / s[0]) ** 2 + ((b - m[1]) / s[1]) ** 2 + ((c - m[2]) / s[2]) ** 2
+                        new = math.exp(-0.5 * d) / (s[0] * s[1] * s[2])
+                        met, total = 0.0, 0.0
+                        for k in range(colors):
+                            if share[kind, k] > 0.0:
+                                total += share[kind, k]
+                                m = mean[kind, k]
+                                d = ((a - m[0]) / sigma[0]) ** 2 + ((b - m[1]) / sigma[1]) ** 2 + ((c - m[2]) / sigma[2]) ** 2
+                                met += share[kind, k] * math.exp(-0.5 * d) * narrow
+                        p = new if total == 0.0 else (1.0 - new_share) * met + new_share * new
+                        density[at, kind] = max(p, _SMALLEST)
+                firm, water, loose = firm * density[at, 0], water * density[at, 1], loose * density[at, 2]
+            if slope[i, j] >= 0.0 and roughness[i, j] >= 0.0:  # and not NaN
+                steep = min(by_slope * slope[i, j] ** 2 + by_roughness * roughness[i, j], 30.0)
+                water /= flat_share + volume * math.exp(steep)
+            if touched:  # by the likeliest of them: touches add up, and their likelihoods would leave the range of numbers
+                likeliest = max(touch[i, j, 0], touch[i, j, 1], touch[i, j, 2])
+                firm, water, loose = (
+                    firm * math.exp(touch[i, j, 0] - likeliest),
+                    water * math.exp(touch[i, j, 1] - likeliest),
+                    loose * math.exp(touch[i, j, 2] - likeliest),
+                )
+            total = firm + water + loose
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = firm / total, water / total, loose / total
+            doubt[i, j] = (water + loose) / total
+            confidence[i, j] = int(100.0 * max(firm, water, loose) / total + 0.5)
+    for k in range(n):
+        bin_of[used[k]] = -1
+
+
+@compiled
+def _to_rgb(color: Layer, pictures: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    """Colours R, G, B (nx, ny, 3), at least 1, of Y, Co, Cg (nx, ny, 3); 0 where there is none."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            if pictures[i, j] == 0:
+                out[i, j, 0] = out[i, j, 1] = out[i, j, 2] = 0
+                continue
+            rest = color[i, j, 0] - 0.5 * color[i, j, 2]
+            half = 0.5 * color[i, j, 1]
+            out[i, j, 0] = int(min(max(rest + half, 1.0), 255.0) + 0.499)
+            out[i, j, 1] = int(min(max(rest + color[i, j, 2], 1.0), 255.0) + 0.499)
+            out[i, j, 2] = int(min(max(rest - half, 1.0), 255.0) + 0.499)

@@ -1,0 +1,201 @@
+"""The map of a passage: 2.7 x 1.0 m in 1 cm cells, each with height, normal and roughness, from the merged cloud.
+
+Masri 2016, sections 4.3, 4.4 and 4.7. Cell (i, j) of a strip is centred (i + 1/2) cells along it and (j + 1/2) cells to the
+left of its right side.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.mapper.passage_map.moving_least_squares import smooth
+from sextant.services.mapper.passage_map.voxel_cloud import CloudSnapshot, Strip
+from sextant.shared.geometry import Array
+
+_ONE_SURFACE = 0.02  # [m] below the highest point of a column within which points are of its surface
+_CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the column beside it
+_FEW, _MANY = 0.4, 30.0  # share of the pixels on both sides of a column, at least so many, below which it is a crack
+_BESIDE = (1, 2, 3)  # columns that make a side
+_STEEP = 0.5  # [1] upward part of a normal below which a plane says nothing about the height beside its point
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassageGrid:
+    """What is known of a strip."""
+
+    strip: Strip
+    resolution: float  # [m] edge of a cell
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where unknown
+    normals: NDArray[np.float32]  # (nx, ny, 3) unit, upward, {world}; NaN where unknown or left open
+    roughness: NDArray[np.float32]  # (nx, ny) [m] rms distance of the points around from their plane, NaN without a normal
+    assumed: NDArray[np.bool_]  # (nx, ny) the height is that of a plane that was assumed, not measured
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """(nx, ny) cells of which nothing is known, not even by assumption."""
+        return np.asarray(np.isnan(self.elevation))
+
+
+def cells_of(strip: Strip, resolution: float) -> tuple[int, int]:
+    """Cells of a strip along it and across.
+
+    Raises:
+        ValueError: It is no whole number of cells long and wide.
+    """
+    size = np.array([strip.length, strip.width]) / resolution
+    nx, ny = np.rint(size).astype(int).tolist()
+    if min(nx, ny) < 1 or np.abs(size - (nx, ny)).max() > 1e-3:
+        raise ValueError(
+            f"whole cells of {resolution} m expected, found a strip of {strip.length} m x {strip.width} m: choose multiples"
+        )
+    return nx, ny
+
+
+def cell_centres(strip: Strip, resolution: float) -> Array:
+    """Centres (nx, ny, 2) [m] {world} of a strip's cells; `cells_of` says what it raises."""
+    return strip.world(local_centres(strip, resolution))
+
+
+def local_centres(strip: Strip, resolution: float) -> Array:
+    """Centres (nx, ny, 2) [m] of a strip's cells, along it and to the left of its middle line."""
+    nx, ny = cells_of(strip, resolution)
+    x = (np.arange(nx) + 0.5) * resolution
+    y = (np.arange(ny) + 0.5) * resolution - strip.width / 2
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+
+
+def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: float = 0.025) -> PassageGrid:
+    """Build the map of a strip from the cloud over it.
+
+    1. Moving least squares: points onto their surface, with normals and roughness.
+    2. The highest point of each column stands for it: the robot walks on top of things. What hangs above it by less than
+       30 % of the column's pixels is noise, or the edge of the column beside it. The normal is the mean over the points of
+       that surface; the thesis takes all of the column, but those on the floor below do not bear the foot.
+    3. Few pixels between many on both sides are astray over a crack, into which a camera that looks along the ground hardly
+       sees: what is there is unknown.
+    4. A cell lies in the column that its centre falls into, and takes its height there by the plane of that column's
+       point. A column without a point leaves its cell unknown.
+
+    Args:
+        cloud: Voxels of the edge `resolution`, reaching `radius` beyond the strip.
+        strip: Of a whole number of cells.
+        resolution: [m] edge of a cell.
+        radius: [m] of the neighbourhoods of moving least squares.
+
+    Raises:
+        ValueError: The strip is no whole number of cells long and wide.
+
+    Source: Masri 2016, sections 4.3 and 4.4.
+    """
+    centres = cell_centres(strip, resolution)
+    shape = centres.shape[:2]
+    surface = smooth(cloud.points, cloud.weight, radius)
+    top, normals, roughness = _tops(cloud.column, cloud.weight, surface.points, surface.normals, surface.roughness)
+    point_of = np.full(cloud.shape, -1, dtype=np.int64)
+    point_of.ravel()[cloud.column[top]] = np.arange(len(top))
+    pixels = np.bincount(cloud.column, weights=cloud.weight, minlength=point_of.size)
+    point_of[_cracks(np.asarray(pixels, dtype=np.float64).reshape(cloud.shape))] = -1
+    i, j = np.moveaxis(np.floor((centres - cloud.origin) / resolution + 0.5).astype(np.int64), -1, 0)
+    inside = (i >= 0) & (i < cloud.shape[0]) & (j >= 0) & (j < cloud.shape[1])
+    found = (
+        np.where(inside, point_of[np.where(inside, i, 0), np.where(inside, j, 0)], -1) if point_of.size else np.full(shape, -1)
+    )
+    known = found >= 0
+    of, places = found[known], centres[known]
+    points, n = surface.points[top][of], normals[of]
+    level = np.where(n[:, 2] > _STEEP, n[:, 2], np.inf)  # NaN compares false: without a normal the height stays as it is
+    slope = -np.nan_to_num(n[:, :2]) / level[:, None]
+    elevation = np.full(shape, np.nan, dtype=np.float32)
+    elevation[known] = points[:, 2] + ((places - points[:, :2]) * slope).sum(axis=1)
+    cell_normals = np.full((*shape, 3), np.nan, dtype=np.float32)
+    cell_normals[known] = n
+    rough = np.full(shape, np.nan, dtype=np.float32)
+    rough[known] = roughness[of]
+    return PassageGrid(strip, resolution, elevation, cell_normals, rough, np.zeros(shape, dtype=np.bool_))
+
+
+def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:
+    """A map whose unknown cells take assumed heights (nx, ny) [m] {world}, where there are any: NaN leaves a cell unknown.
+
+    Their normals are those of the assumed surface; what is measured stays (Masri 2016, section 4.7).
+
+    Raises:
+        ValueError: The shapes differ.
+    """
+    if heights.shape != grid.elevation.shape:
+        raise ValueError(f"heights {grid.elevation.shape} expected, found {heights.shape}")
+    assumed = grid.unseen & np.isfinite(heights)
+    if not assumed.any():
+        return grid
+    slopes = np.stack([_slope(heights, axis, grid.resolution) for axis in range(2)], axis=-1)
+    turned = grid.strip.world(slopes) - grid.strip.origin
+    n = np.concatenate([-turned, np.ones((*heights.shape, 1))], axis=-1)
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    elevation, normals, roughness = grid.elevation.copy(), grid.normals.copy(), grid.roughness.copy()
+    elevation[assumed], normals[assumed], roughness[assumed] = heights[assumed], n[assumed], 0.0
+    return PassageGrid(grid.strip, grid.resolution, elevation, normals, roughness, assumed)
+
+
+def feet_plane(feet: Array) -> Array:
+    """Coefficients (3,) of the plane z = a + b x + c y through (n, 3) [m] soles, n >= 3, in the least squares sense.
+
+    Raises:
+        ValueError: Fewer than three feet.
+
+    Source: Masri 2016, section 4.7.
+    """
+    if feet.ndim != 2 or feet.shape[1] != 3 or len(feet) < 3:
+        raise ValueError(f"feet (n, 3), three or more, expected, found {feet.shape}")
+    A = np.column_stack([np.ones(len(feet)), feet[:, :2]])
+    return np.asarray(np.linalg.lstsq(A, feet[:, 2], rcond=None)[0], dtype=np.float64)
+
+
+def _slope(heights: Array, axis: int, resolution: float) -> Array:
+    """Differences (nx, ny) [1] of neighbours along an axis, one-sided at a border and zero where no neighbour is known."""
+    step = np.diff(heights, axis=axis) / resolution
+    pad = [(1, 1) if k == axis else (0, 0) for k in range(2)]
+    padded = np.pad(step, pad, constant_values=np.nan)
+    before, after = np.delete(padded, -1, axis), np.delete(padded, 0, axis)
+    known = np.isfinite(before).astype(np.int64) + np.isfinite(after)
+    return np.asarray((np.nan_to_num(before) + np.nan_to_num(after)) / np.maximum(known, 1))
+
+
+def _cracks(pixels: Array) -> NDArray[np.bool_]:
+    """Columns (nx, ny) with few of the pixels (nx, ny) that those on both of their sides have, along an axis or diagonal."""
+    nx, ny = pixels.shape
+    far = max(_BESIDE)
+    padded, few = np.pad(pixels, far), np.zeros(pixels.shape, dtype=np.bool_)
+    for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        sides = [
+            np.median([padded[far + k * di :, far + k * dj :][:nx, :ny] for k in (sign * n for n in _BESIDE)], axis=0)
+            for sign in (-1, 1)
+        ]
+        both = np.minimum(*sides)
+        few |= (pixels < _FEW * both) & (both >= _MANY)
+    return few
+
+
+def _tops(
+    column: NDArray[np.int64], weight: Array, points: Array, normals: Array, roughness: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """The top of each column: its index (m,) among the points (n, 3), its normal (m, 3) and roughness (m,).
+
+    Points lie column by column (n,) and upward in each, with the pixels (n,) behind them as their weight.
+    """
+    if not len(column):
+        return np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
+    first = np.flatnonzero(np.diff(column, prepend=-1))
+    of = np.repeat(np.arange(len(first)), np.diff(first, append=len(column)))
+    total = np.add.reduceat(weight, first)
+    upward = np.cumsum(weight)
+    above = (upward[first] - weight[first] + total)[of] - upward + weight  # of each point and those above it
+    carries = np.where(above >= _CARRYING * total[of], np.arange(len(column)), -1)
+    top = np.maximum.reduceat(carries, first)
+    below = points[top, 2][of] - points[:, 2]
+    counts = (np.abs(below) <= _ONE_SURFACE) & np.isfinite(roughness)
+    sums = np.add.reduceat(np.where(counts[:, None], normals, 0.0), first)
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    n = np.where(length > 0, sums / np.where(length > 0, length, 1.0), np.nan)
+    worst = np.maximum.reduceat(np.where(counts, roughness, -1.0), first)
+    return top, n, np.where(worst >= 0, worst, np.nan)

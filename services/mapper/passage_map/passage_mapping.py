@@ -1,0 +1,174 @@
+"""The survey of a passage that is asked for: what is kept of the scans while somebody asks, and what is told of them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.mapper.footholds.score import Scalar, ScoreWeights
+from sextant.services.mapper.passage_map.next_best_view import (
+    View,
+    best_view,
+    candidates,
+    expected_heights,
+    sights,
+    unseen_in_words,
+)
+from sextant.services.mapper.passage_map.passage_grid import (
+    PassageGrid,
+    cell_centres,
+    cells_of,
+    feet_plane,
+    passage_grid,
+    with_assumed,
+)
+from sextant.services.mapper.passage_map.voxel_cloud import Strip, VoxelCloud
+from sextant.shared.geometry import Array, apply
+from sextant.shared.robot.profile import RobotProfile
+
+_NEIGHBOURS = 0.025  # [m] radius of moving least squares, and at least
+_NEIGHBOURS_CELLS = 2.5  # so many cells
+_SAME_PLACE, _SAME_WAY = 0.01, 0.02  # [m] [rad] within which two looks are one
+_LOOKS = 8  # that are remembered
+_TAKEN_OVER = 8.0  # [pixels] behind a height that the elevation map had before the survey began
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What of a strip is not seen, and the pose that would show most of it."""
+
+    words: str  # what and why; empty when all is seen
+    view: View | None  # None: no pose that the legs allow shows enough to be worth it
+
+
+class Survey:
+    """A merged cloud over one strip, begun with what the walk has measured there.
+
+    Like the elevation map it keeps heights as they were first seen, and tells them as the newest pose sees them.
+    """
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        strip: Strip,
+        known: ElevationSnapshot,
+        reach: float,
+        weights: ScoreWeights | None = None,
+    ):
+        """Begin a survey.
+
+        Args:
+            profile: The robot, for the look.
+            strip: Of a whole number of cells of the elevation map's resolution.
+            known: The elevation map.
+            reach: [m] horizontally from the camera, as far as scans go.
+            weights: What ground must be for a foothold.
+
+        Raises:
+            ValueError: The strip is no whole number of cells long and wide.
+        """
+        self._centres, self._resolution = cell_centres(strip, known.resolution), known.resolution
+        self._profile, self._reach, self._weights = profile, reach, weights
+        self._radius = max(_NEIGHBOURS, _NEIGHBOURS_CELLS * known.resolution)  # [m]
+        self._cloud = VoxelCloud(strip, known.resolution, margin=2.0 * self._radius)
+        self._layers = self._fresh_layers(known.resolution)
+        self._looked_from: list[Array] = []  # (4, 4) optical poses, the newest last
+        self._take_over(known)
+
+    @property
+    def strip(self) -> Strip:
+        """What is surveyed."""
+        return self._cloud.strip
+
+    def move_to(self, strip: Strip, known: ElevationSnapshot) -> None:
+        """Survey another strip, keeping what of the cloud lies on it.
+
+        Raises:
+            ValueError: The strip is no whole number of cells long and wide; the survey goes on as it was.
+        """
+        self._centres = cell_centres(strip, known.resolution)
+        self._cloud.move_to(strip)
+        self._layers = self._fresh_layers(known.resolution)
+        self._take_over(known)
+
+    def add(self, points: Array, count: NDArray[np.uint8], height_drift: float = 0.0) -> None:
+        """Merge a scan: points (n, 3) [m] {world}, the pixels (n,) behind them, and by how much it lies too high [m]."""
+        self._cloud.insert(points - np.array([0.0, 0.0, height_drift]) if height_drift else points, count)
+
+    def grid(self, known: ElevationSnapshot) -> PassageGrid:
+        """The map of the strip; where nothing is measured and the elevation map assumes a plane, so does this one.
+
+        Source: Masri 2016, sections 4.4 and 4.7.
+        """
+        cloud = self._cloud.snapshot()
+        if known.height_drift:
+            cloud = replace(cloud, points=cloud.points + np.array([0.0, 0.0, known.height_drift]))
+        measured = passage_grid(cloud, self.strip, known.resolution, self._radius)
+        assumed = np.where(known.assumed != 0, known.elevation, np.float32(np.nan))
+        return with_assumed(measured, self.of_map(assumed, known.origin, np.nan))
+
+    def of_map(self, layer: NDArray[Scalar], origin: Array, beyond: float) -> NDArray[Scalar]:
+        """A layer of the elevation map, its cell (0, 0) centred at an origin (2,) [m], in the strip's cells."""
+        cell = np.rint((self._centres - origin) / self._resolution).astype(np.int64)
+        inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < layer.shape), axis=-1)
+        i, j = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
+        return np.where(inside, layer[i, j], layer.dtype.type(beyond))
+
+    def evaluation(self, grid: PassageGrid, body_height: float, position_sigma: float) -> NDArray[np.int8]:
+        """Masri's evaluation function (nx, ny) [cells] of the map of the strip, beside which all counts as vacant.
+
+        Args:
+            grid: The map of the strip.
+            body_height: [m] {world} of the body's centre, from which the depth limit counts.
+            position_sigma: [m] standard deviation of the body's place.
+
+        Source: Masri 2016, sections 4.5 and 4.6.
+        """
+        sure = np.zeros(grid.elevation.shape, dtype=np.float32)
+        return self._layers.update(grid.elevation, sure, np.zeros(2, dtype=np.int64), body_height, position_sigma).evaluation
+
+    def outlook(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> Outlook:
+        """What of a map is not seen, and how the body had better stand to see it.
+
+        Args:
+            grid: The map of the strip.
+            T_world_body: (4, 4) where the body is.
+            feet: (6, 3) [m] {body} foot centres, all on the ground.
+
+        Source: Masri 2016, section 4.7.
+        """
+        camera = self._profile.camera
+        feet_world = apply(T_world_body, feet)
+        a, b, c = feet_plane(feet_world - [0.0, 0.0, self._profile.foot.radius])
+        level = float(a + b * T_world_body[0, 3] + c * T_world_body[1, 3])
+        T_world_camera = T_world_body @ camera.T_body_camera
+        looked_from = self._looks(T_world_camera)
+        heights = expected_heights(grid, looked_from, camera, self._reach, level)
+        why = sights(grid, heights, grid.unseen, T_world_camera, camera, self._reach)
+        poses = candidates(self._profile, T_world_body, feet_world, level)
+        view = best_view(grid, heights, grid.unseen, looked_from, poses, camera, self._reach)
+        return Outlook(unseen_in_words(grid, why), view)
+
+    def _looks(self, T_world_camera: Array) -> Array:
+        """Optical poses (k, 4, 4) from which the strip was looked at, this one the last of them."""
+        self._looked_from = [T for T in self._looked_from if not _same_look(T, T_world_camera)][1 - _LOOKS :]
+        self._looked_from.append(T_world_camera)
+        return np.array(self._looked_from)
+
+    def _fresh_layers(self, resolution: float) -> FootholdLayers:
+        return FootholdLayers(cells_of(self.strip, resolution), resolution, Margin(self._profile.foot.radius), self._weights)
+
+    def _take_over(self, known: ElevationSnapshot) -> None:
+        """What the elevation map has measured, into the columns of which the cloud holds nothing."""
+        i, j = np.nonzero(np.isfinite(known.elevation) & (known.assumed == 0))
+        places = known.origin + known.resolution * np.column_stack([i, j])
+        new = ~self._cloud.holds(places)
+        points = np.column_stack([places, known.elevation[i, j] - known.height_drift])[new]
+        self._cloud.insert(points, np.full(len(points), _TAKEN_OVER))
+
+
+def _same_look(T: Array, other: Array) -> bool:
+    turned = np.abs(T[:3, :3] - other[:3, :3]).max()
+    return bool(np.linalg.norm(T[:3, 3] - other[:3, 3]) < _SAME_PLACE and turned < _SAME_WAY)

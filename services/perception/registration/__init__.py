@@ -1,0 +1,1 @@
+"""Register depth frames: keyframes, projective ICP, relocalization and the motion prior."""

@@ -1,0 +1,611 @@
+"""Where the camera is: projective point-to-plane registration of depth frames, with the motion prior inside the cost.
+
+Masri 2016, section 4.2, aligns scans by points and normals and lets the expected motion only start the iteration
+(4.2.1). Here it is a term of the cost, so that what the scene does not constrain, as a flat floor does not constrain
+x, y and yaw, stays as expected.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.perception.registration.block_frame import BlockFrame
+from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.services.perception.registration.moving_body import is_one_body, is_within_body
+from sextant.services.perception.registration.observability import AXES
+from sextant.services.perception.registration.relocalization_map import AnchorMap, Misfit, surface_points
+from sextant.shared.geometry import exp_so3, log_so3, orthonormal
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.runtime.compiled import compiled
+
+_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
+_SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
+_MAX_ITERATIONS = 10
+_MATCHED = 3200  # points of a whole image that are matched with one keyframe
+_CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
+_INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
+_SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
+_SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
+_USUAL_SHARE = 0.05  # of each good frame in the usual distance of surfaces
+_RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
+# Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
+# the prior.
+_SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
+_SPARSE = 0.5  # share of the pixels of surfaces in view, below which their loss is named where a frame does not register
+_TRIES = 3  # to come from a place that was searched for to the right one
+_FAR_APART_FOUND = 2.0  # times, from which a place that was searched for is not the right one
+_EXPLAINED = 0.85  # of a misfit, below which another pose fits better
+_ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
+_SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
+_TRUSTING = 2  # iterations in which matches far off are believed after a slip
+_SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
+_REST_SIGMA = 1e-4  # [m] and [rad] of x, y and yaw of a camera that rests
+_REST_MOVED = 0.001  # [m] and [rad] along the ground from where a pose is not that of rest
+_STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes around which a lost frame is searched for
+_OVERLAP_WANTED = 0.6  # share below which a frame that fits far worse than of late is refused
+_UNKNOWN_SIGMA = 0.03  # [m] and [rad] of a prior along the ground from where poses around it are tried
+_LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """Where one depth frame was taken, how well that is known, and whether it may be used.
+
+    Covariance and directions are of the error twist in world axes at the camera: (p + v, exp(w) R) for (v, w).
+    """
+
+    stamp_ns: int  # [ns] capture time of the frame
+    T_world_camera: NDArray[np.float64]  # (4, 4), the prior where ok is False
+    covariance: NDArray[np.float64]  # (6, 6) [m, rad], the prior's where ok is False
+    overlap: float  # 0..1 share of the frame's points that found a plane
+    rmse: float  # [m] point-to-plane distance of those, NaN when there are none
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that the scene leaves to the prior
+    ok: bool
+    reason: str  # in words, empty when ok
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """When a registration is refused, when it is doubted and searched for instead, and when the map starts anew."""
+
+    min_measured: float = 0.02  # share of the image's blocks that carry a depth
+    min_overlap: float = 0.3  # share of points that found a plane
+    min_agreement: float = 0.5  # share of points facing a plane that lie on it
+    max_rmse: float = 0.010  # [m] point-to-plane, and
+    rmse_factor: float = 3.0  # of what it has been lately, plus
+    rmse_margin: float = 0.001  # [m]
+    # Departure from the prior allowed on top of four sigma. A floor tells height, roll and pitch beyond doubt, and a foot
+    # that slips off an edge tilts the robot by degrees at once; along the floor a frame may have been matched with the wrong
+    # block.
+    jump_distance: float = 0.02  # [m] in x and y
+    jump_angle: float = 0.02  # [rad] in yaw
+    jump_height: float = 0.05  # [m] in z
+    jump_tilt: float = 0.15  # [rad] in roll and pitch
+    lever: float = 0.3  # [m] over the ground that the camera is at most: a tilt about the feet moves it in x and y, too
+    max_misfit: float = 0.015  # share of points outside of what is known of their places, above which the pose is doubted
+    doubt: int = 3  # doubtful or failed frames in a row after which the frame is searched for around its prior
+    search_every: int = 8  # frames, while it stays so
+    patience: int = 60  # failed frames in a row after which the map starts anew at the prior
+    rest_step: float = 0.001  # [m] and [rad] of the prior between two frames, up to which the camera is expected to rest
+    body_radius: float = 0.45  # [m] of what may move as one body before a camera that rests
+    # For a camera without legs, of whose motion nothing but the pictures tell: where its velocity is unknown, poses around the
+    # prior are tried; a frame that contradicts the map is refused; a lost one is searched for around all keyframes.
+    legless: bool = False
+    max_worsening: float = 2.5  # times the misfit of late, with little overlap, from which it is refused
+    max_contradiction: float = 0.05  # share of points outside of what is known of their places, above which it is refused
+
+
+HAND_HELD = Acceptance(doubt=1, search_every=4, patience=300, legless=True, rest_step=0.003)
+
+
+class Registration:
+    """Camera poses from depth frames, each registered against the keyframes that see the same place.
+
+    Keyframes keep the pose they were taken at, so standing still or coming back adds no drift. What they have seen is kept
+    as a coarse map, too: a frame that registers well but lies across that map is doubted, and one that does not register, or
+    is doubted for a while, is searched for in it.
+    """
+
+    def __init__(
+        self,
+        intrinsics: Intrinsics,
+        sensor: DepthSensor,
+        acceptance: Acceptance | None = None,
+        *,
+        active_keyframes: int = 4,
+        stored_keyframes: int = 32,
+        keyframe_distance: float = 0.12,
+        keyframe_angle: float = 0.12,
+        max_range: float = 2.5,
+        blocks_across: int = 160,
+    ) -> None:
+        """Set up for one camera; see `Keyframes` for the numbers.
+
+        Surfaces beyond a range [m] are cropped (Masri 2016, section 4.2): a triangulating camera bends what is far away. A row
+        of the image is reduced to so many blocks: 160 are enough for ground, clutter shows its planes to more of them.
+        """
+        self._acceptance = acceptance or Acceptance()
+        sensor = replace(sensor, max_range=min(sensor.max_range, max_range))
+        self._frame = BlockFrame(intrinsics, sensor, blocks_across)
+        rows, columns = self._frame.shape
+        self._stride = max(1, round(rows * columns / _MATCHED))
+        self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
+        self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
+        self._usual_rmse = self._acceptance.max_rmse  # [m]
+        self._lately = _Fit()
+        self._failures = 0  # in a row
+        self._away: NDArray[np.float64] | None = None  # (6,) twist to where the last search would have a doubted frame
+        self._doubtful = 0  # frames in a row, failed ones included
+        self._last: NDArray[np.float64] | None = None  # pose (4, 4) of the last frame
+        self._rest: NDArray[np.float64] | None = None  # where the camera has been since its prior rests
+        self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
+
+    @property
+    def keyframe_poses(self) -> NDArray[np.float64]:
+        """Poses (n, 4, 4) of the keyframes kept now."""
+        return self._keyframes.poses
+
+    def update(
+        self,
+        depth_raw: NDArray[np.uint16],
+        stamp_ns: int,
+        T_world_camera_prior: NDArray[np.float64],
+        prior_covariance: NDArray[np.float64],
+    ) -> Registered:
+        """Register one frame; the first is believed to be where its prior says.
+
+        Args:
+            depth_raw: (h, w) raw depth, 0 = no return.
+            stamp_ns: [ns] capture time, copied to the result.
+            T_world_camera_prior: (4, 4) expected pose, e.g. the last one composed with the odometry since.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`: that of the odometry since the last
+                frame that registered, or a wide one where velocity is only assumed constant.
+
+        Returns:
+            The pose; on failure the prior and the reason. Its covariance is against the ground as it was mapped lately:
+            the drift of the keyframes is not in it, nor is what earlier frames left to the legs, by which the map is off, too.
+
+        Raises:
+            ValueError: A shape or type that differs, or a covariance that is not positive definite.
+        """
+        information = prior_information(T_world_camera_prior, prior_covariance)
+        self._frame.load(depth_raw)
+        reason = too_little(self._frame, self._acceptance)
+        if reason:
+            return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
+        if len(self._keyframes) == 0:
+            self._remember(T_world_camera_prior)
+            self._last = T_world_camera_prior
+            return first(stamp_ns, T_world_camera_prior, prior_covariance)
+
+        # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip; and if one body alone
+        # moves before a camera that rests, the pose of rest.
+        found, believable = self._align_around(T_world_camera_prior, prior_covariance, information), prior_covariance
+        if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
+            wide = _slipping(prior_covariance)
+            slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
+            fits = slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance)
+            if fits and _is_apart(slipped.T, found.T, prior_covariance):
+                found, believable = slipped, wide
+        held = self._held(found, T_world_camera_prior, prior_covariance)
+        if held is not None:
+            found, believable = held, prior_covariance
+        reason = (
+            self._objection(found.match)
+            or self._worsening(found.match)
+            or jump(found.T, T_world_camera_prior, believable, self._acceptance)
+        )
+        # 2. Where that is in doubt, the map says whether there is a better one.
+        misfit = self._anchor.misfit(self._frame.points, T_world_camera_prior if reason else found.T)
+        # One body that moves before a camera that rests does not show that the camera is elsewhere.
+        doubted = not self._is_passing_body(misfit) and (bool(reason) or self._is_doubted(misfit))
+        self._doubtful = self._doubtful + 1 if doubted else 0
+        self._away = self._away if doubted else None
+        if self._is_time_to_search():
+            better = self._search(T_world_camera_prior if reason else found.T)
+            confirmed = bool(reason) or self._acceptance.legless
+            if isinstance(better, _Aligned) and not (confirmed or self._is_confirmed(error_twist(better.T, found.T))):
+                pass  # the next search decides: a person who walks by is somewhere else by then, a robot carried off is not
+            elif isinstance(better, _Aligned):
+                found, reason, doubted, self._doubtful = better, "", False, 0
+            elif reason:
+                reason = f"{reason}; {better.reason}"
+            elif not better.is_elsewhere:
+                self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+        if not reason and doubted and self._contradicts(misfit):
+            reason = f"{misfit.share:.0%} of the picture contradicts what was seen before"
+        match = found.match
+        if reason:
+            return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
+        # 3. Good frames that see something new extend the map.
+        self._failures = 0
+        if not doubted:
+            self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
+            self._lately = _Fit(_recent(self._lately.misfit, match.misfit), _recent(self._lately.rmse, match.rmse))
+            if self._keyframes.is_news(found.T, match.overlap):
+                self._remember(found.T)
+        self._last = found.T
+        return Registered(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
+
+    def _held(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> "_Aligned | None":
+        """The pose of a camera that rests, where one body alone speaks for the pose found; None where it is to be believed."""
+        self._follow_rest(T_prior)
+        if self._rest is None or np.abs(error_twist(found.T, self._rest)[_ALONG_FLOOR]).max() <= _REST_MOVED:
+            return None
+        T = T_prior.copy()
+        T[:2, 3] = self._rest[:2, 3]
+        resting = covariance.copy()
+        resting[_ALONG_FLOOR, :] = resting[:, _ALONG_FLOOR] = 0.0
+        resting[_ALONG_FLOOR, _ALONG_FLOOR] = _REST_SIGMA**2
+        held = self._align(T, prior_information(T, resting))
+        chosen = self._keyframes.select(T_prior)
+        gains = self._keyframes.misfits(held.T, chosen) - self._keyframes.misfits(found.T, chosen)
+        known = np.isfinite(gains)
+        xy = self._frame.points[known] @ held.T[:2, :3].T + held.T[:2, 3]
+        if is_one_body(xy, gains[known], self._acceptance.body_radius):
+            return replace(held, degenerate=_with_floor_open(found.degenerate))
+        self._rest = found.T
+        return None
+
+    def _follow_rest(self, T_prior: NDArray[np.float64]) -> None:
+        """Keep where the camera rests, while its prior does; legs that creep take it with them."""
+        step = np.zeros(6) if self._last is None else error_twist(T_prior, self._last)
+        if self._last is None or np.abs(step).max() > self._acceptance.rest_step:
+            self._rest = None
+        elif self._rest is None:
+            self._rest = T_prior
+        elif not self._acceptance.legless:
+            self._rest = moved(self._rest, step)
+
+    def _may_have_slipped(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+        """Whether a frame fits worse than frames of late, or has been drawn far from where the legs have it."""
+        match, lately = found.match, self._lately
+        if match.misfit > _SURPRISING * lately.misfit or match.rmse > _FAR_APART * lately.rmse:
+            return True
+        drawn = np.abs(error_twist(found.T, T_prior)) > _DRAWN * np.sqrt(np.diag(covariance))
+        return bool(drawn[_ALONG_FLOOR].any())
+
+    def _objection(self, match: Match) -> str:
+        """Why a match is not to be trusted; surfaces must be as near to each other as they use to be."""
+        limits = self._acceptance
+        usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
+        reason = objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+        share = self._frame.usual_share
+        return (
+            f"{reason}; {1.0 - share:.0%} of the pixels of what is in view are missing"
+            if reason and share < _SPARSE
+            else reason
+        )
+
+    def _worsening(self, match: Match, overlap: float = _OVERLAP_WANTED) -> str:
+        """That a frame of a camera without legs fits far worse than of late and has at most some overlap, or nothing."""
+        limits, lately = self._acceptance, self._lately.misfit
+        if not limits.legless or match.overlap > overlap or match.misfit <= limits.max_worsening * lately:
+            return ""
+        worse = match.misfit / lately
+        return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than of late"
+
+    def _is_passing_body(self, misfit: Misfit) -> bool:
+        """Whether what contradicts the map is one body before a camera that rests."""
+        limits = self._acceptance
+        return self._rest is not None and misfit.share > limits.max_misfit and is_within_body(misfit.xy, limits.body_radius)
+
+    def _is_doubted(self, misfit: Misfit) -> bool:
+        self._believed = max(0, self._believed - 1)
+        return self._believed == 0 and misfit.share > self._acceptance.max_misfit
+
+    def _contradicts(self, misfit: Misfit) -> bool:
+        return self._acceptance.legless and misfit.share > self._acceptance.max_contradiction
+
+    def _is_confirmed(self, away: NDArray[np.float64]) -> bool:
+        """Whether two searches in a row, while frames register but are doubted, lead as far away (6,) in the same direction."""
+        before, self._away = self._away, away
+        return before is not None and bool((np.abs(away - before) < _SAME_AWAY).all())
+
+    def _is_time_to_search(self) -> bool:
+        since = self._doubtful - self._acceptance.doubt
+        return since >= 0 and since % self._acceptance.search_every == 0
+
+    def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | _Nowhere":
+        """A better place in the map, registered there; or why there is none."""
+        found = self._anchor.find(self._frame.points, T_expected)
+        if found.T_world_camera is None and self._acceptance.legless:
+            found = self._anchor.relocalize(self._frame.points, self._keyframes.apart(_STARTS_APART_M, _STARTS_APART_RAD))
+        if found.T_world_camera is None:
+            return _Nowhere(found.reason, is_elsewhere=False)
+        T = found.T_world_camera
+        for _ in range(_TRIES):
+            better = self._align(T, np.eye(6) / _LOST_SIGMA**2, _TRUSTING)
+            T = better.T
+            if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
+                objection = self._objection(better.match) or self._worsening(better.match, overlap=1.0)
+                return _Nowhere(objection, is_elsewhere=True) if objection else better
+        words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the place that fits best"
+        return _Nowhere(words, is_elsewhere=True)
+
+    def _remember(self, T: NDArray[np.float64]) -> None:
+        """Make the frame as last loaded a keyframe, and a part of the map."""
+        self._keyframes.add(T)
+        frame = self._frame
+        self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
+
+    def _align_around(
+        self, T_prior: NDArray[np.float64], covariance: NDArray[np.float64], information: NDArray[np.float64]
+    ) -> "_Aligned":
+        """The pose that fits best of those that are found from the prior, and from around it where it is hardly known."""
+        found = self._align(T_prior, information)
+        sigma = np.sqrt(np.diag(covariance))
+        if not self._acceptance.legless or sigma[_ALONG_FLOOR].max() < _UNKNOWN_SIGMA:
+            return found
+        for axis in _ALONG_FLOOR:
+            for sign in (-1.0, 1.0):
+                start = moved(T_prior, sign * sigma[axis] * np.eye(6)[axis])
+                other = self._align(T_prior, information, _TRUSTING, start)
+                if other.match.misfit < _EXPLAINED * found.match.misfit and other.match.overlap >= found.match.overlap - 0.1:
+                    found = other
+        return found
+
+    def _align(
+        self,
+        T_prior: NDArray[np.float64],
+        information: NDArray[np.float64],
+        trusting: int = 0,
+        T_start: NDArray[np.float64] | None = None,
+    ) -> "_Aligned":
+        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error), from the prior or from another pose.
+
+        In the first so many iterations all matches are trusted alike, however far off: a start that is far from the right
+        place has its few telling points there, which are taken for outliers else.
+        """
+        chosen = self._keyframes.select(T_prior)
+        T_start = T_prior if T_start is None else T_start
+        T: NDArray[np.float64] = T_start
+        # The first step may have to bridge what the prior leaves open and what a slip adds.
+        step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
+        for iteration in range(_MAX_ITERATIONS):
+            gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
+            match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
+            if T is T_start or gate == _GATE_NEAR:
+                believed, degenerate = belief(match)
+            H, g = believed @ match.H, believed @ match.g
+            step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
+            T = moved(T, step)
+            if iteration >= trusting and float(np.abs(step).max()) < _CONVERGED:
+                break
+        covariance = np.linalg.inv(H + information)
+        return _Aligned(orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match)
+
+    def _refuse(
+        self,
+        stamp_ns: int,
+        T_prior: NDArray[np.float64],
+        prior_covariance: NDArray[np.float64],
+        match: Match | None,
+        reason: str,
+    ) -> Registered:
+        self._failures += 1
+        self._last = T_prior
+        if self._failures >= self._acceptance.patience and match is not None:
+            # The prior has drifted too far to find the way back: start a map of its own there.
+            self._keyframes.clear()
+            self._anchor.clear()
+            # The ground here may be rougher than it has been so far.
+            self._usual_rmse, self._lately = self._acceptance.max_rmse, _Fit()
+            self._remember(T_prior)
+            reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
+            self._failures = 0
+        return refused(stamp_ns, T_prior, prior_covariance, match, reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Aligned:
+    """A pose that a frame fits at."""
+
+    T: NDArray[np.float64]  # (4, 4) of the camera
+    covariance: NDArray[np.float64]  # (6, 6) [m, rad]
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that are left to the prior
+    match: Match
+
+
+@dataclass(frozen=True, slots=True)
+class _Nowhere:
+    """Why a search has found no place."""
+
+    reason: str  # in words
+    is_elsewhere: bool  # there is a better place than the expected one, though none that fits
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """How well frames have fitted of late; infinite before the first."""
+
+    misfit: float = math.inf
+    rmse: float = math.inf  # [m]
+
+
+def _recent(mean: float, value: float) -> float:
+    """A running mean with one more value in it."""
+    return mean + _RECENT_SHARE * (value - mean) if math.isfinite(mean) else value
+
+
+def _with_floor_open(degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twists (k, 6) that a scene leaves to the prior, with x, y and yaw among them."""
+    rest = degenerate.copy()
+    rest[:, _ALONG_FLOOR] = 0.0
+    kept = degenerate[np.linalg.norm(rest, axis=1) > 0.5]
+    return np.vstack([np.eye(6)[_ALONG_FLOOR], kept])
+
+
+def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How much to believe of a match, by direction.
+
+    Noisy normals make a flat floor seem to constrain x, y and yaw. Against the information N that noise alone would
+    give, H has one generalised eigenvalue per direction, 1 where it holds nothing else; directions are faded in from
+    there. (After Zhang, Kaess and Singh 2016, On degeneracy of optimization-based state estimation problems.)
+
+    Returns:
+        The (6, 6) matrix B of the normal equations to believe, B H and B g, and the unit twists (k, 6) of the
+        directions not believed at all.
+    """
+    if not match.N.any():
+        return np.zeros((6, 6)), np.eye(6)
+    B, directions, unknown = _fade(match.H, match.N)
+    return _INFORMATION_SHARE / match.keyframes * B, directions[unknown]
+
+
+@compiled
+def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A B of small matrices, without calling a library."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            for k in range(A.shape[1]):
+                out[i, j] += A[i, k] * B[k, j]
+    return out
+
+
+@compiled
+def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """B of `belief` before its factor; six unit twists, and which of them are unknown. N is not zero."""
+    scale = 0.0
+    for i in range(6):
+        scale += N[i, i] / 6.0
+    # 1. N = L L^T (Cholesky), and L inverted.
+    L, inverse_L = np.zeros((6, 6)), np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            rest = N[i, j] + (1e-9 * scale if i == j else 0.0)
+            for k in range(j):
+                rest -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(max(rest, 1e-12 * scale)) if i == j else rest / L[j, j]
+    for j in range(6):
+        for i in range(j, 6):
+            rest = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                rest -= L[i, k] * inverse_L[k, j]
+            inverse_L[i, j] = rest / L[i, i]
+    # 2. L^-1 H L^-T = U diag(ratio) U^T, by Jacobi's rotations: cyclic, until nothing is left beside the diagonal.
+    A, U = _product(_product(inverse_L, H), inverse_L.T), np.eye(6)
+    for _ in range(_SWEEPS):
+        aside, whole = 0.0, 0.0
+        for i in range(6):
+            whole += A[i, i] * A[i, i]
+            for j in range(i):
+                aside += A[i, j] * A[i, j]
+        if aside <= 1e-24 * whole:
+            break
+        for p in range(5):
+            for q in range(p + 1, 6):
+                if A[p, q] == 0.0:
+                    continue
+                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(6):
+                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
+                for k in range(6):
+                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
+                for k in range(6):
+                    U[k, p], U[k, q] = c * U[k, p] - s * U[k, q], s * U[k, p] + c * U[k, q]
+    # 3. Directions are faded in by their ratio.
+    share = np.empty(6)
+    for k in range(6):
+        share[k] = min(max((A[k, k] - _SNR_OPEN) / (_SNR_KNOWN - _SNR_OPEN), 0.0), 1.0)
+    B = _product(_product(L, U * share), _product(U.T, inverse_L))
+    directions = _product(U.T, inverse_L)
+    for k in range(6):
+        directions[k] /= np.sqrt(np.sum(directions[k] ** 2))
+    return B, directions, share == 0.0
+
+
+def _is_apart(T: NDArray[np.float64], other: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+    """Whether two poses lie further apart along the floor than a prior is uncertain.
+
+    A pose that fits better, yet where the legs have it, speaks of noise and of no slip.
+    """
+    return bool((np.abs(error_twist(T, other)) > np.sqrt(np.diag(covariance)))[_ALONG_FLOOR].any())
+
+
+def _slipping(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The covariance (6, 6) of a prior whose legs may have slipped."""
+    return covariance + np.diag(_SLIPPED**2)
+
+
+def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
+    """A pose moved by an error twist (6,) in world axes at its origin."""
+    out = T.copy()
+    out[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
+    out[:3, 3] += twist[:3]
+    return out
+
+
+def error_twist(T: NDArray[np.float64], T_from: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The error twist (6,) that moves one pose to another, so that moved(T_from, error_twist(T, T_from)) is T."""
+    return np.concatenate([T[:3, 3] - T_from[:3, 3], log_so3(T[:3, :3] @ T_from[:3, :3].T)])
+
+
+def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The information (6, 6) of a prior.
+
+    Raises:
+        ValueError: Not a finite (4, 4) pose, or not a positive definite (6, 6) covariance.
+    """
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise ValueError(f"a finite (4, 4) prior pose expected, found {T.tolist()}")
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError(f"a finite (6, 6) prior covariance expected, found shape {covariance.shape}")
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        raise ValueError("a positive definite prior covariance expected: give every direction some variance")
+    return np.asarray(np.linalg.inv(covariance))
+
+
+def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
+    """Why a frame cannot be registered at all, or nothing."""
+    share = frame.valid / (frame.shape[0] * frame.shape[1])
+    if share < acceptance.min_measured:
+        return f"only {100 * share:.1f} % of the image is measured, {100 * acceptance.min_measured:.0f} % needed"
+    return ""
+
+
+def objection(match: Match, acceptance: Acceptance) -> str:
+    """Why a match is not to be trusted, or nothing."""
+    if match.overlap < acceptance.min_overlap:
+        return f"{100 * match.overlap:.0f} % of the frame overlaps known ground, {100 * acceptance.min_overlap:.0f} % needed"
+    if match.agreement < acceptance.min_agreement:
+        return f"only {100 * match.agreement:.0f} % of the overlap agrees with known ground"
+    if match.rmse > acceptance.max_rmse:
+        return f"surfaces are {1000 * match.rmse:.1f} mm apart, {1000 * acceptance.max_rmse:.1f} mm allowed"
+    return ""
+
+
+def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance) -> str:
+    """Why a pose is too far from its prior to be true, or nothing."""
+    twist = np.abs(error_twist(T, T_prior))
+    level, tilt = acceptance.jump_distance, acceptance.jump_tilt
+    swept = acceptance.lever * float(min(max(twist[3], twist[4]), tilt))
+    margin = np.array([level + swept, level + swept, acceptance.jump_height, tilt, tilt, acceptance.jump_angle])
+    allowed = 4.0 * np.sqrt(np.diag(covariance)) + margin
+    worst = int(np.argmax(twist / allowed))
+    if twist[worst] <= allowed[worst]:
+        return ""
+    unit, factor = ("m", 1.0) if worst < 3 else ("deg", math.degrees(1.0))
+    return (
+        f"jump of {factor * twist[worst]:.3f} {unit} in {AXES[worst]} from the expected pose, "
+        f"{factor * allowed[worst]:.3f} {unit} believable"
+    )
+
+
+def first(stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> Registered:
+    """The result for a frame that starts a map: it is where its prior says."""
+    return Registered(stamp_ns, T.copy(), covariance.copy(), 1.0, 0.0, np.eye(6), True, "")
+
+
+def refused(
+    stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64], match: Match | None, reason: str
+) -> Registered:
+    """The result for a frame that could not be registered: its prior and why."""
+    overlap, rmse = (0.0, math.nan) if match is None else (match.overlap, match.rmse)
+    return Registered(stamp_ns, T.copy(), covariance.copy(), overlap, rmse, np.eye(6), False, reason)

@@ -1,0 +1,54 @@
+"""Perception goes through a short walk past blocks, and a slip, so that all it calls is compiled before a picture comes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.perception.config import Settings
+from sextant.services.perception.service import Perception
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.robot.profile import Camera, RobotProfile
+from sextant.shared.runtime.warmup import Rehearsal
+from sextant.shared.wire.messages import ColorImage, DepthImage, Odometry
+
+_TICK_NS = 20_000_000  # [ns] of the odometry
+_BLOCKS = np.array(  # [m] {world} opposite corners; further apart than one body that may move before a robot that stands
+    [[[0.85, -0.5, 0.0], [1.15, -0.2, 0.06]], [[0.9, 0.2, 0.0], [1.2, 0.5, 0.06]]]
+)
+_AWAY = 0.15  # [m] that it walks, and by which it is then carried off
+_LOOKS = 10  # used pictures from a place: enough to be settled, and to search for a place that is in doubt
+
+
+def rehearse(profile: RobotProfile, settings: Settings) -> None:
+    """Compile all that perception calls, for a robot's camera."""
+    camera = profile.camera
+    stage = Rehearsal(Perception(profile, settings))
+    frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
+    frame_ns = round(1e9 / camera.sensor.rate_hz)
+    stamp_ns = 0
+    for walked, seen_from in ((0.0, 0.0), (_AWAY, _AWAY), (_AWAY, -_AWAY)):
+        depth = _picture(camera, from_xyz_rpy((seen_from, 0.0, profile.stance.body_height), (0.0, 0.0, 0.0)))
+        rgb = np.full((*depth.shape, 3), 90, dtype=np.uint8)
+        for _ in range(frames):
+            for told_ns in range(stamp_ns, stamp_ns + frame_ns, _TICK_NS):
+                stage.hear(
+                    Odometry(told_ns, from_xyz_rpy((walked, 0.0, 0.0), (0.0, 0.0, 0.0)), walked, 0.0, np.ones(6, bool), True)
+                )
+            stamp_ns += frame_ns
+            stage.hear(DepthImage(stamp_ns, depth))
+            stage.hear(ColorImage(stamp_ns, rgb))
+
+
+def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:
+    """Raw depth (h, w) of level ground and the blocks on it."""
+    intrinsics, sensor = camera.intrinsics, camera.sensor
+    T = T_world_body @ camera.T_body_camera
+    rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T[:3, :3].T  # (h, w, 3) {world}, 1 m deep
+    rays[np.abs(rays) < 1e-9] = 1e-9
+    floor = np.where(rays[..., 2] < 0.0, -T[2, 3] / rays[..., 2], np.inf)
+    depth = floor
+    for block in _BLOCKS:
+        one, other = ((corner - T[:3, 3]) / rays for corner in block)  # depths at which rays pass its three pairs of sides
+        enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        depth = np.minimum(depth, np.where((enters < leaves) & (enters > 0.0), enters, np.inf))
+    raw = np.where(depth <= sensor.max_range, np.rint(depth * sensor.depth_scale), 0.0)
+    return np.asarray(np.minimum(raw, 65535.0), dtype=np.uint16)

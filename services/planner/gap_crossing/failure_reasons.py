@@ -1,0 +1,105 @@
+"""Why a search ended without a way, in words: which test stops which leg where, and how wide the gap is."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.geometry import Array, apply
+from sextant.shared.robot.profile import LEGS
+
+WORDS = (
+    "",
+    "out of reach",
+    "foot under the body",
+    "foot behind its level of the body",
+    "feet closer than allowed",
+    "no foothold",
+    "ground unknown",
+    "support too small",
+    "torque too large",
+    "legs too close to each other",
+    "body or leg too close to the ground",
+    "no room to swing",
+)
+NOBODY = 6  # in place of a leg: the whole robot
+_BESIDE = 0.05  # [m] of a leg's line that count as before it
+_WORTH_TELLING = 0.5  # [1] share of a leg's stroke from which a bare stretch is an obstacle
+
+
+class Why(NamedTuple):
+    """Why nothing leads on."""
+
+    words: str
+    unseen: bool  # whether it is for want of known ground
+    leg: int  # that fails the test, NOBODY for the whole robot
+
+
+def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
+    """Why a stance is no beginning.
+
+    Args:
+        found: (7,) the test that each leg fails, then the whole robot.
+        repair: [m] by which the body may be shifted.
+    """
+    legs = [f"{LEGS[leg]} leg: {WORDS[found[leg]]}" for leg in range(6) if found[leg]]
+    whole = [WORDS[found[6]]] if found[6] else []
+    return f"the robot stands badly, and no shift of {repair * 100:.0f} cm helps: {'; '.join(legs + whole)}"
+
+
+def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field) -> Why:
+    """Why nothing leads on from the furthest configurations.
+
+    Args:
+        fails: (tests, 7) how often each test failed there, by leg, the last for none.
+        body: (3,) [m] {strip} of the furthest.
+        feet: (6, 3) [m] {strip}.
+        strokes: (6,) [m] by which each foot can be set forward while the body stands.
+        field: The strip.
+    """
+    x, y, _ = apply(field.T_world_strip, body)
+    where = f"({x:.2f}, {y:.2f}) m"
+    if not fails.any():
+        return Why(f"nothing leads on at {where}", False, NOBODY)
+    blind = bool(fails[roadmap_search.UNKNOWN].sum() > 0.2 * fails.sum())
+    told = fails.copy()
+    told[0] = 0
+    test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
+    who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
+    gap = _gap(feet, strokes, field)
+    look = "; cells ahead are unknown" if blind else ""
+    return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals){gap}{look}", blind, leg)
+
+
+def _gap(feet: Array, strokes: Array, field: Field) -> str:
+    """The stretch without a foothold that is the widest beside the stroke of the leg before which it lies, in words.
+
+    Nothing where it is no obstacle.
+    """
+    stretches = [_bare_before(foot, stroke, field) for foot, stroke in zip(feet, strokes, strict=True)]
+    widths = np.array([width for width, _ in stretches])
+    leg = int(np.argmax(widths - strokes))
+    width, ends = stretches[leg]
+    if width < _WORTH_TELLING * strokes[leg]:
+        return ""
+    bare, reach = round(100 * width), round(100 * float(strokes[leg]))
+    by = f", {bare - reach} cm more than" if bare > reach else " of"
+    stretch = f"{bare} cm{'' if ends else ' or more'}"
+    return f"; before the {LEGS[leg]} foot {stretch} carry none{by} the {reach} cm that its leg goes"
+
+
+def _bare_before(foot: Array, stroke: float, field: Field) -> tuple[float, bool]:
+    """The widest stretch [m] ahead of a foot (3,) [m] {strip} that carries none and begins within a stroke; whether it ends."""
+    x0, y0 = field.corner
+    half = round(_BESIDE / field.resolution)
+    i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)
+    carries = np.asarray((field.evaluation[max(0, i) :, max(0, j - half) : max(0, j + half + 1)] < 0).any(axis=1))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], ~carries, [0]])))
+    begins, ends = edges[::2], edges[1::2]
+    near = begins * field.resolution <= stroke
+    if not near.any():
+        return 0.0, True
+    widest = int(np.argmax((ends - begins)[near]))
+    return float(ends[widest] - begins[widest]) * field.resolution, bool(ends[widest] < len(carries))

@@ -1,0 +1,54 @@
+"""What planning a section came to, as everybody is told."""
+
+from typing import Literal
+
+import numpy as np
+
+from sextant.services.planner.gap_crossing.failure_reasons import NOBODY
+from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay
+from sextant.shared.geometry import Array, apply, yaw_of
+from sextant.shared.wire.messages import MAX_SECTION, MAX_TREE, PassagePlan
+
+
+def told(
+    stamp_ns: int, section: int, found: Crossing | NoWay, T_world_strip: Array, goal: float, edges: Array, seconds: float
+) -> PassagePlan:
+    """The message of a planning.
+
+    Args:
+        stamp_ns: [ns] when it ended.
+        section: Which section was planned.
+        found: What it came to.
+        T_world_strip: (4, 4).
+        goal: [m] {strip} where the body is to get.
+        edges: (n, 2, 3) [m] {strip} of the tree.
+        seconds: [s] that it took.
+    """
+    steps, end = found.steps[:MAX_SECTION], found.furthest if isinstance(found, NoWay) else found.end
+    state: Literal["complete", "partial", "no way"]
+    state = "no way" if isinstance(found, NoWay) else "complete" if found.complete else "partial"
+    return PassagePlan(
+        stamp_ns=stamp_ns,
+        section=section,
+        state=state,
+        reason=found.reason,
+        origin=T_world_strip[:2, 3].copy(),
+        heading=yaw_of(T_world_strip),
+        goal=goal,
+        furthest=float(end.body[0]),
+        generated=found.generated,
+        expanded=found.expanded,
+        planning_ms=1e3 * seconds,
+        leg=np.array([step.leg if step.leg >= 0 else NOBODY for step in steps], dtype=np.uint8),
+        footholds=apply(T_world_strip, np.array([step.touchdown for step in steps]).reshape(-1, 3)),
+        body=apply(T_world_strip, np.array([step.body for step in steps]).reshape(-1, 3)),
+        edges=apply(T_world_strip, edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
+        stopped=apply(T_world_strip, _stopped(found)),
+    )
+
+
+def _stopped(found: Crossing | NoWay) -> Array:
+    """Where (1, 3) [m] {strip} the furthest configuration fails a test: the leg's foot, or the body; (0, 3) where none does."""
+    if isinstance(found, Crossing):
+        return np.zeros((0, 3))
+    return (found.furthest.body if found.leg == NOBODY else found.furthest.feet[found.leg])[None]

@@ -1,0 +1,324 @@
+"""The roadmap planner of Masri 2016, chapter 5: a section of single-leg steps across a strip, or why there is none."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.failure_reasons import NOBODY, WORDS, fault_in_words, in_words
+from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of, tree_of
+from sextant.services.planner.gap_crossing.sections import bare
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile
+
+_LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
+_BAND = 0.35  # [m] either side of the middle line in which it counts
+_WORTH = 0.05  # [m] of the body's way that a section must bring
+_SPARE = 0.10  # [m] of the body's way that is planned beyond where a section ends that does not get to the goal
+_RETREAT = 0.06  # [m] of the body before the furthest that was reached
+_VERGE = 0.06  # [m] of bare ground before a foot, from which it stands among it and not at its verge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stance:
+    """A robot on six feet, its yaw that of the strip."""
+
+    body: Array  # (3,) [m] {strip} body origin
+    feet: Array  # (6, 3) [m] {strip} foot centres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassageStep:
+    """One leg's step and the body's way meanwhile; leg -1 where only the body moves."""
+
+    leg: int
+    touchdown: Array  # (3,) [m] {strip} foot centre
+    clearance: float  # [m] over the higher end
+    body: Array  # (3,) [m] {strip} at its end
+    margin: float  # [m] of support, the least of the step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """A section that can be walked."""
+
+    steps: tuple[PassageStep, ...]
+    complete: bool  # whether it ends at the goal
+    reason: str  # why it ends where it does, in words
+    generated: int  # n_g
+    expanded: int  # n_e
+    end: Stance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoWay:
+    """Why there is no section worth walking."""
+
+    reason: str  # in words
+    unseen: bool  # whether unknown ground stands in its way: another look may help
+    furthest: Stance
+    generated: int
+    expanded: int
+    fails: dict[str, int]  # how often each test failed
+    steps: tuple[PassageStep, ...] = ()  # to the furthest, for whoever wants to see it: nobody walks them
+    leg: int = NOBODY  # that fails the test which stops it there, NOBODY for the whole robot
+    closer: Crossing | None = None  # on towards the unknown ground, to where more of it may be seen
+
+
+class Roadmap:
+    """Grows trees of configurations from a stance towards a place along the strip. Same input and seed: same plan.
+
+    How long a search takes has a long tail: one that finds nothing in its share of the budget begins anew, with other samples.
+    """
+
+    def __init__(self, profile: RobotProfile, settings: PassageSettings | None = None):
+        """Make room for a robot's configurations."""
+        self._profile, self._settings = profile, settings or PassageSettings()
+        self._legs, self._rules = legs_of(profile, self._settings), rules_of(profile, self._settings)
+        self._tree = tree_of(self._settings.nodes)
+        self._field: Field | None = None
+
+    @property
+    def edges(self) -> Array:
+        """(n, 2, 3) [m] {strip} body places at both ends of every step that was proven, of the newest tree, for the picture."""
+        n = int(self._tree.counts[roadmap_search.NODES])
+        proven = np.flatnonzero((self._tree.state[:n] == roadmap_search.PROVEN) & (self._tree.parent[:n] >= 0))
+        return np.stack([self._tree.body[self._tree.parent[proven]], self._tree.body[proven]], axis=1)
+
+    @property
+    def expanded(self) -> int:
+        """n_e so far."""
+        return self._expanded_before + int(self._tree.counts[roadmap_search.EXPANDED])
+
+    @property
+    def generated(self) -> int:
+        """n_g so far."""
+        return self._generated_before + int(self._tree.counts[roadmap_search.NODES])
+
+    def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
+        """Some stances (n) of the newest tree, for the bench."""
+        return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
+
+    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+        """Start anew.
+
+        Args:
+            field: The strip.
+            stance: Where the robot stands.
+            goal_x: [m] {strip} where its body shall be.
+            seed: Of the samples.
+
+        Raises:
+            ValueError: A stance that is none.
+        """
+        if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
+            raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
+        self._field = field
+        self._outcome: Crossing | NoWay | None = None
+        self._ground = ground_of(field)
+        self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
+        self._root = self._repaired(stance)
+        self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
+        self._tries = self._expanded_before = self._generated_before = 0
+        self._fails = np.zeros(roadmap_search.TESTS, dtype=np.int64)
+        self._best: _Furthest | None = None
+        self._plant()
+
+    def grow(self, expansions: int) -> Crossing | NoWay | None:
+        """Go on for so many expansions; None while the budget is not used up and nothing is found.
+
+        Raises:
+            ValueError: Nothing was begun.
+        """
+        if self._field is None:
+            raise ValueError("a search that was begun expected: call begin() first")
+        counts, budget = self._tree.counts, self._settings.budget
+        while self._outcome is None and expansions > 0:
+            if self._blame:
+                self._outcome = self._no_way(self._blame, False, self._reached(0), self._blamed)
+                break
+            portion = min(expansions, budget - self.expanded, self._share() - int(counts[roadmap_search.EXPANDED]))
+            expansions -= roadmap_search.grow(self._tree, self._ground, self._legs, self._rules, portion)
+            ended = counts[roadmap_search.QUEUED] == 0 or counts[roadmap_search.EXPANDED] >= self._share()
+            if counts[roadmap_search.GOAL] >= 0:
+                self._outcome = self._crossing(int(counts[roadmap_search.GOAL]))
+            elif self.expanded >= budget:
+                self._note_furthest()
+                self._outcome = self._nothing_found()
+            elif ended:
+                self._note_furthest()
+                self._expanded_before, self._generated_before = self.expanded, self.generated
+                self._tries += 1
+                self._plant()
+        return self._outcome
+
+    def _share(self) -> int:
+        """Expansions that a tree may have before another one is tried: twice as many every second time."""
+        return int(self._settings.patience * 2 ** (self._tries // 2))
+
+    def _plant(self) -> None:
+        """Leave nothing but the root."""
+        tree = self._tree
+        tree.counts[:] = 0
+        tree.counts[roadmap_search.GOAL] = -1
+        tree.counts[roadmap_search.NODES] = tree.counts[roadmap_search.QUEUED] = 1
+        tree.fails[:], tree.visits[:], tree.table[:] = 0, 0, -1
+        tree.root[:], tree.body[0], tree.foot[0] = self._root.feet, self._root.body, roadmap_search.ROOT_FOOT
+        tree.parent[0], tree.leg[0], tree.depth[0], tree.state[0], tree.cost[0] = -1, -1, 0, roadmap_search.PROVEN, 0.0
+        tree.goal[0] = min(self._goal_x, self._seen_to)
+        tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
+
+    def _end_of_the_known(self, field: Field, stance: Stance) -> float:
+        """How far [m] {strip} the body may go before its front feet step on what is not known."""
+        front = float((self._legs.rest[:, 0]).max())
+        known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _LIT)
+        return np.inf if known >= field.elevation.shape[0] * field.resolution - 1e-9 else known - front - 0.03
+
+    def _repaired(self, stance: Stance) -> Stance:
+        """The stance with its body moved by no more than allowed so that all legs hold it; notes what cannot be helped."""
+        self._blame, self._blamed, self._shift = "", NOBODY, np.zeros(3)
+        found = np.zeros(7, dtype=np.int64)
+        roadmap_search.faults(self._legs, self._rules, 1, stance.feet, stance.body, found)
+        if not found.any():
+            return stance
+        first = found.copy()
+        for strict in (0, 1):  # with all that is spared for the steps to come, or just so
+            for shift in _shifts(self._settings.repair, 0.005):
+                body = stance.body + shift
+                roadmap_search.faults(self._legs, self._rules, strict, stance.feet, body, found)
+                if not found.any():
+                    self._shift = shift
+                    return replace(stance, body=body)
+        if np.count_nonzero(first[:6]) == 1 and not first[6]:
+            return stance  # that leg's own step repairs it
+        self._blame, self._blamed = fault_in_words(first, self._settings.repair), int(np.flatnonzero(first)[0])
+        return stance
+
+    def _crossing(self, goal: int) -> Crossing | NoWay:
+        """The section to a configuration."""
+        x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
+        seen = f"ground is known for {known:.2f} m ahead only"
+        if x >= self._goal_x - 1e-9:
+            return self._section(goal, True, "at the goal")
+        if x < self._root.body[0] + _WORTH:
+            return self._no_way(seen, True, self._reached(goal))
+        end = self._before(goal, _SPARE)  # that no section ends where nothing leads on
+        if self._tree.body[end, 0] < self._root.body[0] + _WORTH:
+            end = goal
+        if x >= self._tree.goal[0] - 1e-9:
+            return self._section(end, False, seen)
+        return self._section(end, False, f"so far in {self._settings.cycles} cycles of the gait")
+
+    def _nothing_found(self) -> NoWay:
+        """What is left when the budget is used up, or everything was tried."""
+        best = self._best
+        assert best is not None
+        assert self._field is not None
+        why = in_words(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
+        no_way = self._no_way(why.words, why.unseen, best, why.leg)
+        if not why.unseen or not best.retreat or self._ventures(best.retreat):
+            return no_way
+        return replace(
+            no_way, closer=Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
+        )
+
+    def _ventures(self, steps: tuple[PassageStep, ...]) -> bool:
+        """Whether steps bring a robot that stands on the near side to where ground carries a foot only here and there.
+
+        What is seen of such ground is seen from before it, so there is no use in standing in the middle of it without a way on.
+        """
+        assert self._field is not None
+        rows, x0, resolution = bare(self._field), self._field.corner[0], self._field.resolution
+
+        def within(x: float) -> bool:
+            row = min(max(round((x - x0) / resolution), 0), len(rows) - 1)
+            return bool(rows[max(row - round(_VERGE / resolution), 0) : row + 1].all())
+
+        if any(within(float(foot[0])) for foot in self._root.feet):
+            return False
+        return any(within(float(step.touchdown[0])) for step in steps if step.leg >= 0)
+
+    def _note_furthest(self) -> None:
+        """Keep how far this tree came, if none came further."""
+        tree = self._tree
+        self._fails += tree.fails[0].sum(axis=1)
+        furthest = int(tree.counts[roadmap_search.FURTHEST])
+        if self._best is not None and tree.body[furthest, 0] <= self._best.stance.body[0]:
+            return
+        self._best = self._reached(furthest)
+
+    def _reached(self, node: int) -> "_Furthest":
+        """How far a configuration is, and what stops it there if it is the furthest."""
+        tree = self._tree
+        # A place to wait for another look lies a little before the last one that was reached, which may be a dead end.
+        back = self._before(node, _RETREAT)
+        worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
+        retreat = self._steps(back) if worth else ()
+        return _Furthest(self._stance(node), tree.fails[1].copy(), self._steps(node), retreat, self._stance(back))
+
+    def _section(self, node: int, complete: bool, reason: str) -> Crossing:
+        return Crossing(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
+
+    def _no_way(self, reason: str, unseen: bool, furthest: "_Furthest", leg: int = NOBODY) -> NoWay:
+        fails = self._fails if self._best is not None else self._tree.fails[0].sum(axis=1)
+        counts = {WORDS[test]: int(fails[test]) for test in range(1, roadmap_search.TESTS) if fails[test]}
+        return NoWay(reason, unseen, furthest.stance, self.generated, self.expanded, counts, furthest.steps, leg)
+
+    def _stance(self, node: int) -> Stance:
+        return Stance(self._tree.body[node].copy(), np.array([self._foot(node, leg) for leg in range(6)]))
+
+    def _foot(self, node: int, leg: int) -> Array:
+        code, ground = int(self._tree.foot[node, leg]), self._ground
+        if code == roadmap_search.ROOT_FOOT:
+            return np.array(self._tree.root[leg])
+        i, j = divmod(code, ground.evaluation.shape[1])
+        z = float(ground.elevation[i, j]) + self._profile.foot.radius
+        return np.array([ground.x0 + i * ground.resolution, ground.y0 + j * ground.resolution, z])
+
+    def _steps(self, node: int) -> tuple[PassageStep, ...]:
+        """The way from the root."""
+        steps = [self._step(n) for n in self._back(node)][::-1]
+        if self._shift.any():
+            body = self._tree.body[0].copy()
+            steps.insert(0, PassageStep(roadmap_search.ALL_STAND, body, 0.0, body, self._settings.margin))
+        return tuple(steps)
+
+    def _before(self, node: int, way: float) -> int:
+        """The configuration on the way to another from which its body goes so far [m] yet."""
+        x = self._tree.body[:, 0]
+        return next((n for n in self._back(node) if x[n] <= x[node] - way), 0)
+
+    def _back(self, node: int) -> Iterator[int]:
+        while self._tree.parent[node] >= 0:
+            yield node
+            node = int(self._tree.parent[node])
+
+    def _step(self, node: int) -> PassageStep:
+        tree, leg = self._tree, int(self._tree.leg[node])
+        touchdown = self._foot(node, leg) if leg >= 0 else tree.body[node].copy()
+        return PassageStep(leg, touchdown, float(tree.lift[node]), tree.body[node].copy(), float(tree.margin[node]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Furthest:
+    """How far the trees came."""
+
+    stance: Stance
+    fails: NDArray[np.int64]  # (tests, 7) what stopped it there
+    steps: tuple[PassageStep, ...]  # to it
+    retreat: tuple[PassageStep, ...]  # to a stance a little before
+    retreat_stance: Stance
+
+
+def _shifts(most: float, step: float) -> Iterator[Array]:
+    """Body shifts [m] of at most so much, the shortest first."""
+    n = int(most / step + 1e-6)
+    grid = step * np.array(np.meshgrid(*[np.arange(-n, n + 1)] * 2, indexing="ij")).reshape(2, -1).T
+    length = np.linalg.norm(grid, axis=1)
+    for k in np.argsort(length, kind="stable"):
+        if 0.0 < length[k] <= most + 1e-9:
+            yield np.array([*grid[k], 0.0])

@@ -1,0 +1,1195 @@
+"""The roadmap's search, compiled: robot configurations that grow from the root over body motions and footholds.
+
+Masri 2016, chapter 5, with what it leaves out. All of it is one file, since compiled functions must not call across files.
+
+The search is lazy. A new configuration has passed what is cheap to know: reach and limits of all legs, support, torque, places
+of its feet. What is dear, the swing and the distances of legs to each other and to the ground, is proven when its turn comes.
+A configuration that was expanded for the leg whose turn it is comes back later, at a price, for the next leg in order.
+
+Joint limits are tested without inverse trigonometry: on directions, by the signs of cross products, and on the knee's cosine.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.geometry import Array
+from sextant.shared.runtime.compiled import compiled
+
+OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = range(12)  # tests, by what fails
+TESTS = 12
+OPEN, PROVEN, REFUSED = 0, 1, 2  # what is known of the step to a configuration
+NODES, QUEUED, EXPANDED, BEST, GOAL, FURTHEST, PROVED = range(7)  # places in `Tree.counts`
+COUNTS = 7
+ALL_STAND = -1  # in place of the leg that swings
+ROOT_FOOT = -1  # in place of a cell: the foot has not moved since the root
+_NEVER_SEEN = 127
+CROWDS, _CROWD = 512, 0.01  # places of equal progress, and [m] the length of one
+_SAMPLES = 9  # of a swing
+_AXIS = 0.035  # [m] from its coxa axis: nearer, a foot asks the coxa to whirl, and there is no telling where it is pushed
+_PIECES = 12  # of the way from one sample to the next
+_LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
+_RISES = (0.20, 0.05, 0.70)  # of time, of its way, of its level: no swing rises steeper
+_FALLS = (0.82, 0.95, 0.40)  # nor falls
+
+
+# Columns of `Legs.table`.
+_MOUNT, _YAW, _COXA, _FEMUR, _KNEE, _WAY, _LINKS, _FORE, _ROOM = 0, 3, 5, 10, 15, 17, 19, 22, 23
+LEG_COLUMNS = 25
+
+
+class Legs(NamedTuple):
+    """What the tests know of the legs.
+
+    The table is one array, since each that is passed costs a call its count of references. Its leading axis: within limits by
+    a spare, and by the limits themselves. Its columns: mount (3) [m] {body}; cosine and sine of the neutral direction; coxa (5)
+    and femur (5), directions of the lower and upper limit as (cos, sin, cos, sin), and 1 if they are more than half a turn
+    apart; least and greatest cosine of the tibia angle; shortest and longest way [m] from femur axis to foot; lengths of coxa,
+    femur and tibia [m]; 1 for front legs, -1 for rear legs, 0 between; half length and half width of the body [m].
+    """
+
+    table: Array  # (2, 6, 25)
+    rest: Array  # (6, 2) [m] {body} nominal feet
+    stroke: Array  # (6, 2) [m] by which a foot may stand behind and before its nominal place
+    order: NDArray[np.int64]  # (6,) in which legs take turns
+    swing: Array  # (3, 9) of a swing: share of the time, share of the way, share of the height
+
+
+class Rules(NamedTuple):
+    """Lengths and limits of the tests, in SI units."""
+
+    foot_radius: float
+    half_length: float  # of the body
+    half_width: float
+    half_height: float
+    weight: float  # [N]
+    torque: float  # [N m] that a servo may give
+    easy_torque: float  # [N m] that it may give for hours
+    height: float  # [m] of the body over the floor
+    climb: float  # [m] of the body in a step
+    centre_x: float  # [m] of the centre of mass from the body's middle
+    centre_y: float
+    margin: float  # [m] of the centre of mass inside its standing feet
+    feet_apart: float
+    legs_apart: float
+    body_clear: float
+    leg_clear: float
+    swing_clear: float
+    least_lift: float
+    most_lift: float
+    lift_step: float
+    moved_most: float  # [m] by which a point of a swing may be moved into reach
+    lattice: float  # [m] of body places
+    alike_body: float  # [m] edge of the squares in which body places count as one
+    alike_foot: int  # [cells] likewise for feet
+    body_low: float  # [m] d_bmin
+    body_high: float  # [m] d_bmax
+    body_angle: float  # [rad] alpha
+    foot_low: float  # d_lmin, as a share of the leg's stroke
+    foot_high: float  # d_lmax, likewise
+    foot_angle: float  # [rad] beta
+    foot_back: float  # [m] from the end of the leg's stroke back to the tip of the cone of footholds
+    strong: int  # [cells] F from which a place is taken as it is
+    wide: int  # [cells] F of a local minimum from which ground is wide
+    weakest: int  # [cells] F that a local minimum must have
+    drift: float  # [m] Delta y
+    depth: int  # most steps
+    step_gain: float  # [m] by which a step brings robot and feet on, for the cost to go
+    eager: float  # weight of the cost to go
+    lag_price: float  # of a foot that has its whole stroke behind it
+    crowd_price: float  # of each expansion at the same progress
+    turn_price: float
+    still_price: float  # of a step in which all stand
+    foothold_price: float
+    margin_price: float
+    torque_price: float
+    aside_price: float
+    move_samples: int  # m
+    foot_samples: int  # n
+    rounds: int  # of all legs that one configuration may have
+    backward: float  # [m] that a foot may be set back
+
+
+class Ground(NamedTuple):
+    """The strip: cell (i, j) is centred at (x0, y0) + resolution * (i, j) {strip}."""
+
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}, NaN where unknown
+    top: NDArray[np.float32]  # (nx, ny) [m] highest within a cell around, -inf where nothing is known
+    evaluation: NDArray[np.int8]  # (nx, ny) Masri's F
+    meant: NDArray[np.int32]  # (nx, ny) cell that a sampled cell stands for, -1 where it is not known yet
+    nearest: NDArray[np.int32]  # (nx, ny) cell that is seen and nearest to each, itself where it is seen
+    resolution: float
+    x0: float
+    y0: float
+
+
+class Tree(NamedTuple):
+    """Configurations, queue and table of those known; `counts` and `fails` tell what happened."""
+
+    root: Array  # (6, 3) [m] {strip} feet
+    body: Array  # (n, 3) [m] {strip}
+    foot: NDArray[np.int32]  # (n, 6) cell, or ROOT_FOOT
+    parent: NDArray[np.int32]  # (n,)
+    leg: NDArray[np.int8]  # (n,) that swung to get here
+    depth: NDArray[np.int16]  # (n,)
+    state: NDArray[np.int8]  # (n,)
+    cost: Array  # (n,) of the way here
+    lift: Array  # (n,) [m] clearance of the swing to here
+    margin: Array  # (n,) [m] of the step to here
+    key: Array  # (q,) of the queue, a binary heap
+    queued: NDArray[np.int32]  # (q,)
+    turn: NDArray[np.int16]  # (q,)
+    table: NDArray[np.int32]  # (2^k,) nodes by hash, -1 empty
+    counts: NDArray[np.int64]  # (7,)
+    fails: NDArray[np.int64]  # (2, tests, 7) over all, and by those as far as any; last axis legs, then none
+    visits: NDArray[np.int64]  # (512,) expansions by progress
+    random: NDArray[np.uint64]  # (1,)
+    goal: Array  # (1,) [m] {strip} x of the body
+
+
+# Random numbers -------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _uniform(state: NDArray[np.uint64]) -> float:
+    """In [0, 1), by xorshift64*."""
+    x = state[0]
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    state[0] = x
+    return float((x * np.uint64(2685821657736338717)) >> np.uint64(11)) / 9007199254740992.0
+
+
+@compiled
+def _bell(state: NDArray[np.uint64]) -> float:
+    """In [-1, 1]: the sum of three uniform ones, a Gaussian of a third within its bounds (Masri 2016, eq. 5.2 and 5.4)."""
+    return (_uniform(state) + _uniform(state) + _uniform(state)) / 1.5 - 1.0
+
+
+# Tests of one leg -----------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _between(c: float, s: float, table: Array, strict: int, leg: int, column: int) -> bool:
+    """Whether a direction lies between the two limits of a leg that begin at a column."""
+    after = table[strict, leg, column] * s - table[strict, leg, column + 1] * c >= 0.0
+    before = c * table[strict, leg, column + 3] - s * table[strict, leg, column + 2] >= 0.0
+    return bool((after or before) if table[strict, leg, column + 4] > 0.0 else (after and before))
+
+
+@compiled
+def _leg(
+    table: Array, strict: int, leg: int, x: float, y: float, z: float
+) -> tuple[int, float, float, float, float, float, float]:
+    """Whether a leg can hold its foot at (x, y, z) {body}.
+
+    Returns:
+        OK or REACH; horizontal reach from the femur axis and the shank's part of it [m]; femur axis and knee as the
+        direction (ux, uy) of the leg {body}, and the knee's reach and height from the femur axis.
+
+    Source: Masri 2016, eq. (3.3)-(3.10) and (3.14)-(3.16), as `sextant.shared.robot.kinematics` reads them.
+    """
+    px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
+    coxa, f, t = table[0, leg, _LINKS], table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]
+    out = math.sqrt(px * px + py * py)
+    reach = out - coxa
+    d2 = reach * reach + pz * pz
+    knee = (d2 - f * f - t * t) / (2.0 * f * t)
+    if out < _AXIS or knee < table[strict, leg, _KNEE] or knee > table[strict, leg, _KNEE + 1]:
+        return REACH, reach, 0.0, 1.0, 0.0, 0.0, 0.0
+    across = -t * math.sqrt(max(1.0 - knee * knee, 0.0))
+    along = f + t * knee
+    # Direction of the femur, times the squared way.
+    fc, fs = reach * along + pz * across, pz * along - reach * across
+    c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
+    ok = _between(px * c + py * s, py * c - px * s, table, strict, leg, _COXA)
+    ok = ok and _between(fc, fs, table, strict, leg, _FEMUR)
+    knee_out, knee_up = f * fc / d2, f * fs / d2
+    return (OK if ok else REACH), reach, reach - knee_out, px / out, py / out, knee_out, knee_up
+
+
+@compiled
+def _placed(table: Array, leg: int, x: float, y: float) -> int:
+    """Whether a foot at (x, y) {body} may be there (Masri 2016, sections 5.1.1 and 5.2.1).
+
+    Not under the body; front feet not behind its front, rear feet not before its rear. What that guards is balance, which
+    the support margin measures; so the level is that of the leg's own axis, and no more than the thesis' joint limits say.
+    """
+    if abs(x) < table[0, leg, _ROOM] and abs(y) < table[0, leg, _ROOM + 1]:
+        return UNDER
+    if table[0, leg, _FORE] * (x - table[0, leg, _MOUNT]) < 0.0:
+        return LEVEL
+    return OK
+
+
+@compiled
+def _foot(tree: Tree, ground: Ground, rules: Rules, code: int, leg: int) -> tuple[float, float, float]:
+    """Centre of a standing foot [m] {strip}."""
+    if code == ROOT_FOOT:
+        return tree.root[leg, 0], tree.root[leg, 1], tree.root[leg, 2]
+    ny = ground.evaluation.shape[1]
+    i, j = code // ny, code % ny
+    z = float(ground.elevation[i, j]) + rules.foot_radius
+    return ground.x0 + i * ground.resolution, ground.y0 + j * ground.resolution, z
+
+
+# Tests of the stance --------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _support(rules: Rules, feet: Array, swing: int, body_x: float, body_y: float) -> float:
+    """How far [m] the centre of mass is inside the feet (6, 3) that stand, by the edges from leg to leg around the body.
+
+    Where a foot stands inside the hull of the others that is less than its distance from the hull, never more.
+    """
+    x, y = body_x + rules.centre_x, body_y + rules.centre_y
+    least = np.inf
+    for a in range(6):
+        if a == swing:
+            continue
+        b = (a + 1) % 6
+        if b == swing:
+            b = (b + 1) % 6
+        # Legs go clockwise: inside is to the right of each edge.
+        ex, ey = feet[b, 0] - feet[a, 0], feet[b, 1] - feet[a, 1]
+        length = math.sqrt(ex * ex + ey * ey)
+        if length < 1e-6:
+            return -np.inf
+        least = min(least, (ey * (x - feet[a, 0]) - ex * (y - feet[a, 1])) / length)
+    return least
+
+
+@compiled
+def _floor(feet: Array, swing: int, radius: float) -> float:
+    """Mean height [m] of the three highest standing feet's soles (Lotriet 2024, section 6.4)."""
+    a = b = c = -np.inf
+    for leg in range(6):
+        if leg == swing:
+            continue
+        z = feet[leg, 2]
+        if z > a:
+            a, b, c = z, a, b
+        elif z > b:
+            b, c = z, b
+        elif z > c:
+            c = z
+    return (a + b + c) / 3.0 - radius
+
+
+@compiled
+def _stands(
+    table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
+) -> tuple[int, int, float]:
+    """Whether the standing legs hold a body: the test that fails, the leg, and the greatest torque [N m].
+
+    Feet share the weight as springs under a stiff body do: by a plane over their places that balances it.
+    """
+    n = 0
+    mx = my = 0.0
+    for leg in range(6):
+        if leg != swing:
+            mx, my, n = mx + feet[leg, 0], my + feet[leg, 1], n + 1
+    mx, my = mx / n, my / n
+    sxx = sxy = syy = 0.0
+    for leg in range(6):
+        if leg != swing:
+            dx, dy = feet[leg, 0] - mx, feet[leg, 1] - my
+            sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+    determinant = sxx * syy - sxy * sxy
+    if determinant < 1e-9:
+        return MARGIN, ALL_STAND, 0.0
+    gx, gy = bx - mx, by - my
+    kx, ky = (syy * gx - sxy * gy) / determinant, (sxx * gy - sxy * gx) / determinant
+    worst = 0.0
+    for leg in range(6):
+        if leg == swing:
+            continue
+        at_root = codes[leg] == ROOT_FOOT
+        x, y = feet[leg, 0], feet[leg, 1]
+        test, reach, shank, _, _, _, _ = _leg(table, 1 if at_root else 0, leg, x - bx, y - by, feet[leg, 2] - bz)
+        if test == OK and not at_root:
+            test = _placed(table, leg, x - bx, y - by)
+        if test != OK:
+            return test, leg, 0.0
+        force = rules.weight * max(1.0 / n + kx * (x - mx) + ky * (y - my), 0.0)
+        torque = force * max(abs(reach), abs(shank))
+        if loads and torque > rules.torque:
+            return TORQUE, leg, torque
+        worst = max(worst, torque)
+    return OK, ALL_STAND, worst
+
+
+@compiled
+def _landing(table: Array, rules: Rules, feet: Array, leg: int, body: Array, goal: Array) -> int:
+    """Whether a leg may set its foot down at a place (3,), the body being there and the others standing."""
+    test = _placed(table, leg, goal[0] - body[0], goal[1] - body[1])
+    if test == OK:
+        test, _, _, _, _, _, _ = _leg(table, 0, leg, goal[0] - body[0], goal[1] - body[1], goal[2] - body[2])
+    if test == OK:
+        for k in range(6):
+            if k != leg and (feet[k, 0] - goal[0]) ** 2 + (feet[k, 1] - goal[1]) ** 2 < rules.feet_apart**2:
+                test = APART
+    return int(test)
+
+
+# Footholds ------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _lower(F: NDArray[np.int8], i: int, j: int) -> tuple[int, int]:
+    """The least of a cell and its eight neighbours."""
+    bi, bj = i, j
+    for a in range(max(i - 1, 0), min(i + 2, F.shape[0])):
+        for b in range(max(j - 1, 0), min(j + 2, F.shape[1])):
+            if F[a, b] < F[bi, bj]:
+                bi, bj = a, b
+    return bi, bj
+
+
+@compiled
+def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tuple[int, int]:
+    """The foothold that a sampled cell stands for: by greedy descent of F (Masri 2016, section 5.2.1).
+
+    On wide ground, whose minimum is low, a cell that is good enough is its own, another is the first on its descent that is.
+    Narrow ground has its middle, the local minimum, and along the strip its first and last good cells: who must reach far
+    takes those. Of a minimum two cells wide the lower numbers are the middle.
+    """
+    a, b = i, j
+    good_i, good_j, good = i, j, F[i, j] <= strong
+    while True:
+        c, d = _lower(F, a, b)
+        if c == a and d == b:
+            break
+        a, b = c, d
+        if not good and F[a, b] <= strong:
+            good_i, good_j, good = a, b, True
+    if F[a, b] <= wide:
+        return good_i, good_j
+    here = F[a, b]
+    if a > 0 and F[a - 1, b] == here:
+        a -= 1
+    if b > 0 and F[a, b - 1] == here:
+        b -= 1
+    if F[i, j] <= strong:
+        if i < a:
+            while a > 0 and F[a - 1, b] <= strong:
+                a -= 1
+        elif i > a + 1:
+            while a < F.shape[0] - 1 and F[a + 1, b] <= strong:
+                a += 1
+    return a, b
+
+
+@compiled
+def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, candidate: NDArray[np.bool_]) -> None:
+    """Mark the cells to which some cell of the ground is resolved."""
+    candidate[:] = False
+    for i in range(F.shape[0]):
+        for j in range(F.shape[1]):
+            if F[i, j] == _NEVER_SEEN:
+                continue
+            a, b = _resolved(F, i, j, strong, wide)
+            if F[a, b] <= weakest:
+                candidate[a, b] = True
+
+
+@compiled
+def nearest_seen(F: NDArray[np.int8], nearest: NDArray[np.int32]) -> None:
+    """The cell that is seen and nearest to each, along rows and columns, into (nx, ny), -1 where none is.
+
+    A sample on the floor of a gap stands for the edge beside it, from which it descends to a foothold; whether that floor is
+    seen makes no difference so.
+    """
+    nx, ny = F.shape
+    queue, n = np.empty(nx * ny, np.int32), 0
+    for code in range(nx * ny):
+        seen = F[code // ny, code % ny] != _NEVER_SEEN
+        nearest[code // ny, code % ny] = code if seen else -1
+        if seen:
+            queue[n], n = code, n + 1
+    k = 0
+    while k < n:
+        i, j, k = queue[k] // ny, queue[k] % ny, k + 1
+        for c, d in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+            if 0 <= c < nx and 0 <= d < ny and nearest[c, d] < 0:
+                nearest[c, d] = nearest[i, j]
+                queue[n], n = c * ny + d, n + 1
+
+
+# Legs in space --------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float, poses: Array) -> int:
+    """Femur axis, knee and foot of a leg into its row of poses (6, 9) [m] {strip}; REACH where its limits do not allow it."""
+    test, _, _, ux, uy, out, up = _leg(table, 1, leg, x - bx, y - by, z - bz)
+    coxa = table[0, leg, _LINKS]
+    mx, my, mz = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], bz + table[0, leg, _MOUNT + 2]
+    poses[leg, 0], poses[leg, 1], poses[leg, 2] = mx + coxa * ux, my + coxa * uy, mz
+    poses[leg, 3], poses[leg, 4], poses[leg, 5] = mx + (coxa + out) * ux, my + (coxa + out) * uy, mz + up
+    poses[leg, 6], poses[leg, 7], poses[leg, 8] = x, y, z
+    return test
+
+
+@compiled
+def _turns(table: Array, leg: int, x: float, y: float, z: float) -> bool:
+    """Whether coxa and femur may point as they must for a foot at (x, y, z) {body} at the end of the knee's reach or within."""
+    px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
+    f, t = table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]
+    reach = math.sqrt(px * px + py * py) - table[0, leg, _LINKS]
+    knee = min(max((reach * reach + pz * pz - f * f - t * t) / (2.0 * f * t), -1.0), 1.0)
+    across, along = -t * math.sqrt(1.0 - knee * knee), f + t * knee
+    c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
+    turned = _between(px * c + py * s, py * c - px * s, table, 0, leg, _COXA)
+    return turned and _between(reach * along + pz * across, pz * along - reach * across, table, 0, leg, _FEMUR)
+
+
+@compiled
+def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
+    """Whether femur or tibia of one leg come nearer to those of another than so much [m].
+
+    Source: Ericson, Real-Time Collision Detection, section 5.1.9.
+    """
+    for i in range(0, 6, 3):
+        px, py, pz = poses[one, i], poses[one, i + 1], poses[one, i + 2]
+        ux, uy, uz = poses[one, i + 3] - px, poses[one, i + 4] - py, poses[one, i + 5] - pz
+        a = ux * ux + uy * uy + uz * uz
+        for j in range(0, 6, 3):
+            rx, ry, rz = poses[other, j], poses[other, j + 1], poses[other, j + 2]
+            vx, vy, vz = poses[other, j + 3] - rx, poses[other, j + 4] - ry, poses[other, j + 5] - rz
+            wx, wy, wz = px - rx, py - ry, pz - rz
+            e, b = vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+            c, f = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+            denominator = a * e - b * b
+            m = min(max((b * f - c * e) / denominator, 0.0), 1.0) if denominator > 1e-12 else 0.0
+            k = (b * m + f) / e
+            if k < 0.0:
+                k, m = 0.0, min(max(-c / a, 0.0), 1.0)
+            elif k > 1.0:
+                k, m = 1.0, min(max((b - c) / a, 0.0), 1.0)
+            dx, dy, dz = wx + ux * m - vx * k, wy + uy * m - vy * k, wz + uz * m - vz * k
+            if dx * dx + dy * dy + dz * dz < apart * apart:
+                return True
+    return False
+
+
+@compiled
+def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: float, y: float) -> float:
+    """Highest known ground [m] within a cell of a place, -inf where none is."""
+    i, j = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    if i < 0 or j < 0 or i >= top.shape[0] or j >= top.shape[1]:
+        return -np.inf
+    return float(top[i, j])
+
+
+@compiled
+def _shank_clear(
+    top: NDArray[np.float32], resolution: float, x0: float, y0: float, poses: Array, leg: int, clear: float
+) -> bool:
+    """Whether a leg's tibia and knee stay over the ground by so much [m]; near its foot the foot's place counts."""
+    fx, fy, fz = poses[leg, 6], poses[leg, 7], poses[leg, 8]
+    for k in range(1, 5):
+        s = 0.25 * k
+        x, y, z = fx + s * (poses[leg, 3] - fx), fy + s * (poses[leg, 4] - fy), fz + s * (poses[leg, 5] - fz)
+        if z - _top(top, resolution, x0, y0, x, y) < clear:
+            return False
+    return True
+
+
+@compiled
+def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -> bool:
+    """Whether the trunk stays over all ground under it."""
+    top, resolution = ground.top, ground.resolution
+    least = bz - rules.half_height - rules.body_clear
+    x = -rules.half_length
+    while x <= rules.half_length + 1e-9:
+        y = -rules.half_width
+        while y <= rules.half_width + 1e-9:
+            if _top(top, resolution, ground.x0, ground.y0, bx + x, by + y) > least:
+                return False
+            y += 2.0 * resolution  # `top` looks a cell around
+        x += 2.0 * resolution
+    return True
+
+
+@compiled
+def _into_reach(
+    table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """A foot at the nearest place that its leg's knee allows, and by how much it was moved [m] (Masri 2016, section 5.4)."""
+    mx, my, up = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], z - bz - table[0, leg, _MOUNT + 2]
+    coxa, short, far = table[0, leg, _LINKS], table[1, leg, _WAY] + 1e-4, table[1, leg, _WAY + 1] - 1e-4
+    px, py = x - mx, y - my
+    out = max(math.sqrt(px * px + py * py), 1e-6)
+    reach = out - coxa
+    way = math.sqrt(reach * reach + up * up)
+    if short <= way <= far:
+        return x, y, z, 0.0
+    if way > far:
+        new, new_up = reach * far / way, up * far / way
+    else:
+        new, new_up = math.sqrt(max(short * short - up * up, 0.0)), up
+    scale = (coxa + new) / out
+    return mx + px * scale, my + py * scale, z + new_up - up, math.sqrt((new - reach) ** 2 + (new_up - up) ** 2)
+
+
+@compiled
+def _beside(table: Array, feet: Array, leg: int, bx: float, by: float, bz: float, poses: Array, apart: float) -> bool:
+    """Whether a leg, in its row of poses, comes nearer to one of its neighbours, which stand, than so much [m]."""
+    for side in range(1, 6, 4):
+        beside = (leg + side) % 6
+        _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
+        if _collide(poses, leg, beside, apart):
+            return True
+    return False
+
+
+@compiled
+def _steeply_apart(
+    table: Array, rules: Rules, feet: Array, goal: Array, leg: int, b0: Array, b1: Array, lift: float, smooth: bool
+) -> bool:
+    """Whether a leg, pushed outward or not, keeps apart from its neighbours where it rises and falls as steeply as any."""
+    poses = np.empty((6, 9))
+    level = max(feet[leg, 2], goal[2]) + lift
+    for at_end in range(2):
+        s, along, up = _FALLS if at_end else _RISES
+        if smooth:
+            s = s * s * (3.0 - 2.0 * s)
+        end_z = goal[2] if at_end else feet[leg, 2]
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
+        x, y, z, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level - end_z))
+        _pose(table, leg, bx, by, bz, x, y, z, poses)
+        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
+            return False
+    return True
+
+
+# The lazy proof of a step ---------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _swing_test(
+    table: Array,
+    shape: Array,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    goal: Array,
+    leg: int,
+    b0: Array,
+    b1: Array,
+    lift: float,
+    smooth: bool,
+) -> int:
+    """Whether a swing with a clearance may be flown: in reach, over the ground, beside its neighbours.
+
+    The body meanwhile goes evenly, as between steps that join, or starts and stops.
+    """
+    top, resolution, x0, y0 = ground.top, ground.resolution, ground.x0, ground.y0
+    poses = np.empty((6, 9))
+    level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
+    last_x, last_y, last_z, last_bx, last_by, last_bz = feet[leg, 0], feet[leg, 1], feet[leg, 2], b0[0], b0[1], b0[2]
+    # A foot hardly moves at first and at last, while the body does.
+    s = 0.5 * shape[0, 1]
+    x, y, z = feet[leg, 0] - b0[0] - s * (b1[0] - b0[0]), feet[leg, 1] - b0[1] - s * (b1[1] - b0[1]), feet[leg, 2] - b0[2]
+    if not _turns(table, leg, x, y, z):
+        return REACH
+    s = 0.5 * (1.0 - shape[0, _SAMPLES - 2])
+    x, y, z = goal[0] - b1[0] + s * (b1[0] - b0[0]), goal[1] - b1[1] + s * (b1[1] - b0[1]), goal[2] - b1[2]
+    if not _turns(table, leg, x, y, z):
+        return REACH
+    if not _steeply_apart(table, rules, feet, goal, leg, b0, b1, lift, smooth):
+        return LEGS
+    for k in range(_SAMPLES):
+        s, along, up = shape[0, k], shape[1, k], shape[2, k]
+        if smooth:
+            s = s * s * (3.0 - 2.0 * s)
+        end_z = feet[leg, 2] if k < _SAMPLES // 2 else goal[2]
+        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        # It flies between the level that is sure, which the ground asks for, and its whole clearance: limits must allow both.
+        hx, hy, hz, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z))
+        raw_x, raw_y, raw_z = x, y, end_z + up * (level - end_z)
+        off_x, off_y = x - bx - table[0, leg, _MOUNT], y - by - table[0, leg, _MOUNT + 1]
+        if k > 0 and off_x * off_x + off_y * off_y < _AXIS * _AXIS:
+            return REACH
+        x, y, z, moved = _into_reach(table, leg, bx, by, bz, raw_x, raw_y, raw_z)
+        if k > 0 and moved > (rules.moved_most if k < _SAMPLES - 1 else 1e-3):
+            return REACH
+        if k > 0 and not (_turns(table, leg, hx - bx, hy - by, hz - bz) and _turns(table, leg, x - bx, y - by, z - bz)):
+            return REACH
+        _pose(table, leg, bx, by, bz, x, y, z, poses)
+        if not _shank_clear(top, resolution, x0, y0, poses, leg, rules.leg_clear):
+            return GROUND
+        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
+            return LEGS
+        # The foot's own way, closely, since one that is pushed outward is so at once: 2 cm, but for its rise and its fall.
+        for m in range(1, _PIECES + 1 if k > 0 else 1):
+            part = m / _PIECES
+            u, v, w, _ = _into_reach(
+                table,
+                leg,
+                last_bx + part * (bx - last_bx),
+                last_by + part * (by - last_by),
+                last_bz + part * (bz - last_bz),
+                last_x + part * (raw_x - last_x),
+                last_y + part * (raw_y - last_y),
+                last_z + part * (raw_z - last_z),
+            )
+            off = min((u - feet[leg, 0]) ** 2 + (v - feet[leg, 1]) ** 2, (u - goal[0]) ** 2 + (v - goal[1]) ** 2)
+            needed = min(rules.swing_clear, 0.5 * math.sqrt(off) - 0.005)
+            if w - rules.foot_radius - _top(top, resolution, x0, y0, u, v) < needed:
+                return SWING
+        last_x, last_y, last_z, last_bx, last_by, last_bz = raw_x, raw_y, raw_z, bx, by, bz
+    return OK
+
+
+@compiled
+def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array, poses: Array) -> int:
+    """Whether the standing legs stay clear of each other and of the ground half way and at the end of the body's motion."""
+    for half in range(1, 3):
+        s = 0.5 * half
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        for k in range(6):
+            if k != leg:
+                _pose(table, k, bx, by, bz, feet[k, 0], feet[k, 1], feet[k, 2], poses)
+                if not _shank_clear(ground.top, ground.resolution, ground.x0, ground.y0, poses, k, rules.leg_clear):
+                    return GROUND
+        for k in range(6):
+            after = (k + 1) % 6
+            if leg not in (k, after) and _collide(poses, k, after, rules.legs_apart):
+                return LEGS
+    return OK
+
+
+@compiled
+def _proven(
+    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+) -> tuple[int, float]:
+    """What is dear to know of a step: the test that it fails, or OK, and the clearance [m] with which its foot swings."""
+    test = _way_clear(table, rules, ground, feet, leg, b0, b1)
+    if test != OK or leg == ALL_STAND:
+        return test, 0.0
+    return _lifted(table, shape, rules, ground, feet, goal, leg, b0, b1)
+
+
+@compiled
+def _way_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array) -> int:
+    """Whether trunk and standing legs stay clear of the ground, and the legs of each other."""
+    if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
+        return GROUND
+    return _stand_clear(table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
+
+
+@compiled
+def _lifted(
+    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+) -> tuple[int, float]:
+    """The least clearance [m] with which a foot may swing, or the test that fails with the greatest."""
+    test = SWING
+    lift = rules.least_lift
+    while lift <= rules.most_lift + 1e-9:
+        test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, False)
+        if test == OK:
+            test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, True)
+        if test == OK:
+            return OK, lift
+        lift += rules.lift_step
+    return test, 0.0
+
+
+@compiled
+def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> int:
+    """Prove the step that leads to a configuration and note its clearance; the test that fails, or OK."""
+    parent, leg = tree.parent[node], tree.leg[node]
+    feet, goal = np.empty((6, 3)), np.zeros(3)
+    for k in range(6):
+        feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, tree.foot[parent, k], k)
+    if leg != ALL_STAND:
+        goal[0], goal[1], goal[2] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
+    b0, b1 = tree.body[parent], tree.body[node]
+    test, tree.lift[node] = _proven(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1)
+    return test
+
+
+@compiled
+def judge(
+    legs: Legs,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    leg: int,
+    b0: Array,
+    bodies: Array,
+    goals: Array,
+    verdict: NDArray[np.int64],
+    lifts: Array,
+) -> None:
+    """All tests of an expansion on given samples, as `grow` makes them, for the bench.
+
+    Args:
+        legs, rules, ground: What the tests know.
+        feet: (6, 3) [m] {strip} standing, none of them as it was found.
+        leg: That swings.
+        b0: (3,) [m] {strip} the body.
+        bodies: (m, 3) [m] {strip} where it may go.
+        goals: (m, n, 3) [m] {strip} footholds for each.
+        verdict: (m, n) out: the first test that fails, or OK.
+        lifts: (m, n) [m] out: clearances.
+    """
+    table, codes = legs.table, np.zeros(6, np.int32)
+    verdict[:], lifts[:] = OK, 0.0
+    begin = _support(rules, feet, leg, b0[0], b0[1])
+    strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    for m in range(len(bodies)):
+        b1 = bodies[m]
+        test, _, _ = _stands(table, rules, codes, feet, leg, b1[0], b1[1], b1[2], True)
+        if test == OK:
+            mid = 0.5 * (b0 + b1)
+            test, _, _ = _stands(table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+        if begin < rules.margin or (strained != TORQUE and _support(rules, feet, leg, b1[0], b1[1]) < rules.margin):
+            test = MARGIN
+        elif strained == TORQUE:
+            test = TORQUE
+        clear = -1
+        for n in range(goals.shape[1]):
+            verdict[m, n] = test if test != OK else _landing(table, rules, feet, leg, b1, goals[m, n])
+            if verdict[m, n] != OK:
+                continue
+            if clear < 0:
+                clear = _way_clear(table, rules, ground, feet, leg, b0, b1)
+            verdict[m, n] = clear
+            if clear == OK:
+                verdict[m, n], lifts[m, n] = _lifted(table, legs.swing, rules, ground, feet, goals[m, n], leg, b0, b1)
+
+
+@compiled
+def judge_all(
+    legs: Legs,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    leg: NDArray[np.int64],
+    b0: Array,
+    bodies: Array,
+    goals: Array,
+    verdict: NDArray[np.int64],
+    lifts: Array,
+) -> None:
+    """`judge` for many expansions: all arguments with one more leading axis."""
+    for k in range(len(leg)):
+        judge(legs, rules, ground, feet[k], leg[k], b0[k], bodies[k], goals[k], verdict[k], lifts[k])
+
+
+# Queue and table ------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _push(tree: Tree, key: float, node: int, turn: int) -> bool:
+    """Queue a configuration; False when the queue is full."""
+    i = tree.counts[QUEUED]
+    if i >= len(tree.key):
+        return False
+    tree.counts[QUEUED] = i + 1
+    while i > 0:
+        up = (i - 1) // 2
+        if tree.key[up] <= key:
+            break
+        tree.key[i], tree.queued[i], tree.turn[i] = tree.key[up], tree.queued[up], tree.turn[up]
+        i = up
+    tree.key[i], tree.queued[i], tree.turn[i] = key, node, turn
+    return True
+
+
+@compiled
+def _pop(tree: Tree) -> tuple[float, int, int]:
+    """The configuration with the least key, and its turn."""
+    first = tree.key[0], tree.queued[0], tree.turn[0]
+    n = tree.counts[QUEUED] - 1
+    tree.counts[QUEUED] = n
+    key, node, turn = tree.key[n], tree.queued[n], tree.turn[n]
+    i = 0
+    while 2 * i + 1 < n:
+        down = 2 * i + 1
+        if down + 1 < n and tree.key[down + 1] < tree.key[down]:
+            down += 1
+        if tree.key[down] >= key:
+            break
+        tree.key[i], tree.queued[i], tree.turn[i] = tree.key[down], tree.queued[down], tree.turn[down]
+        i = down
+    if n > 0:
+        tree.key[i], tree.queued[i], tree.turn[i] = key, node, turn
+    return first
+
+
+@compiled
+def _mixed(h: np.uint64, value: int) -> np.uint64:
+    h = (h ^ np.uint64(value)) * np.uint64(0xFF51AFD7ED558CCD)
+    return h ^ (h >> np.uint64(29))
+
+
+@compiled
+def _square(foot: NDArray[np.int32], node: int, leg: int, ny: int, edge: int) -> int:
+    """The square of so many cells in which a foot of a configuration stands."""
+    code = foot[node, leg]
+    return int((code // ny) // edge * ny + (code % ny) // edge if code >= 0 and edge > 1 else code)
+
+
+@compiled
+def _known(
+    body: Array, foot: NDArray[np.int32], table: NDArray[np.int32], node: int, edge: float, foot_edge: int, ny: int
+) -> bool:
+    """Whether there is a configuration already that counts as the one in the place of a node; if not, the node is noted.
+
+    Those count as one whose body and feet stand in the same squares.
+    """
+    ix, iy = math.floor(body[node, 0] / edge + 0.5), math.floor(body[node, 1] / edge + 0.5)
+    h = _mixed(_mixed(np.uint64(88172645463325252), ix), iy)
+    for leg in range(6):
+        h = _mixed(h, _square(foot, node, leg, ny, foot_edge))
+    mask = np.int64(len(table) - 1)
+    at = np.int64(h & np.uint64(mask))
+    while table[at] >= 0:
+        other = table[at]
+        same = math.floor(body[other, 0] / edge + 0.5) == ix and math.floor(body[other, 1] / edge + 0.5) == iy
+        for leg in range(6):
+            same = same and _square(foot, node, leg, ny, foot_edge) == _square(foot, other, leg, ny, foot_edge)
+        if same:
+            return True
+        at = (at + 1) & mask
+    table[at] = node
+    return False
+
+
+# Growing --------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _fail(tree: Tree, far: bool, test: int, leg: int) -> None:
+    place = leg if leg >= 0 else 6
+    tree.fails[0, test, place] += 1
+    if far:
+        tree.fails[1, test, place] += 1
+
+
+@compiled
+def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> float:
+    """Steps still to go [1]: by the way that the body has before it, and that of the feet behind it."""
+    ahead = max(tree.goal[0] - bx, 0.0)
+    lag = lagging = 0.0
+    for leg in range(6):
+        behind = bx + legs.rest[leg, 0] - feet[leg, 0]
+        lag += max(ahead + behind, 0.0) / 6.0
+        lagging += (max(behind, 0.0) / legs.stroke[leg, 0]) ** 2
+    return float(0.5 * (ahead + lag) / rules.step_gain + rules.lag_price * lagging)
+
+
+@compiled
+def _crowd(tree: Tree, rest: Array, feet: Array, bx: float) -> int:
+    """The number of those that are about as far along as a configuration: by its body, and by its feet."""
+    progress = bx
+    for leg in range(6):
+        progress += (feet[leg, 0] - rest[leg, 0]) / 6.0
+    return min(max(math.floor(0.5 * progress / _CROWD), 0), len(tree.visits) - 1)
+
+
+@compiled
+def _key(tree: Tree, legs: Legs, rules: Rules, node: int, feet: Array, turn: int) -> float:
+    """By what a configuration is queued: the least first.
+
+    The weight of Masri 2016, eq. (5.5), as it must be meant: he takes F - d_g / d and expands the least, which would reward
+    distance still to go; here it is added. F is in the cost, as what each foothold falls short of the best. A place where
+    many have been expanded already becomes dearer, so that a search that got stuck turns to what lies further back.
+    """
+    crowded = rules.crowd_price * tree.visits[_crowd(tree, legs.rest, feet, tree.body[node, 0])]
+    again = rules.turn_price * (turn + 7.0 * (turn // 7))
+    return float(tree.cost[node] + rules.eager * _to_go(tree, legs, rules, feet, tree.body[node, 0]) + again + crowded)
+
+
+@compiled
+def _add(
+    tree: Tree,
+    ground: Ground,
+    legs: Legs,
+    rules: Rules,
+    parent: int,
+    leg: int,
+    body: Array,
+    code: int,
+    feet: Array,
+    price: float,
+    margin: float,
+) -> bool:
+    """Add a configuration unless it is known; False when there is no room for more."""
+    node = tree.counts[NODES]
+    if node >= len(tree.parent):
+        return False
+    tree.body[node] = body
+    tree.foot[node] = tree.foot[parent]
+    if leg >= 0:
+        tree.foot[node, leg] = code
+    ny = ground.evaluation.shape[1]
+    if _known(tree.body, tree.foot, tree.table, node, rules.alike_body, rules.alike_foot, ny):
+        return True
+    tree.counts[NODES] = node + 1
+    tree.parent[node], tree.leg[node], tree.depth[node] = parent, leg, tree.depth[parent] + 1
+    tree.state[node], tree.lift[node], tree.margin[node] = OPEN, 0.0, margin
+    cost = tree.cost[parent] + 1.0 + price
+    tree.cost[node] = cost
+    return _push(tree, _key(tree, legs, rules, node, feet, 0), node, 0)
+
+
+@compiled
+def _swung_last(tree: Tree, node: int) -> int:
+    """The leg that swung last on the way to a configuration, or none."""
+    while tree.leg[node] < 0 and tree.parent[node] >= 0:
+        node = tree.parent[node]
+    return int(tree.leg[node])
+
+
+@compiled
+def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array, bx: float, last: int, turn: int) -> int:
+    """The leg that a configuration is expanded for: the one in turn, then the others as they have fallen back, then none."""
+    due = order[0]
+    for k in range(6):
+        if order[k] == last:
+            due = order[(k + 1) % 6]
+    if turn == 0:
+        return int(due)
+    if turn > 5:
+        return ALL_STAND
+    # The one that has fallen back the most of those not yet taken: few legs, so count who is before each.
+    for leg in range(6):
+        lag = (bx + rest[leg, 0] - feet[leg, 0]) / stroke[leg, 0]
+        before = 0
+        for k in range(6):
+            other = (bx + rest[k, 0] - feet[k, 0]) / stroke[k, 0]
+            if k != due and k != leg and (other > lag or (other == lag and k < leg)):
+                before += 1
+        if leg != due and before == turn - 1:
+            return leg
+    return ALL_STAND
+
+
+@compiled
+def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, x: float, y: float, bx: float) -> float:
+    """What a foothold costs: near an edge more than in the middle, off the robot's track more than on it."""
+    F = ground.evaluation[code // ground.evaluation.shape[1], code % ground.evaluation.shape[1]]
+    poor = max(0, F + 3)
+    aside = abs(y - legs.rest[leg, 1])
+    return float(rules.foothold_price * poor + rules.aside_price * aside)
+
+
+@compiled
+def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int, leg: int, far: bool, work: Array) -> bool:
+    """Add what one leg can do from a configuration: up to m motions of the body with up to n footholds each.
+
+    Its feet are the first six rows of `work` (12, 3). Returns False when there is no room for more.
+    """
+    feet, after = work[:6], work[6:12]
+    codes = tree.foot[node]
+    b0 = tree.body[node]
+    begin = _support(rules, feet, leg, b0[0], b0[1])
+    if begin < rules.margin:
+        _fail(tree, far, MARGIN, leg)
+        return True
+    test, which, strained = _stands(legs.table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    if test == TORQUE:
+        _fail(tree, far, test, which)
+        return True
+    height = _floor(feet, leg, rules.foot_radius) + rules.height
+    body = np.empty(3)
+    body[2] = min(max(height, b0[2] - rules.climb), b0[2] + rules.climb)
+    last_x, last_y = np.empty(rules.move_samples), np.empty(rules.move_samples)
+    for m in range(rules.move_samples):
+        distance = rules.body_low + (rules.body_high - rules.body_low) * _uniform(tree.random)
+        phi = rules.body_angle * _bell(tree.random)
+        if m == 0 and tree.depth[node] == 0:
+            distance = 0.0  # a repaired stance may have no room to move before its first step
+        dx, dy = distance * math.cos(phi), distance * math.sin(phi)
+        body[0] = rules.lattice * round((b0[0] + dx) / rules.lattice)
+        body[1] = rules.lattice * round((b0[1] + dy) / rules.lattice)
+        last_x[m], last_y[m] = body[0], body[1]
+        known = leg < 0 and abs(body[0] - b0[0]) + abs(body[1] - b0[1]) < 1e-6
+        for k in range(m):
+            known = known or (abs(last_x[k] - body[0]) + abs(last_y[k] - body[1]) < 1e-6)
+        if known or abs(body[1]) > rules.drift + max(abs(tree.body[0, 1]) - rules.drift, 0.0):
+            continue
+        # 1. The body's motion, over the legs that stand.
+        margin = min(begin, _support(rules, feet, leg, body[0], body[1]))
+        if margin < rules.margin:
+            _fail(tree, far, MARGIN, leg)
+            continue
+        test, which, torque = _stands(legs.table, rules, codes, feet, leg, body[0], body[1], body[2], True)
+        if test == OK:
+            mid = 0.5 * (b0 + body)
+            test, which, _ = _stands(legs.table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+        if test != OK:
+            _fail(tree, far, test, which)
+            continue
+        price = rules.margin_price * max(0.0, 2.0 * rules.margin - margin)
+        price += rules.torque_price * max(0.0, max(torque, strained) - rules.easy_torque)
+        if leg < 0:
+            if not _add(tree, ground, legs, rules, node, leg, body, ROOT_FOOT, feet, rules.still_price + price, margin):
+                return False
+            continue
+        # 2. Footholds of the leg that swings.
+        if not _footholds(tree, ground, legs, rules, node, leg, body, feet, after, price, margin, far):
+            return False
+    return True
+
+
+@compiled
+def _has_sunk(ground: Ground, code: int, x: float, y: float) -> bool:
+    """Whether a foot stands since the root where the map says that none can: on what gave way under it, so it may step back."""
+    if code != ROOT_FOOT:
+        return False
+    i = math.floor((x - ground.x0) / ground.resolution + 0.5)
+    j = math.floor((y - ground.y0) / ground.resolution + 0.5)
+    nx, ny = ground.evaluation.shape
+    return bool(0 <= i < nx and 0 <= j < ny and ground.evaluation[i, j] >= 0)
+
+
+@compiled
+def _footholds(
+    tree: Tree,
+    ground: Ground,
+    legs: Legs,
+    rules: Rules,
+    node: int,
+    leg: int,
+    body: Array,
+    feet: Array,
+    after: Array,
+    price: float,
+    margin: float,
+    far: bool,
+) -> bool:
+    """Add configurations with a leg's footholds for one motion of the body; False when there is no room for more."""
+    F = ground.evaluation
+    nx, ny = F.shape
+    tip_x = body[0] + legs.rest[leg, 0] - legs.stroke[leg, 0] - rules.foot_back
+    tip_y = body[1] + legs.rest[leg, 1]
+    whole = legs.stroke[leg, 0] + legs.stroke[leg, 1]
+    farthest = rules.foot_back + rules.foot_high * whole
+    nearest = rules.foot_back + rules.foot_low * whole
+    rearmost = feet[leg, 0] - rules.backward
+    if _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
+        rearmost, nearest = -np.inf, rules.foot_back  # as far back as its leg reaches
+    else:
+        nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
+        if nearest >= farthest:
+            return True
+    tried = np.empty(rules.foot_samples, np.int64)
+    for n in range(rules.foot_samples):
+        tried[n] = -1
+        distance = nearest + (farthest - nearest) * _uniform(tree.random)
+        phi = rules.foot_angle * _bell(tree.random)
+        i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
+        j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
+        if not (0 <= i < nx and 0 <= j < ny):
+            _fail(tree, far, UNKNOWN, leg)
+            continue
+        unseen = F[i, j] == _NEVER_SEEN  # what fails from here on may do so for want of sight
+        if unseen and ground.nearest[i, j] >= 0:
+            i, j = ground.nearest[i, j] // ny, ground.nearest[i, j] % ny
+        code = ground.meant[i, j]
+        if code < 0:
+            a, b = _resolved(F, i, j, rules.strong, rules.wide)
+            code = a * ny + b
+            ground.meant[i, j] = code
+        known = False
+        for k in range(n):
+            known = known or tried[k] == code
+        if known:
+            if unseen:
+                _fail(tree, far, UNKNOWN, leg)
+            continue
+        tried[n] = code
+        i, j = code // ny, code % ny
+        if F[i, j] > rules.weakest or not ground.elevation[i, j] > -np.inf:
+            _fail(tree, far, UNKNOWN if unseen else FOOTHOLD, leg)
+            continue
+        x, y, z = _foot(tree, ground, rules, code, leg)
+        if x < rearmost or code == tree.foot[node, leg]:
+            if unseen:
+                _fail(tree, far, UNKNOWN, leg)
+            continue
+        after[:] = feet
+        after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z
+        test = _landing(legs.table, rules, feet, leg, body, after[leg])
+        if test != OK:
+            _fail(tree, far, UNKNOWN if unseen else test, leg)
+            continue
+        place = _place_price(rules, legs, ground, leg, code, x, y, body[0])
+        if not _add(tree, ground, legs, rules, node, leg, body, code, after, price + place, margin):
+            return False
+    return True
+
+
+@compiled
+def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) -> int:
+    """Expand configurations; how many were, fewer than asked for where the search has come to its end.
+
+    It ends with `counts[GOAL]` set, or with nothing queued, or with no room left.
+    """
+    work = np.empty((12, 3))
+    done = 0
+    while done < expansions and tree.counts[QUEUED] > 0 and tree.counts[GOAL] < 0:
+        _, node, turn = _pop(tree)
+        if tree.state[node] == OPEN:
+            test = _proof(legs, rules, ground, tree, node)
+            tree.counts[PROVED] += 1
+            if test != OK:
+                tree.state[node] = REFUSED
+                _fail(tree, tree.body[tree.parent[node], 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02, test, tree.leg[node])
+                done += 1
+                tree.counts[EXPANDED] += 1
+                continue
+            tree.state[node] = PROVEN
+            if tree.body[node, 0] >= tree.goal[0] - 1e-9 or tree.depth[node] >= rules.depth:
+                tree.counts[GOAL] = node
+                done += 1
+                break
+            if tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] + 1e-9:
+                tree.counts[FURTHEST] = node
+                tree.fails[1] = 0
+        far = tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02
+        for k in range(6):
+            work[k, 0], work[k, 1], work[k, 2] = _foot(tree, ground, rules, tree.foot[node, k], k)
+        bx = tree.body[node, 0]
+        leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, _swung_last(tree, node), turn % 7)
+        tree.visits[_crowd(tree, legs.rest, work, bx)] += 1
+        room = _expand_for(tree, ground, legs, rules, node, leg, far, work)
+        if turn + 1 < 7 * rules.rounds:
+            room = _push(tree, _key(tree, legs, rules, node, work, turn + 1), node, turn + 1) and room
+        done += 1
+        tree.counts[EXPANDED] += 1
+        if not room:
+            tree.counts[QUEUED] = 0
+    return done
+
+
+@compiled
+def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, found: NDArray[np.int64]) -> None:
+    """The test that each leg of a stance fails in (7,), the last that of the whole robot; by the limits themselves if 1."""
+    for leg in range(6):
+        test, _, _, _, _, _, _ = _leg(
+            legs.table, strict, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
+        )
+        found[leg] = test
+    found[6] = OK if _support(rules, feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN
+
+
+@compiled
+def landings(legs: Legs, leg: int, places: Array, found: NDArray[np.int64]) -> None:
+    """The test that a leg fails with its foot at each of some places (n, 3) [m] {body}, into (n,), the others left aside."""
+    for n in range(len(places)):
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        found[n] = _placed(legs.table, leg, x, y)
+        if found[n] == OK:
+            found[n], _, _, _, _, _, _ = _leg(legs.table, 0, leg, x, y, z)

@@ -1,0 +1,88 @@
+"""What the search sees of a strip: heights, evaluation function, and where it lies."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse
+from sextant.shared.wire.messages import UNKNOWN, PassageMap
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A strip {strip}: x along it, y to the left, z up; the origin in the middle of its near side, on world height 0.
+
+    Cell (i, j) is centred at resolution * (i + 1/2, j + 1/2 - ny / 2).
+    """
+
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}, NaN where unknown
+    evaluation: NDArray[np.int8]  # (nx, ny) [cells] Masri's F, 127 where unknown
+    resolution: float  # [m]
+    T_world_strip: Array  # (4, 4)
+
+    def __post_init__(self) -> None:
+        if self.elevation.shape != self.evaluation.shape or self.elevation.ndim != 2 or min(self.elevation.shape) < 3:
+            found = f"{self.elevation.shape} and {self.evaluation.shape}"
+            raise ValueError(f"heights and evaluations of one shape, at least 3 x 3, expected, found {found}")
+        if not 0.0 < self.resolution < np.inf:
+            raise ValueError(f"a positive resolution expected, found {self.resolution}")
+
+    @classmethod
+    def of(cls, passage: PassageMap) -> "Field":
+        """The field of a surveyed strip."""
+        along = np.array([np.cos(passage.heading), np.sin(passage.heading)])
+        left = np.array([-along[1], along[0]])
+        ny = passage.elevation.shape[1]
+        near = passage.origin + passage.resolution * (-0.5 * along + (0.5 * ny - 0.5) * left)
+        T = from_xyz_rpy([near[0], near[1], 0.0], (0.0, 0.0, passage.heading))
+        evaluation = np.where(np.isfinite(passage.elevation), passage.evaluation, np.int8(UNKNOWN))
+        return cls(np.ascontiguousarray(passage.elevation), np.ascontiguousarray(evaluation), passage.resolution, T)
+
+    @cached_property
+    def T_strip_world(self) -> Array:
+        """(4, 4) inverse of `T_world_strip`."""
+        return inverse(self.T_world_strip)
+
+    @property
+    def corner(self) -> tuple[float, float]:
+        """Centre of cell (0, 0) [m] {strip}."""
+        return 0.5 * self.resolution, 0.5 * self.resolution * (1 - self.elevation.shape[1])
+
+    @cached_property
+    def top(self) -> NDArray[np.float32]:
+        """(nx, ny) [m] highest known ground of each cell and its eight neighbours, -inf where none is known."""
+        h = np.where(np.isnan(self.elevation), np.float32(-np.inf), self.elevation)
+        for axis in range(2):
+            out = h.copy()
+            first, last = [slice(None)] * 2, [slice(None)] * 2
+            first[axis], last[axis] = slice(0, -1), slice(1, None)
+            out[tuple(first)] = np.maximum(out[tuple(first)], h[tuple(last)])
+            out[tuple(last)] = np.maximum(out[tuple(last)], h[tuple(first)])
+            h = out
+        return np.ascontiguousarray(h)
+
+    def lowest_at(self, place: Array) -> float:
+        """Lowest known ground [m] in the 3x3 cells around a place (2+,) [m] {strip}, NaN where none is known."""
+        i, j = np.rint((place[:2] - self.corner) / self.resolution).astype(np.int64)
+        around = self.elevation[max(i - 1, 0) : max(i + 2, 0), max(j - 1, 0) : max(j + 2, 0)]
+        known = around[np.isfinite(around)]
+        return float(known.min()) if known.size else np.nan
+
+    def known_until(self, start: float, half_width: float, least: float) -> float:
+        """How far [m] there is ground that is known, from a place on: to the last row of cells of which a share is.
+
+        What lies before may hold cells that nobody has seen, as the floor of a gap behind its edge: no foot goes there.
+
+        Args:
+            start: [m] from where.
+            half_width: [m] of the band around the middle line that counts.
+            least: [1] share of the row in it.
+        """
+        nx, ny = self.elevation.shape
+        y = (np.arange(ny) + 0.5) * self.resolution - 0.5 * ny * self.resolution
+        known = (self.evaluation != UNKNOWN)[:, np.abs(y) <= half_width].mean(axis=1)
+        first = min(max(0, int(start / self.resolution)), nx)
+        rows = np.flatnonzero(known[first:] >= least)
+        return float((first + (int(rows[-1]) + 1 if len(rows) else 0)) * self.resolution)

@@ -1,0 +1,46 @@
+"""Whether a map of a passage is one of the strip that was asked for, and can be believed."""
+
+import numpy as np
+
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
+from sextant.shared.wire.messages import PassageMap
+
+_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
+_SAME_PLACE, _SAME_WAY = 0.5, 1e-3  # [cells] and [rad] by which a strip may lie off the one that was asked for
+_LOOK_AWAY = 0.2  # [m] from where the body is, at most, and
+_LOOK_TURNED = np.radians(25.0)  # [rad] about any axis
+
+
+def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float]) -> str:
+    """What is wrong with a map, in words, or nothing.
+
+    Args:
+        map_: As it came.
+        T_world_strip: (4, 4) of the strip that was asked for.
+        size: [m] its length and width.
+    """
+    if map_.elevation.size == 0:
+        return map_.reason or "it holds no cell"
+    low, high = _RESOLUTIONS
+    if not low <= map_.resolution <= high:
+        return f"cells of {low} to {high} m expected, found {map_.resolution:.3g} m"
+    wanted = tuple(round(length / map_.resolution) for length in size)
+    if map_.elevation.shape != wanted:
+        return f"{wanted[0]} x {wanted[1]} cells expected, found {map_.elevation.shape[0]} x {map_.elevation.shape[1]}"
+    if np.isinf(map_.elevation).any():
+        return "finite heights expected, found infinity"
+    off = inverse(T_world_strip) @ Field.of(map_).T_world_strip
+    turned = abs(float(rpy_from_rotation(off[:3, :3])[2]))
+    if np.abs(off[:2, 3]).max() > _SAME_PLACE * map_.resolution or turned > _SAME_WAY:
+        return "it is of another strip"
+    if not is_rigid(map_.T_world_look):
+        return "the pose that it offers for a look is no pose"
+    return ""
+
+
+def is_near(T_world_look: Array, T_world_body: Array) -> bool:
+    """Whether a pose for a look (4, 4) can be taken from where the body stood to begin with (4, 4), and left again."""
+    move = inverse(T_world_body) @ T_world_look
+    turn = np.abs(rpy_from_rotation(move[:3, :3])).max()
+    return bool(np.linalg.norm(move[:3, 3]) <= _LOOK_AWAY and turn <= _LOOK_TURNED)

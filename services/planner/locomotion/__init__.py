@@ -1,0 +1,1 @@
+"""Plan one step: gait, footholds, body pose and leg clearance."""

@@ -1,0 +1,127 @@
+"""Walking without a map: the ground is taken for the plane of the feet, and every foot comes down until it touches.
+
+The actuator stops a foot where it meets ground. So a touchdown is planned lower than the ground is expected, as low as the leg
+reaches within reason, and higher ground stops the foot on its way. Nothing is known ahead: steps are short and slow, feet go
+high, and the next step is planned when all six feet stand and have been measured.
+"""
+
+from collections.abc import Set
+from dataclasses import replace
+
+import numpy as np
+
+from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.body_pose import leaning, slope_under
+from sextant.services.planner.locomotion.step_planner import Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.navigation.traversability import BESIDE
+from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_through
+from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import VelocityCommand
+
+_DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
+_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] of the ground ahead that must be seen, by
+_SEEN = 0.4  # [1] share of it, and
+_LEVEL = 0.10  # [m] within which its middle height must lie of the plane of the feet
+_FOLLOWED = 0.3  # share of the way to the slope of the newest feet by which the body leans with them
+
+
+class ByTouch:
+    """Plans steps over ground that nobody sees."""
+
+    def __init__(self, profile: RobotProfile, settings: Settings):
+        """Plan for a robot."""
+        self._profile = profile
+        self._settings = settings
+        front, middle, rear = (settings.touch_width * radius for radius in profile.stance.foot_radius_from_coxa)
+        slow = replace(
+            profile.stance,
+            step_s=settings.touch_step_s,
+            stride=settings.touch_stride,
+            foot_radius_from_coxa=(front, middle, rear),
+        )
+        self._strides = StridePlanner(replace(profile, stance=slow), settings)
+
+    def asked(self, command: VelocityCommand) -> VelocityCommand:
+        """What can be walked of a command: feet go high."""
+        return replace(command, lift=max(command.lift, self._settings.touch_lift))
+
+    def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
+        """The ground that feet (6, 3) [m] {world}, which all stand, let expect."""
+        return plane_of(stamp_ns, feet - [0.0, 0.0, self._profile.foot.radius])
+
+    def underfoot(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
+        """The same ground with what is unseen where the robot was put down taken for the plane of its feet.
+
+        The camera sees nothing so near, wherever it looks.
+
+        Args:
+            terrain: The newest map.
+            feet: (6, 3) [m] {world} foot centres, all standing.
+            put_down: (2,) [m] {world} where the robot stood before its first step.
+            course: [rad] {world} where it is to walk.
+
+        Returns:
+            None where the ground ahead is not seen either, or lies elsewhere than the plane.
+        """
+        xy, height, slope = plane_through(feet - [0.0, 0.0, self._profile.foot.radius])
+        ahead = np.array([np.cos(course), np.sin(course)])
+        along, aside = np.meshgrid(np.arange(_SEEN_FROM, _SEEN_TO, 0.02), np.arange(-_SEEN_ASIDE, _SEEN_ASIDE + 1e-9, 0.02))
+        beyond = put_down + along[..., None] * ahead + aside[..., None] * np.array([-ahead[1], ahead[0]])
+        above = terrain.heights(beyond) - height - (beyond - xy) @ slope
+        if np.isfinite(above).mean() < _SEEN or abs(float(np.nanmedian(above))) > _LEVEL:
+            return None
+        m = terrain.map
+        x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
+        near = np.hypot(x[:, None] - put_down[0], y - put_down[1]) < _SEEN_FROM
+        unseen = near & ~np.isfinite(m.elevation)
+        plane = height + slope[0] * (x[:, None] - xy[0]) + slope[1] * (y - xy[1])
+        filled = replace(
+            m,
+            elevation=np.where(unseen, plane, m.elevation).astype(np.float32),
+            score=np.where(unseen, 0.0, m.score).astype(np.float32),
+            evaluation=np.where(unseen, DEEP, m.evaluation).astype(np.int8),
+            assumed=m.assumed | unseen,
+        )
+        return replace(terrain, map=filled)
+
+    def choose(
+        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[Stride | Blocked, int]:
+        """The next step and the number of its way, or why there is none: legs that are not due may take it, too.
+
+        Args:
+            situations: What it may begin with, the legs most due first.
+            terrain: The ground that is expected.
+            refused: Ways that are not to be tried.
+        """
+        found, way = self._strides.choose(situations, terrain, refused)
+        if isinstance(found, Blocked) or not found.swing.any():
+            return found, way
+        begin = next(at for at in situations if (at.swing == found.swing).all())
+        return self._lowered(self._along(found, begin)), way
+
+    def _along(self, stride: Stride, at: Situation) -> Stride:
+        """The same step with the body along the plane of the feet, averaged over a few steps.
+
+        Nothing tells where down is: each foothold is measured with an error, and a body that is held level by them tilts by the
+        sum of those errors. Along its feet it lies as the ground does.
+        """
+        level = from_xyz_rpy(stride.body_goal[:3, 3], (0.0, 0.0, yaw_of(stride.body_goal)))
+        slope = slope_under(at.feet, level)
+        steep = max(float(np.linalg.norm(slope)) / np.radians(self._settings.max_lean_deg), 1.0)
+        was = rpy_from_rotation(at.T_world_body[:3, :3])[:2]
+        goal = leaning(level, was + _FOLLOWED * (slope / steep - was), 0.0)
+        return replace(stride, body_goal=goal) if self._strides.reached(stride.touchdown, goal).all() else stride
+
+    def _lowered(self, stride: Stride) -> Stride:
+        """The same step with its feet sent as far below the ground that is expected as their legs reach."""
+        touchdown = stride.touchdown.copy()
+        for depth in _DEPTHS:
+            lower = stride.touchdown - [0.0, 0.0, depth]
+            reached = self._strides.reached(lower, stride.body_goal) & stride.swing
+            fresh = reached & (touchdown[:, 2] == stride.touchdown[:, 2])
+            touchdown[fresh] = lower[fresh]
+        before, after = np.maximum(stride.start, stride.touchdown)[:, 2], np.maximum(stride.start, touchdown)[:, 2]
+        clearance = np.minimum(stride.clearance + before - after, self._profile.stance.max_lift)
+        return replace(stride, touchdown=touchdown, clearance=clearance)

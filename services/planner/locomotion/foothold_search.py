@@ -1,0 +1,107 @@
+"""The nearest cell that carries a foot: Lotriet's semi-radial search, with his constraints of reach and stability.
+
+The thesis searches squares of growing size, so a corner cell may win over a nearer one; here cells are tried in the order of
+their true distance (Lotriet 2024, section 6.3).
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.planner.terrain import GOOD, NONE, Terrain
+from sextant.shared.geometry import Array
+from sextant.shared.wire.messages import HAZARDS
+
+Reachable = Callable[[Array], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class Foothold:
+    """Where a foot shall stand."""
+
+    p_world: Array  # (3,) [m] the ground under it
+    moved: float  # [m] from its nominal place
+    room: float  # how good it is, see `Terrain.suitability`
+
+
+@dataclass(frozen=True, slots=True)
+class NoFoothold:
+    """Why there is none, in words."""
+
+    reason: str
+    unseen: bool = False  # most of the cells that were tried have not been seen
+
+
+def offsets_by_distance(radius: float, resolution: float) -> Array:
+    """Offsets (n, 2) [m] of all cells within a radius, the nearest first; equal distances in a fixed order."""
+    n = int(np.ceil(radius / resolution))
+    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+    offsets = np.stack([i.ravel(), j.ravel()], axis=1)
+    squared = (offsets**2).sum(axis=1)
+    order = np.lexsort((offsets[:, 1], offsets[:, 0], squared))
+    near = order[squared[order] * resolution**2 <= radius**2 + 1e-12]
+    return np.asarray(offsets[near] * resolution)
+
+
+def nearest_foothold(
+    terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
+) -> Foothold | NoFoothold:
+    """The best foothold around a nominal one, of those alike the nearest: `Terrain.suitability` tells good ones from poor ones.
+
+    Args:
+        terrain: The map.
+        nominal: (2,) [m] {world} where the foot would land on unobstructed ground.
+        offsets: (n, 2) [m] of the cells to try, in order; the first is (0, 0).
+        others: (k, 2) [m] {world} feet to keep away from.
+        min_distance: [m] from them.
+        reachable: Tells of (m, 3) [m] {world} points on the ground which the leg reaches.
+
+    Returns:
+        The foothold, or how many cells failed which test.
+    """
+    # Where nothing speaks against it, the foot lands where the gait wants it; that is the rule, so it is looked at first.
+    found = _search(terrain, nominal[None], others, min_distance, reachable)
+    if isinstance(found, Foothold):
+        return found
+    xy = terrain.centres(nominal) + offsets
+    return _search(terrain, xy, others, min_distance, reachable, nominal)
+
+
+def _search(
+    terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
+) -> Foothold | NoFoothold:
+    """The one of (n, 2) [m] {world} places that carries a foot and is nearest to the nominal one, None for the first."""
+    suitability = terrain.suitability(xy)
+    footing = terrain.footing(xy)
+    unknown = np.isnan(suitability) | ~np.isfinite(footing)
+    rough = ~unknown & (suitability == NONE)
+    near = ((xy[:, None] - others) ** 2).sum(axis=2).min(axis=1, initial=np.inf) < min_distance**2
+    candidates = np.flatnonzero(~unknown & ~rough & ~near)
+    points = np.column_stack([xy[candidates], footing[candidates]])
+    within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
+    best = GOOD if nominal is None or not within.any() else float(suitability[candidates][within].max())
+    within = within & (suitability[candidates] == best)
+    if within.any():
+        if nominal is None:
+            return Foothold(points[int(np.argmax(within))], 0.0, best)
+        # The cells lie around the nominal place's cell, not around itself: their order is theirs, the distance is judged anew.
+        moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
+        nearest = int(np.argmin(moved))
+        return Foothold(points[nearest], float(moved[nearest]), best)
+    hazards = np.where(rough, terrain.hazards(xy), 0)
+    counts = Counter(
+        {
+            "not seen": int(unknown.sum()),
+            "too steep or too near an edge": int((rough & (hazards == 0)).sum()),
+            **{name: int((hazards == number).sum()) for number, name in enumerate(HAZARDS) if number},
+            "too near another foot": int((near & ~unknown & ~rough).sum()),
+            "out of reach or too tight for the leg": len(points),
+        }
+    )
+    words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
+    radius = 0.0 if nominal is None else float(np.linalg.norm(xy[-1] - nominal))
+    reason = f"no foothold within {radius * 100:.0f} cm of its place: of {len(xy)} cells {words}"
+    return NoFoothold(reason, unseen=2 * int(unknown.sum()) > len(xy))

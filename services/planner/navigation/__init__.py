@@ -1,0 +1,1 @@
+"""Find and follow a path to a goal over the terrain map."""

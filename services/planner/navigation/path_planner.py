@@ -1,0 +1,254 @@
+"""The cheapest way over coarse cells from one place to another, or what stands around the place it begins at."""
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.planner.navigation.traversability import FAR, OPEN, WORDS, Crossing
+from sextant.services.planner.terrain import LONGEST
+from sextant.shared.geometry import Array
+
+_ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
+_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
+_DIAGONAL = 0.41421356  # by which a diagonal is longer than a straight step, at most
+_MISSES = 4  # cells in turn to which there is no straight way, beyond which none is looked for
+_FLAT = 0.20  # [m] of a region's width up to which it is a line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """A way to walk."""
+
+    corners: Array  # (k, 2) [m] {world}, where it begins and ends included
+    cost: float  # [m] of open ground that would be as dear
+
+
+@dataclass(frozen=True, slots=True)
+class NoWay:
+    """Why there is none, in words."""
+
+    reason: str
+
+
+def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Way | NoWay:
+    """The cheapest way.
+
+    Args:
+        crossing: What can be crossed.
+        start: (2,) [m] {world} where it begins.
+        goal: (2,) [m] {world} where it ends; if that lies beyond what is kept of the ground, at the border before it.
+        nearby: [m] from the goal that will do where the robot cannot stand on the goal itself.
+    """
+    # 1. Where it ends: at the goal, or as far towards it as the cells reach, or beside it.
+    aim = _clipped(crossing, start, goal)
+    end = _nearest_free(crossing, crossing.cell(aim), nearby if aim is goal else np.inf)
+    if end is None:
+        return NoWay(f"no way to {_place(goal)}: {_around(crossing, crossing.cell(goal))} is too near to it")
+    # 2. The cells on the way.
+    cells, reached = cheapest_cells(crossing.cost, crossing.room, crossing.cell(start), end)
+    if cells is None:
+        return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}")
+    # 3. Its corners.
+    points = crossing.centres(cells)
+    last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
+    points = np.vstack([start, points[1:-1], last])
+    corners = straightened(crossing, points)
+    return Way(corners, cost_of(crossing, corners))
+
+
+def cheapest_cells(
+    cost: Array, room: Array, start: tuple[int, int], end: tuple[int, int]
+) -> tuple[NDArray[np.int64] | None, NDArray[np.bool_]]:
+    """The cheapest way between two cells by A*, to the eight neighbours of each and never past a closed one's corner.
+
+    Where the start is closed, cells as closed lead out of it that have no less room.
+
+    Args:
+        cost: (n, m) of a cell's length in a cell, 1 or more; inf where it is closed.
+        room: (n, m) distance to what closes them.
+        start: Where it begins.
+        end: Where it ends.
+
+    Returns:
+        The cells (k, 2), or None; and which cells (n, m) were looked at.
+    """
+    # Cells are numbered row by row, with a closed border around them.
+    n, m = cost.shape
+    row, closed = m + 2, float("inf")
+    price: list[float] = np.pad(cost, 1, constant_values=np.inf).ravel().tolist()
+    space: list[float] = np.pad(room, 1, constant_values=-1.0).ravel().tolist()
+    first, last = ((i + 1) * row + j + 1 for i, j in (start, end))
+    steps = [(i * row + j, i * row if i and j else 0, j if i and j else 0, float(np.hypot(i, j))) for i, j in _AROUND]
+    best, before, done = [closed] * len(price), [first] * len(price), bytearray(len(price))
+    best[first] = 0.0
+    heap = [(0.0, first)]
+    while heap:
+        cell = heappop(heap)[1]
+        if done[cell]:
+            continue
+        done[cell] = 1
+        if cell == last:
+            break
+        here, so_far = price[cell], best[cell]
+        for step, down, across, length in steps:
+            to = cell + step
+            there = price[to]
+            if here < closed:
+                # No corner of what is closed is cut: of a diagonal both cells beside it must be open.
+                if there == closed or price[cell + down] == closed or price[cell + across] == closed:
+                    continue
+                total = so_far + length * (here + there) / 2
+            elif there < closed or space[to] > space[cell] or space[to] == space[cell] > 0.0:
+                total = so_far + length * _ESCAPE
+            else:
+                continue
+            if total < best[to]:
+                best[to], before[to] = total, cell
+                i, j = abs(to // row - 1 - end[0]), abs(to % row - 1 - end[1])
+                heappush(heap, (total + max(i, j) + _DIAGONAL * min(i, j), to))
+    reached = np.frombuffer(done, dtype=np.bool_).reshape(n + 2, row)[1:-1, 1:-1].copy()
+    if not done[last]:
+        return None, reached
+    cells = [last]
+    while cells[-1] != first:
+        cells.append(before[cells[-1]])
+    return np.stack(np.divmod(np.array(cells[::-1]), row), axis=1) - 1, reached
+
+
+def straightened(crossing: Crossing, points: Array) -> Array:
+    """The corners (k, 2) [m] of a way (n, 2) [m] whose straight stretches cost no more than what they leave out."""
+    so_far = np.concatenate([[0.0], np.cumsum([cost_of(crossing, points[k : k + 2]) for k in range(len(points) - 1)])])
+    corners, at = [0], 0
+    while at < len(points) - 1:
+        far, misses = at + 1, 0
+        for to in range(at + 2, len(points)):
+            if cost_of(crossing, points[[at, to]]) <= (so_far[to] - so_far[at]) * (1.0 + 1e-9):
+                far, misses = to, 0
+            else:
+                misses += 1
+            if misses > _MISSES:
+                break
+        corners.append(far)
+        at = far
+    return np.asarray(points[corners])
+
+
+def cost_of(crossing: Crossing, corners: Array) -> float:
+    """What a way (k, 2) [m] costs, [m] of open ground; inf where it is closed but for its beginning, which may be."""
+    total, left = 0.0, False
+    for a, b in pairwise(corners):
+        length = float(np.linalg.norm(b - a))
+        count = max(2, int(np.ceil(2.0 * min(length, LONGEST) / crossing.edge)) + 1)
+        costs = crossing.at(crossing.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
+        closed = np.isinf(costs)
+        # Out of a place where it ought not to be it may go, but not back into one.
+        if (closed[1:] & ~closed[:-1]).any() or (left and closed[0]):
+            return float("inf")
+        left |= not closed[-1]
+        costs = np.where(closed, _ESCAPE, costs)
+        total += length * float((costs[:-1] + costs[1:]).mean()) / 2
+    return total
+
+
+def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
+    """What stands around the cells (n, m) that were reached, in words."""
+    grown = reached
+    cells = int(np.ceil((crossing.room.max() if crossing.room.size else 0.0) / crossing.edge))
+    for _ in range(cells):
+        wide = np.pad(grown, 1)
+        grown = wide[1:-1, 1:-1] | wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:]
+    kinds = np.where(grown, crossing.stops, OPEN)
+    said = []
+    for kind in sorted(set(np.unique(kinds).tolist()) - {OPEN}, key=lambda k: (k == FAR, -int((kinds == k).sum()))):
+        if kind == FAR:
+            said.append(WORDS[FAR])
+            continue
+        where = crossing.centres(np.argwhere(kinds == kind))
+        said.append(f"{WORDS[kind]} {_extent(where)}")
+    return "; ".join(said) or "what is seen of the ground ends there"
+
+
+def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
+    """How much room the way between two cells has that has most, where it has least, and what the robot needs, in words."""
+    spare = crossing.room - crossing.needs
+    _, cell = widest(np.where(crossing.stops == OPEN, spare + crossing.needs.max(), 0.0), start, end)
+    if cell is None:
+        return "there is no gap"
+    at, room, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.room[cell], crossing.needs[cell]
+    return f"the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {needed:.2f} m"
+
+
+def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
+    """Of all ways between two cells of a grid (n, m), that whose least room is most: that room, and the cell of it.
+
+    Neither end's own room counts; None where there is no way but over cells without room.
+    """
+    n, m = room.shape
+    rest: list[list[float]] = room.tolist()
+    rest[end[0]][end[1]] = np.inf
+    done = np.zeros((n, m), dtype=bool).tolist()
+    heap = [(-np.inf, start, start)]
+    while heap:
+        least, cell, narrow = heappop(heap)
+        if done[cell[0]][cell[1]]:
+            continue
+        done[cell[0]][cell[1]] = True
+        if cell == end:
+            return -least, narrow
+        for i, j in _BESIDE:
+            to = cell[0] + i, cell[1] + j
+            if 0 <= to[0] < n and 0 <= to[1] < m and not done[to[0]][to[1]] and rest[to[0]][to[1]] > 0.0:
+                here = -rest[to[0]][to[1]]
+                heappush(heap, (here, to, to) if here > least else (least, to, narrow))
+    return 0.0, None
+
+
+def _extent(places: Array) -> str:
+    """Where places (k, 2) [m] lie, in words."""
+    (x0, y0), (x1, y1) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    if x1 - x0 <= _FLAT and y1 - y0 <= _FLAT:
+        return f"at {_place(np.array([x0 + x1, y0 + y1]) / 2)}"
+    if x1 - x0 <= _FLAT:
+        return f"from y = {y0:.1f} to {y1:.1f} m at x = {(x0 + x1) / 2:.1f} m"
+    if y1 - y0 <= _FLAT:
+        return f"from x = {x0:.1f} to {x1:.1f} m at y = {(y0 + y1) / 2:.1f} m"
+    return f"within x = {x0:.1f} to {x1:.1f} m, y = {y0:.1f} to {y1:.1f} m"
+
+
+def _place(xy: Array) -> str:
+    return f"({xy[0]:.1f}, {xy[1]:.1f})"
+
+
+def _around(crossing: Crossing, cell: tuple[int, int]) -> str:
+    """What is nearest to a cell of all that cannot be crossed, in words."""
+    stops = np.argwhere(crossing.stops != OPEN)
+    if not len(stops):
+        return "nothing"
+    i, j = stops[int(np.argmin(((stops - cell) ** 2).sum(axis=1)))]
+    return f"{WORDS[int(crossing.stops[i, j])]} at {_place(crossing.centres(np.array([[i, j]]))[0])}"
+
+
+def _clipped(crossing: Crossing, start: Array, goal: Array) -> Array:
+    """The goal, or the last place towards it that lies on a cell."""
+    if crossing.holds(goal):
+        return goal
+    s = np.linspace(0.0, 1.0, 257)[:, None]
+    line = start + s * (goal - start)
+    inside = [k for k, place in enumerate(line) if crossing.holds(place)]
+    return np.asarray(line[max(inside, default=0)])
+
+
+def _nearest_free(crossing: Crossing, cell: tuple[int, int], within: float) -> tuple[int, int] | None:
+    """The free cell nearest to one, if there is one within a distance [m] of its middle."""
+    if np.isfinite(crossing.cost[cell]):
+        return cell
+    free = np.argwhere(np.isfinite(crossing.cost))
+    if not len(free):
+        return None
+    off = np.linalg.norm(free - cell, axis=1) * crossing.edge
+    k = int(np.argmin(off))
+    return (int(free[k, 0]), int(free[k, 1])) if off[k] <= within else None

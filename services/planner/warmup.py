@@ -1,0 +1,29 @@
+"""The planner plans a short passage, so that its search is compiled before a passage is asked for."""
+
+import numpy as np
+
+from sextant.services.planner.config import Settings
+from sextant.services.planner.gap_crossing.roadmap import Roadmap, Stance
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import PassageMap
+
+_CELL, _CELLS = 0.01, (150, 120)  # [m], and how many along and across
+_START, _GOAL = 0.44, 0.80  # [m] of the body along it
+_EXPANSIONS = 200
+
+
+def rehearse(profile: RobotProfile, _settings: Settings) -> None:
+    """Compile all that planning over a passage calls."""
+    height = profile.stance.body_height
+    elevation, nothing = np.zeros(_CELLS, dtype=np.float32), np.zeros(_CELLS, dtype=np.bool_)
+    layers = (elevation, np.zeros((*_CELLS, 3), dtype=np.int16), elevation, nothing, np.full(_CELLS, -1, dtype=np.int8))
+    told = PassageMap(0, _CELL, np.full(2, _CELL / 2), 0.0, *layers, 0.0, "", np.eye(4), nothing)
+    # Arrays that came in a message cannot be written, and are of another type.
+    field = Field.of(codec.decode(codec.encode(told), PassageMap)[0])
+    body = np.array([_START, 0.0, height])
+    roadmap = Roadmap(profile, PassageSettings(body_height=height))
+    roadmap.begin(field, Stance(body, profile.rest_feet(height) + body), _GOAL, seed=0)
+    roadmap.grow(_EXPANSIONS)

@@ -1,0 +1,1 @@
+"""Simulate the robot and its terrain in MuJoCo."""

@@ -1,0 +1,600 @@
+"""Terrain: the primitives of a scenario as solids, and the true height of the ground.
+
+Everything is an oriented box but the level ground (a plane) and measured ground (one height field), so that physics, renderer
+and scorer read the same few numbers.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.simulator.physics.solids import Boxes, HeightField
+from sextant.shared.files import array_file, picture_file
+from sextant.shared.files.config import ConfigError
+from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
+from sextant.shared.scenario.scenario import (
+    MAX_BLOCKS,
+    Blocks,
+    Box,
+    Color,
+    Course,
+    Flight,
+    Gap,
+    HeightMap,
+    Hole,
+    Level,
+    PillarField,
+    Pillars,
+    Plane,
+    Puddle,
+    Puddles,
+    Ramp,
+    Rubble,
+    Scenario,
+    Slope,
+    Stairs,
+    Stones,
+    Stretch,
+)
+from sextant.shared.scenario.scenario import Terrain as Primitive
+
+DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they join
+_BATCH = 256  # rubble candidates drawn at a time
+_FEW = 16  # of them, which are looked at first
+_BATCHES = 40  # tried for one block before the heap is begun anew
+_RESTARTS = 20
+_PACKED = 0.75  # share of a region that blocks placed at random cannot reach
+_HOPELESS_RESTARTS, _HOPELESS_SHARE = 3, 0.7  # after so many without this share of the blocks there is no room
+_MAX_BOXES = 5000  # of a terrain: physics and renderer take time and memory by their number
+_MAX_HEIGHT_M = 100.0  # either way, of measured ground
+Block = TypeVar("Block", Box, Hole)
+_FAR = 50.0  # [m] how far the level ground reaches where it has puddles
+
+
+@dataclass(frozen=True, slots=True)
+class Hollows:
+    """Rectangles of the level ground, along its axes, that look like it and give way under a foot."""
+
+    low: Array  # (n, 2) [m] {world}
+    high: Array  # (n, 2) [m] {world}
+    depth: Array  # (n,) [m] down to what carries
+    color: Array  # (n, 3) R, G, B
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+_NO_HOLLOWS = Hollows(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, slots=True)
+class Weak:
+    """Boxes of the terrain that give way: one sinks once it is pressed too hard, and stays down."""
+
+    box: NDArray[np.intp]  # (n,) which of the terrain's
+    bears: Array  # (n,) [N] at most
+    sinks: Array  # (n,) [m] it sinks by
+
+    def __len__(self) -> int:
+        return len(self.box)
+
+
+_NONE_WEAK = Weak(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colours of the ground, (3,) R, G, B each, NaN where it has none of its own."""
+
+    boxes: Array  # (n, 3)
+    plane: Array
+    height_field: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """The solid ground of one run."""
+
+    boxes: Boxes
+    height_field: HeightField | None = None
+    plane: float | None = None  # [m] height of the level ground, None for an abyss
+    hollows: Hollows = _NO_HOLLOWS  # of the plane
+    look: Look | None = None
+    weak: Weak = _NONE_WEAK  # of the boxes
+
+    def height_at(self, xy: Array) -> Array:
+        """True height (n,) [m] of the uppermost surface seen at (n, 2) [m] {world}; -inf where there is no ground.
+
+        What is weak counts as it stands until it gives way.
+
+        Raises:
+            ValueError: The points are not (n, 2).
+        """
+        xy = np.asarray(xy, dtype=np.float64)
+        if xy.ndim != 2 or xy.shape[1] != 2:
+            raise ValueError(f"points (n, 2) expected, found {xy.shape}")
+        z = np.full(len(xy), -np.inf if self.plane is None else self.plane)
+        if self.height_field is not None:
+            z = np.maximum(z, self.height_field.height_at(xy))
+        boxes = self.boxes
+        x, y = np.ascontiguousarray(xy.T)  # rows of two are too short for NumPy's vector loops
+        reach = np.einsum("nij,nj->ni", np.abs(boxes.R[:, :2]), boxes.half)  # half size of the box's shadow
+        for centre, half, R, r in zip(boxes.centre, boxes.half, boxes.R, reach, strict=True):
+            below = np.flatnonzero((np.abs(x - centre[0]) <= r[0]) & (np.abs(y - centre[1]) <= r[1]))
+            if not len(below):
+                continue
+            z[below] = np.maximum(z[below], _box_top(xy[below], centre, half, R))
+        return z
+
+    def sink_at(self, xy: Array) -> Array:
+        """How far (n,) [m] the surface at (n, 2) [m] {world} gives way under a foot."""
+        sink, boxes, weak = np.zeros(len(xy)), self.boxes, self.weak
+        if self.plane is not None and len(self.hollows):
+            for low, high, depth in zip(self.hollows.low, self.hollows.high, self.hollows.depth, strict=True):
+                sink[((xy >= low) & (xy <= high)).all(axis=1)] = depth
+            sink[self.height_at(xy) > self.plane] = 0.0  # something stands in it
+        for k, sinks in zip(weak.box, weak.sinks, strict=True):
+            top = _box_top(xy, boxes.centre[k], boxes.half[k], boxes.R[k])
+            sink[np.isfinite(top) & (top >= self.height_at(xy))] = sinks
+        return sink
+
+    def carrying_boxes(self) -> Boxes:
+        """The level ground around its hollows, and their beds, as boxes; none where it has no hollows."""
+        heap = _Heap()
+        if self.plane is not None and len(self.hollows):
+            _surround(heap, self.hollows, self.plane)
+        return heap.boxes()
+
+    def raster(self, x0: float, y0: float, nx: int, ny: int, resolution: float) -> Array:
+        """True heights (nx, ny) [m] at the points (x0 + i * resolution, y0 + j * resolution) [m] {world}."""
+        x, y = np.meshgrid(x0 + resolution * np.arange(nx), y0 + resolution * np.arange(ny), indexing="ij")
+        return self.height_at(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(nx, ny)
+
+
+def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
+    """The solids of a scenario's primitives; what is random of them draws from the generator.
+
+    Raises:
+        ConfigError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
+    """
+    try:
+        return _built(scenario, rng)
+    except ValueError as error:
+        raise ConfigError(f"scenario {scenario.name}", [f"terrain: {error}"]) from error
+
+
+def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
+    heap = _Heap()
+    planes: list[Plane] = []
+    fields: list[tuple[HeightField, Color | None]] = []
+    puddles: list[Puddle] = []
+    holes: list[Hole] = []
+    weak = [_NONE_WEAK]
+    # Stairs and courses first: they are the same whether rubble lies on them or not.
+    for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
+        heap.paint = part.color
+        match part:
+            case Plane():
+                planes.append(part)
+            case Box():
+                box = _drawn_block(part, rng)
+                heap.add(box.xy, box.size, box.top, box.top - box.depth, np.radians(box.yaw_deg))
+            case Hole():
+                holes.append(_drawn_block(part, rng))
+            case Stairs():
+                _stairs(heap, part)
+            case Pillars():
+                weak.append(_pillars(heap, part, rng))
+            case PillarField():
+                _pillar_field(heap, part, rng)
+            case Slope():
+                _slope(heap, part)
+            case Rubble():
+                _rubble(heap, part, rng)
+            case HeightMap():
+                fields.append((_height_field(part, Path(scenario.folder)), part.color))
+            case Puddle():
+                puddles.append(part)
+            case Puddles():
+                puddles += _scattered(part, rng)
+            case Course():
+                raise AssertionError("a course is made of its pieces by now")
+    for name, count in (("plane", len(planes)), ("height_map", len(fields))):
+        if count > 1:
+            raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
+    if puddles and not planes:
+        raise ValueError('puddles need level ground to lie in: add [[terrain]] with kind = "plane"')
+    if holes and (not planes or puddles):
+        raise ValueError('holes need level ground to lie in, and without puddles: add [[terrain]] with kind = "plane"')
+    if holes:
+        heap.paint = planes[0].color
+        low, high = (np.array([np.array(h.xy) + sign * np.array(h.size) / 2 for h in holes]) for sign in (-1, 1))
+        depth = np.array([h.depth for h in holes])
+        _surround(heap, Hollows(low, high, depth, np.zeros((len(holes), 3))), planes[0].height)
+    field_, field_color = fields[0] if fields else (None, None)
+    look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
+    level = planes[0].height if planes and not holes else None  # with holes it is made of boxes
+    all_weak = Weak(*(np.concatenate([getattr(w, name) for w in weak]) for name in ("box", "bears", "sinks")))
+    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak)
+
+
+def _rgb(colors: list[Color | None]) -> Array:
+    """Colours (n, 3), NaN for none.
+
+    Raises:
+        ValueError: One beyond 0 to 255.
+    """
+    rgb = np.array([(np.nan,) * 3 if color is None else color for color in colors], dtype=np.float64).reshape(-1, 3)
+    if np.any((rgb < 0) | (rgb > 255)):
+        raise ValueError(f"colours of R, G, B from 0 to 255 expected, found {colors}")
+    return rgb
+
+
+def _hollows(puddles: list[Puddle]) -> Hollows:
+    for puddle in puddles:
+        if min(*puddle.size, puddle.depth) <= 0:
+            raise ValueError(f"a puddle of positive size and depth expected, found {puddle.size} and {puddle.depth} m")
+    xy, size = (np.array([getattr(p, name) for p in puddles]).reshape(-1, 2) for name in ("xy", "size"))
+    return Hollows(xy - size / 2, xy + size / 2, np.array([p.depth for p in puddles]), _rgb([p.color for p in puddles]))
+
+
+def _scattered(puddles: Puddles, rng: np.random.Generator) -> list[Puddle]:
+    """Puddles placed as rubble is, with their edges along the axes."""
+    like = Rubble(puddles.x, puddles.y, puddles.count, puddles.size, (0.0, 0.0), gap=puddles.gap, yaw_deg=0.0)
+    return [
+        Puddle((x, y), (length, width), depth=puddles.depth, color=puddles.color)
+        for x, y, length, width, _ in _placed(like, rng).tolist()
+    ]
+
+
+def _surround(heap: "_Heap", hollows: Hollows, plane: float) -> None:
+    """Fill the plane with boxes but for the hollows, slab by slab along x, and lay their beds."""
+    edges = np.unique(np.concatenate([[-_FAR, _FAR], hollows.low[:, 0], hollows.high[:, 0]]))
+    for x0, x1 in pairwise(edges):
+        across = (hollows.low[:, 0] < (x0 + x1) / 2) & (hollows.high[:, 0] > (x0 + x1) / 2)
+        y = -_FAR
+        for low, high in sorted(zip(hollows.low[across, 1], hollows.high[across, 1], strict=True)):
+            if low > y:
+                heap.add(((x0 + x1) / 2, (y + low) / 2), (x1 - x0, low - y), plane, plane - DEPTH)
+            y = max(y, high)
+        heap.add(((x0 + x1) / 2, (y + _FAR) / 2), (x1 - x0, _FAR - y), plane, plane - DEPTH)
+    for low, high, depth in zip(hollows.low, hollows.high, hollows.depth, strict=True):
+        heap.add((low + high) / 2, tuple((high - low).tolist()), plane - depth, plane - depth - DEPTH)
+
+
+@dataclass(slots=True)
+class _Heap:
+    """Boxes while they are being collected."""
+
+    centre: list[Array] = field(default_factory=list)
+    half: list[Array] = field(default_factory=list)
+    R: list[Array] = field(default_factory=list)
+    color: list[Color | None] = field(default_factory=list)
+    paint: Color | None = None  # of what is added next
+
+    def add(self, xy: Iterable[float], size: tuple[float, float], top: float, bottom: float, yaw: float = 0.0) -> None:
+        """An upright box."""
+        if len(self.centre) >= _MAX_BOXES:
+            raise ValueError(f"at most {_MAX_BOXES} solids expected, found more; ask for fewer or larger ones")
+        if not (min(size) > 0 and top > bottom):
+            raise ValueError(f"a box with positive edges expected, found {size[0]} x {size[1]} x {top - bottom} m")
+        self.centre.append(np.array([*xy, (top + bottom) / 2]))
+        self.half.append(np.array([*size, top - bottom]) / 2)
+        self.R.append(rotation_z(yaw))
+        self.color.append(self.paint)
+
+    def boxes(self) -> Boxes:
+        return Boxes(
+            np.array(self.centre).reshape(-1, 3), np.array(self.half).reshape(-1, 3), np.array(self.R).reshape(-1, 3, 3)
+        )
+
+
+def _drawn(part: Primitive, rng: np.random.Generator) -> list[Primitive]:
+    """What a primitive consists of once its spread is drawn: stairs of one riser and tread, a course's pieces, or itself."""
+    match part:
+        case Stairs():
+            return [_drawn_stairs(part, rng)]
+        case Course():
+            return _pieces(part, rng)
+        case _:
+            return [part]
+
+
+def _drawn_stairs(stairs: Stairs, rng: np.random.Generator) -> Stairs:
+    if not (stairs.riser_spread or stairs.tread_spread):
+        return stairs
+    riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
+    return replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread, riser_spread=0.0, tread_spread=0.0)
+
+
+def _drawn_block(block: Block, rng: np.random.Generator) -> Block:
+    """A box or a hole with its spreads drawn."""
+    top_spread = block.top_spread if isinstance(block, Box) else 0.0
+    if not any((*block.xy_spread, *block.size_spread, top_spread)):
+        return block
+    x, y, length, width, top = rng.uniform(-1.0, 1.0, 5) * (*block.xy_spread, *block.size_spread, top_spread)
+    xy, size = (block.xy[0] + x, block.xy[1] + y), (block.size[0] + length, block.size[1] + width)
+    if isinstance(block, Box):
+        return replace(block, xy=xy, size=size, top=block.top + top)
+    return replace(block, xy=xy, size=size)
+
+
+def _pieces(course: Course, rng: np.random.Generator) -> list[Primitive]:
+    """The primitives of a course, one stretch after the other."""
+    pieces: list[Primitive] = []
+    x, base = course.x, 0.0
+    for stretch in _in_order(course, rng):
+        found, length, rise = _laid(stretch, course, x, base, rng)
+        pieces += found
+        x, base = x + length, base + rise
+    return pieces
+
+
+def _in_order(course: Course, rng: np.random.Generator) -> list[Stretch]:
+    """A course's stretches in their order, the rests between them put in."""
+    first, inner, last = course.stretches[:1], course.stretches[1:-1], course.stretches[1:][-1:]
+    if course.shuffled:
+        inner = tuple(inner[k] for k in rng.permutation(len(inner)))
+    rests = [Level(course.rest)] if course.rest > 0 else []
+    between = [stretch for k, one in enumerate(inner) for stretch in [*(rests if k else []), one]]
+    return [*first, *between, *last]
+
+
+def _laid(
+    stretch: Stretch, course: Course, x: float, base: float, rng: np.random.Generator
+) -> tuple[list[Primitive], float, float]:
+    """The primitives of a stretch that begins at x at a height of `base`, its length and its rise, all [m]."""
+    depth = base - course.bottom
+    match stretch:
+        case Level():
+            return [_slab(x, stretch.length, base, course)], stretch.length, 0.0
+        case Ramp():
+            angle = stretch.angle_deg + stretch.angle_spread_deg * float(rng.uniform(-1.0, 1.0))
+            rise = stretch.length * float(np.tan(np.radians(angle)))
+            ramp = Slope((x, 0.0), angle, stretch.length, course.width, landing=0.0, base=base, color=course.color)
+            return [replace(ramp, depth=depth + min(rise, 0.0))], stretch.length, rise
+        case Flight():
+            stairs = Stairs((x, 0.0), stretch.riser, stretch.tread, stretch.count, course.width, base=base, color=course.color)
+            stairs = replace(stairs, riser_spread=stretch.riser_spread, tread_spread=stretch.tread_spread)
+            stairs = _drawn_stairs(stairs, rng)
+            rise = stairs.count * stairs.riser
+            stairs = replace(stairs, landing=stairs.tread, depth=depth + min(rise, 0.0))
+            return [stairs], stairs.count * stairs.tread, rise
+        case Blocks():
+            half = course.width / 2
+            region = ((x, x + stretch.length), (-half, half))
+            rubble = Rubble(*region, stretch.count, stretch.size, stretch.top, base=base, color=course.color)
+            rubble = replace(rubble, gap=stretch.gap, yaw_deg=stretch.yaw_deg)
+            return [_slab(x, stretch.length, base, course), rubble], stretch.length, 0.0
+        case Stones():
+            return _stones(stretch, course, x, base, rng)
+        case Gap():
+            return [], stretch.length + stretch.spread * float(rng.uniform(-1.0, 1.0)), 0.0
+
+
+def _slab(x: float, length: float, top: float, course: Course) -> Box:
+    """Level ground across a course."""
+    return Box((x + length / 2, 0.0), (length, course.width), top, depth=top - course.bottom, color=course.color)
+
+
+def _stones(
+    stones: Stones, course: Course, x: float, base: float, rng: np.random.Generator
+) -> tuple[list[Primitive], float, float]:
+    pitch = stones.size + stones.gap
+    across = max(1, int((course.width + stones.gap) // pitch))
+    if stones.rows * across > _MAX_BOXES:
+        raise ValueError(f"at most {_MAX_BOXES} stones expected, found {stones.rows} rows of {across}")
+    i, j = np.meshgrid(np.arange(stones.rows), np.arange(across), indexing="ij")
+    xy = np.stack([x + stones.gap + stones.size / 2 + pitch * i, pitch * (j - (across - 1) / 2)], axis=-1).reshape(-1, 2)
+    xy += rng.uniform(-stones.jitter, stones.jitter, xy.shape)
+    tops = base + rng.uniform(*stones.top, len(xy))
+    size = (stones.size, stones.size)
+    boxes: list[Primitive] = [
+        Box((at_x, at_y), size, top, depth=top - course.bottom, color=course.color)
+        for at_x, at_y, top in np.column_stack([xy, tops]).tolist()
+    ]
+    return boxes, stones.rows * pitch + stones.gap, 0.0
+
+
+def _stairs(heap: _Heap, stairs: Stairs) -> None:
+    yaw = np.radians(stairs.yaw_deg)
+    forward = np.array([np.cos(yaw), np.sin(yaw)])
+    bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - stairs.depth
+    for step in range(stairs.count):
+        tread = stairs.landing if step == stairs.count - 1 else stairs.tread
+        middle = np.asarray(stairs.xy) + (step * stairs.tread + tread / 2) * forward
+        heap.add(middle, (tread, stairs.width), stairs.base + (step + 1) * stairs.riser, bottom, yaw)
+
+
+def _slope(heap: _Heap, slope: Slope) -> None:
+    if not 0 < abs(slope.angle_deg) < 80:
+        raise ValueError(f"a slope of less than 80 deg, not level, expected, found angle_deg = {slope.angle_deg}")
+    angle, yaw = np.radians(slope.angle_deg), np.radians(slope.yaw_deg)
+    rise = slope.length * np.tan(angle)
+    along = np.array([np.cos(yaw), np.sin(yaw)])
+    R = rotation_from_rpy((0.0, -angle, yaw))
+    half = np.array([slope.length / np.cos(angle), slope.width, (abs(rise) + slope.depth) * np.cos(angle)]) / 2
+    middle_of_top = np.array([*(np.asarray(slope.xy) + slope.length / 2 * along), slope.base + rise / 2])
+    heap.centre.append(middle_of_top - R[:, 2] * half[2])
+    heap.half.append(half)
+    heap.R.append(R)
+    heap.color.append(heap.paint)
+    if slope.landing > 0:
+        middle = np.asarray(slope.xy) + (slope.length + slope.landing / 2) * along
+        heap.add(middle, (slope.landing, slope.width), slope.base + rise, slope.base + min(rise, 0.0) - slope.depth, yaw)
+
+
+def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> Weak:
+    """Add pillars; returns those of them that give way."""
+    xy, tops = np.array(pillars.xy, dtype=np.float64).reshape(-1, 2), np.full(len(pillars.xy), pillars.top)
+    if pillars.jitter:
+        xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
+    if pillars.top_spread:
+        tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
+    for place, top in zip(xy, tops.tolist(), strict=True):
+        heap.add(place, (pillars.length or pillars.size, pillars.size), top, pillars.top - pillars.depth)
+    if not pillars.weak:
+        return _NONE_WEAK
+    chosen = len(heap.centre) - len(xy) + np.sort(rng.permutation(len(xy))[: pillars.weak])
+    return Weak(chosen, np.full(pillars.weak, pillars.bears), np.full(pillars.weak, pillars.sinks))
+
+
+def _pillar_field(heap: _Heap, pillars: PillarField, rng: np.random.Generator) -> None:
+    density = rng.uniform(*pillars.density)
+    area = (pillars.x[1] - pillars.x[0]) * (pillars.y[1] - pillars.y[0])
+    count, size = round(density * area / pillars.size**2), (pillars.size, pillars.size)
+    if count > MAX_BLOCKS:
+        raise ValueError(f"at most {MAX_BLOCKS} pillars in a field expected, found {count}; ask for fewer or larger ones")
+    like = Rubble(pillars.x, pillars.y, count, size, (0.0, 0.0), gap=pillars.gap, yaw_deg=0.0)
+    for x, y, *_ in _placed(like, rng):
+        heap.add((x, y), size, pillars.top, pillars.top - pillars.depth)
+
+
+def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:
+    placed = _placed(rubble, rng)
+    tops = rng.uniform(*rubble.top, rubble.count)
+    for (x, y, length, width, yaw), top in zip(placed, tops, strict=True):
+        heap.add((x, y), (length, width), rubble.base + float(top), rubble.base - DEPTH, yaw)
+
+
+def _placed(rubble: Rubble, rng: np.random.Generator) -> Array:
+    """Place blocks by rejection: size, heading and place are drawn together until the block keeps the gap to all others.
+
+    Returns:
+        (count, 5) centre x, y, length, width [m], yaw [rad].
+    """
+    for bounds in (rubble.x, rubble.y, rubble.size, rubble.top):
+        if bounds[0] > bounds[1]:
+            raise ValueError(f"rubble bounds in rising order expected, found {bounds}")
+    least = rubble.size[0] + rubble.gap
+    room = _PACKED * (np.ptp(rubble.x) + rubble.gap) * (np.ptp(rubble.y) + rubble.gap) / max(least, 1e-6) ** 2
+    if rubble.count > room:
+        raise _no_room(rubble, int(room))
+    most = 0
+    for restart in range(_RESTARTS):
+        placed = _place_rectangles(rubble, rng)
+        if len(placed) == rubble.count:
+            return placed
+        most = max(most, len(placed))
+        if restart >= _HOPELESS_RESTARTS and most < _HOPELESS_SHARE * rubble.count:
+            break
+    raise _no_room(rubble, most)
+
+
+def _no_room(rubble: Rubble, found: int) -> ValueError:
+    return ValueError(
+        f"room for {rubble.count} blocks of rubble expected, found room for about {found} of {rubble.size[0]} to "
+        f"{rubble.size[1]} m in {rubble.x[1] - rubble.x[0]:g} x {rubble.y[1] - rubble.y[0]:g} m, {rubble.gap} m apart; "
+        "ask for fewer, smaller or closer ones, or a larger region"
+    )
+
+
+def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:
+    """Rectangles (n, 5): centre x, y, length, width [m], yaw [rad]; fewer than asked for when the heap jams."""
+    placed = np.zeros((0, 5))
+    lower, upper = np.array([rubble.x[0], rubble.y[0]]), np.array([rubble.x[1], rubble.y[1]])
+    while len(placed) < rubble.count:
+        for _ in range(_BATCHES):
+            size = rng.uniform(*rubble.size, (_BATCH, 2))
+            yaw = np.radians(rng.uniform(-rubble.yaw_deg, rubble.yaw_deg, _BATCH))
+            c, s = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+            reach = np.stack([c * size[:, 0] + s * size[:, 1], s * size[:, 0] + c * size[:, 1]], axis=1) / 2
+            xy = lower + reach + rng.uniform(0.0, 1.0, (_BATCH, 2)) * (upper - lower - 2 * reach)
+            fits = np.all(upper - lower >= 2 * reach, axis=1)
+            candidates = np.column_stack([xy, size, yaw])
+            free = _first_free(candidates[fits], placed, rubble.gap)
+            if free is not None:
+                placed = np.vstack([placed, free])
+                break
+        else:
+            return placed
+    return placed
+
+
+def _first_free(candidates: Array, placed: Array, gap: float) -> Array | None:
+    """The first of some rectangles (n, 5) that keeps a gap [m] to all placed ones (m, 5); None where none does."""
+    for some in np.split(candidates, [_FEW]):
+        free = np.flatnonzero(~_blocked(some, placed, gap))
+        if len(free):
+            return np.asarray(some[free[0]])
+    return None
+
+
+def _blocked(candidates: Array, placed: Array, gap: float) -> NDArray[np.bool_]:
+    """Which of the candidates (n, 5) lie within a gap [m] of a placed rectangle (m, 5)."""
+    blocked = np.zeros(len(candidates), dtype=np.bool_)
+    reach, reach_placed = (np.hypot(some[:, 2], some[:, 3]) / 2 for some in (candidates, placed))
+    d2 = np.subtract.outer(candidates[:, 0], placed[:, 0]) ** 2 + np.subtract.outer(candidates[:, 1], placed[:, 1]) ** 2
+    # From there on one axis of a rectangle keeps them apart, whichever way both are turned.
+    i, j = np.nonzero(d2 < 2.0 * (reach[:, None] + reach_placed + max(gap, 0.0)) ** 2)
+    blocked[i[_closer_than(candidates[i], placed[j], gap)]] = True
+    return blocked
+
+
+def _closer_than(a: Array, b: Array, gap: float) -> Array:
+    """Whether rectangles (..., 5) lie within a gap [m], by separating axes; between corners the gap kept is a little wider."""
+    d = b[..., :2] - a[..., :2]
+    c, s = np.cos(b[..., 4] - a[..., 4]), np.sin(b[..., 4] - a[..., 4])
+    apart = np.zeros(d.shape[:-1], dtype=bool)
+    for one, other in ((a, b), (b, a)):
+        cos, sin = np.cos(one[..., 4]), np.sin(one[..., 4])
+        along = np.stack([d[..., 0] * cos + d[..., 1] * sin, d[..., 1] * cos - d[..., 0] * sin], axis=-1)
+        length, width = other[..., 2], other[..., 3]
+        shadow = np.stack([np.abs(c) * length + np.abs(s) * width, np.abs(s) * length + np.abs(c) * width], axis=-1)
+        apart |= np.any(np.abs(along) >= (one[..., 2:4] + shadow) / 2 + gap, axis=-1)
+    return ~apart
+
+
+def _height_field(part: HeightMap, folder: Path) -> HeightField:
+    path = part.path(folder)
+    if not path.exists():
+        raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
+    kind, scale = path.suffix.lower(), part.scale
+    if kind == ".npy":
+        stored, scale = array_file.read_numbers(path), 1.0 if scale is None else scale
+    elif kind != ".png":
+        raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
+    elif scale is None:
+        raise ValueError(f"{path}: scale expected, the metres of one grey value, e.g. scale = 0.001; found none")
+    else:
+        stored = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
+    with np.errstate(over="ignore"):  # infinite heights are refused
+        heights = _taken(stored, part) * scale + part.base
+    known = ~np.isnan(heights)
+    if not known.any():
+        raise ValueError(f"{path}: at least one known height expected, found none")
+    low, high = float(heights[known].min()), float(heights[known].max())
+    if not -_MAX_HEIGHT_M <= low <= high <= _MAX_HEIGHT_M:
+        limits = f"heights within {_MAX_HEIGHT_M:g} m of 0"
+        raise ValueError(f"{path}: {limits} expected, found {low:g} to {high:g} m; set scale and base")
+    return HeightField(np.where(known, heights, low), part.resolution, part.xy)
+
+
+def _taken(heights: Array, part: HeightMap) -> Array:
+    """The rows and columns of a height map that are wanted, turned."""
+    if heights.ndim != 2:
+        raise ValueError(f"a grid of at least 2x2 heights expected, found {heights.shape} in {part.file!r}")
+    for name, wanted, there in (("rows", part.rows, heights.shape[0]), ("columns", part.columns, heights.shape[1])):
+        if wanted is not None and wanted[1] > there:
+            raise ValueError(f"{name} of at most {there} expected, found {wanted}; {part.file!r} has no more")
+    taken = heights[slice(*(part.rows or (None,))), slice(*(part.columns or (None,)))]
+    return np.asarray(np.rot90(taken, part.quarter_turns))
+
+
+def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:
+    """Where vertical lines at (n, 2) [m] leave a box (n,) [m]; -inf where they miss it."""
+    origin = (np.column_stack([xy - centre[:2], np.full(len(xy), -centre[2])])) @ R  # lines at z = 0, in the box's frame
+    enter, leave = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
+    for axis in range(3):
+        rate = R[2, axis]  # how fast a vertical line moves along this axis of the box
+        if abs(rate) < 1e-12:
+            leave = np.where(np.abs(origin[:, axis]) <= half[axis], leave, -np.inf)
+            continue
+        slab = np.stack([-half[axis] - origin[:, axis], half[axis] - origin[:, axis]]) / rate
+        enter, leave = np.maximum(enter, slab.min(axis=0)), np.minimum(leave, slab.max(axis=0))
+    return np.where(enter <= leave, leave, -np.inf)

@@ -1,0 +1,1 @@
+"""Simulate the depth camera, the color camera and the inertial sensor."""

@@ -1,0 +1,141 @@
+"""What a colour camera makes of the world: textured ground under uneven light, puddles that mirror the sky, a noisy sensor.
+
+Texture belongs to the ground: it is noise over places of the world, so a place keeps its colour from whichever side it is
+looked at. Light, white balance and texture are drawn once by the run's seed.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.simulator.physics.solids import Boxes, Capsules
+from sextant.services.simulator.physics.terrain import Terrain
+from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.shared.geometry import Array
+from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.runtime.compiled import compiled
+
+_EXPOSURE = 0.20  # [1] by which the light of a run may be more or less than usual
+_BALANCE = 0.06  # [1] likewise, of red against green and of blue
+_SHADE = 0.12  # [1] by which light varies from place to place
+_GRAIN = 0.16  # [1] by which the ground's own brightness varies
+_TINT = 0.03  # [1] by which its colour does
+_SENSOR = 3.0  # [1/255] of a pixel, uniform to both sides
+_SKY = (178.0, 200.0, 220.0)
+_RIM = 0.008  # [m] by which the rim of a puddle meanders
+
+
+class ColorCamera:
+    """Pictures pixel for pixel over the depth of the same renderer."""
+
+    def __init__(self, renderer: Renderer, terrain: Terrain, rng: np.random.Generator):
+        """Take the light of a run from the generator; the renderer draws everything flat."""
+        self._renderer = renderer
+        self._key = np.uint32(rng.integers(1 << 32))
+        balance = np.array([rng.uniform(-_BALANCE, _BALANCE), 0.0, rng.uniform(-_BALANCE, _BALANCE)])
+        self._gain = (1.0 + rng.uniform(-_EXPOSURE, _EXPOSURE)) * (1.0 + balance)
+        self._plane = np.nan if terrain.plane is None else terrain.plane
+        hollows = terrain.hollows
+        self._hollows = np.column_stack([hollows.low, hollows.high])
+        self._hollow_colors = hollows.color
+        self._frames = 0
+
+    def picture(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.uint8]:
+        """The next colour picture (h, w, 3) from an optical camera pose (4, 4)."""
+        flat, inverse_depth = self._renderer.colored(T_world_camera, robot)
+        i: Intrinsics = self._renderer.intrinsics
+        out = np.empty_like(flat)
+        camera = np.array([i.fx, i.fy, i.cx, i.cy])
+        T = np.ascontiguousarray(T_world_camera[:3], dtype=np.float64)
+        _develop(flat, inverse_depth, camera, T, self._gain, self._key, np.uint32(self._frames),
+                 self._plane, self._hollows, self._hollow_colors, out)  # fmt: skip
+        self._frames += 1
+        return out
+
+
+@compiled
+def _mixed(x: np.uint32) -> np.uint32:
+    """Scramble 32 bits (Wellons 2018, `lowbias32`)."""
+    x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
+    x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
+    return np.uint32(x ^ (x >> np.uint32(16)))
+
+
+@compiled
+def _lattice(i: int, j: int, key: np.uint32) -> float:
+    """A number from -1 to 1 that belongs to a lattice point."""
+    h = _mixed(np.uint32(np.uint32(i * 0x9E3779B1) ^ np.uint32(j * 0x85EBCA77)) ^ key)
+    return float(np.int64(h >> np.uint32(8))) * (2.0 / 16777215.0) - 1.0
+
+
+@compiled
+def _noise(x: float, y: float, key: np.uint32) -> float:
+    """Smooth noise from -1 to 1 over the plane, of wavelength 2."""
+    i, j = int(np.floor(x)), int(np.floor(y))
+    u, v = x - i, y - j
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    low = _lattice(i, j, key) * (1.0 - u) + _lattice(i + 1, j, key) * u
+    high = _lattice(i, j + 1, key) * (1.0 - u) + _lattice(i + 1, j + 1, key) * u
+    return float(low * (1.0 - v) + high * v)
+
+
+@compiled
+def _develop(
+    flat: NDArray[np.uint8],
+    w: NDArray[np.float32],
+    camera: Array,
+    T: Array,
+    gain: Array,
+    key: np.uint32,
+    frame: np.uint32,
+    plane: float,
+    hollows: Array,
+    hollow_colors: Array,
+    out: NDArray[np.uint8],
+) -> None:
+    """Light, texture, puddles and sensor noise over a flat picture; T is T_world_camera, hollows low x, y, high x, y."""
+    rows, columns = w.shape
+    fx, fy, cx, cy = camera
+    color = np.empty(3)
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(3):
+                color[k] = flat[row, column, k]
+            if w[row, column] > 0.02:
+                z = 1.0 / w[row, column]
+                a, b = z * (column - cx) / fx, z * (row - cy) / fy
+                x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * z + T[0, 3]
+                y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * z + T[1, 3]
+                height = T[2, 0] * a + T[2, 1] * b + T[2, 2] * z + T[2, 3]
+                light = 1.0 + _SHADE * _noise(x / 0.5, y / 0.5, key ^ np.uint32(1))
+                wet = -1
+                if abs(height - plane) < 2e-3:  # false where there is no plane
+                    for n in range(len(hollows)):
+                        low_x, low_y, high_x, high_y = hollows[n]
+                        if low_x - _RIM < x < high_x + _RIM and low_y - _RIM < y < high_y + _RIM:
+                            ux = x + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(2))
+                            uy = y + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(3))
+                            if low_x < ux < high_x and low_y < uy < high_y:
+                                wet = n
+                if wet >= 0:
+                    # The flatter it is looked at, the more of the sky it mirrors (Schlick 1994, water).
+                    down = (T[2, 3] - height) / np.sqrt(a * a + b * b + z * z)
+                    mirror = 0.02 + 0.98 * (1.0 - min(max(down, 0.0), 1.0)) ** 5
+                    ripple = 1.0 + 0.03 * _noise(x / 0.02, y / 0.02, key ^ np.uint32(4))
+                    for k in range(3):
+                        color[k] = (hollow_colors[wet, k] * (1.0 - mirror) + _SKY[k] * mirror) * ripple
+                else:
+                    # Walls have texture along their height.
+                    tx, ty = x + 0.7 * height, y - 0.6 * height
+                    grain = _noise(tx / 0.04, ty / 0.04, key ^ np.uint32(5)) + _noise(
+                        tx / 0.011, ty / 0.011, key ^ np.uint32(6)
+                    )
+                    tint = _TINT * _noise(tx / 0.06, ty / 0.06, key ^ np.uint32(7))
+                    light *= 1.0 + 0.5 * _GRAIN * grain
+                    color[0] *= 1.0 + tint
+                    color[2] *= 1.0 - tint
+                for k in range(3):
+                    color[k] *= light * gain[k]
+            h = _mixed(np.uint32(row * columns + column) ^ np.uint32(frame * np.uint32(0x9E3779B1)) ^ key)
+            for k in range(3):
+                spark = float(np.int64((h >> np.uint32(8 * k)) & np.uint32(255))) * (2.0 * _SENSOR / 255.0) - _SENSOR
+                out[row, column, k] = np.uint8(min(max(color[k] + spark, 0.0), 255.0))

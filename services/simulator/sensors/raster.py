@@ -1,0 +1,525 @@
+"""The loops that draw: a z-buffer of planes, faces, height fields and capsules, compiled.
+
+The buffer holds inverse depth, because on a plane 1/z is linear in the pixel: a face costs one multiplication and addition a
+pixel and is exact. Faces are drawn as convex polygons, the height field as its triangles, capsules by solving for the ray.
+Everywhere T is T_camera_world, and a colour is (3,) as seen in full light.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.geometry import Array
+from sextant.shared.runtime.compiled import compiled, written_into
+
+BLOCK = 16  # cells of a height field culled together
+_NEAR = 1e-3  # [m] faces are clipped here
+_EDGE = 1e-9  # [px] faces overlap by this, so that rounding leaves no crack between neighbours
+_LEVEL = 1e-12  # [px] an edge that rises less bounds no row
+
+# Tuples of numbers: in the inner loops they are registers, where arrays would be looked up and counted.
+_Point = tuple[float, float, float]  # [m] {camera}, or a direction
+_Lens = tuple[float, float, float, float]  # [px] fx, fy, cx, cy
+_Vertex = tuple[float, float, float, float, float]  # x, y, z [m] {camera} and u, v [px]
+
+
+class Canvas(NamedTuple):
+    """What is drawn into, and by which lens and light."""
+
+    w: NDArray[np.float32]  # (h, w) [1/m] inverse depth, zero where there is nothing
+    rgb: NDArray[np.uint8]  # (h, w, 3), or (0, 0, 3) where no colour is wanted
+    lens: _Lens
+    ramp: Array  # (n,) 0, 1, 2 ...: converting numbers of rows and columns in the inner loops would keep those from vectors
+    light: _Point  # toward the lamp
+
+
+class _Workspace(NamedTuple):
+    """What the drawing of a face writes down in between."""
+
+    corners: Array  # (4, 3) [m] {camera}
+    image: Array  # (12, 2) [px] corners of the clipped face
+    edges: Array  # (12, 4) [px] of those that bound rows on the left u at row zero and slope, then of those on the right
+    spans: NDArray[np.int32]  # (2, rows) first column and number of columns of each row
+    nearer: NDArray[np.float32]  # (columns,)
+
+
+@compiled
+def draw_plane(canvas: Canvas, T: Array, height: float, colour: Array) -> None:
+    """Fill the buffer with level ground, or with nothing for a height of NaN; in colour it is chequered every 0.1 m."""
+    w, ramp = canvas.w, canvas.ramp
+    rows, columns = w.shape
+    n = T[:3, 2]
+    d = height + n[0] * T[0, 3] + n[1] * T[1, 3] + n[2] * T[2, 3]  # n . p = d for points p of the plane, seen from above if < 0
+    if not d < 0.0:
+        w[:] = 0.0
+        return
+    a, b, c = _inverse_depth_of(canvas.lens, n[0], n[1], n[2], d)
+    for row in range(rows):
+        start = b * row + c
+        line = w[row]
+        for column in range(columns):
+            value = np.float32(start + a * ramp[column])
+            line[column] = value if value > 0.0 else np.float32(0.0)
+    if canvas.rgb.shape[0] > 0:
+        _chequer(
+            canvas, T, colour, 0.45 + 0.55 * max(0.0, n[0] * canvas.light[0] + n[1] * canvas.light[1] + n[2] * canvas.light[2])
+        )
+
+
+@compiled
+def draw_quads(canvas: Canvas, T: Array, quads: Array, colours: Array) -> None:
+    """Draw four-cornered faces (n, 4, 3) [m] {world}."""
+    work = _workspace(canvas)
+    corners = work.corners
+    for face in range(len(quads)):
+        for i in range(4):
+            for k in range(3):
+                corners[i, k] = (
+                    T[k, 0] * quads[face, i, 0] + T[k, 1] * quads[face, i, 1] + T[k, 2] * quads[face, i, 2] + T[k, 3]
+                )
+        _draw_polygon(canvas, work, 4, colours[face])
+
+
+@compiled
+def draw_field(canvas: Canvas, T: Array, heights: Array, grid: Array, blocks: Array, colour: Array) -> None:
+    """Draw the triangles of a height field.
+
+    Args:
+        canvas: Drawn into.
+        T: As above.
+        heights: (nx, ny) [m] {world} of the corners of its cells.
+        grid: (3,) [m] x and y {world} of the first, and their spacing.
+        blocks: (b, 8) first cell's row and column, and the box {world} around each BLOCK x BLOCK cells: lowest, highest corner.
+        colour: Of it all.
+    """
+    work, sides = _workspace(canvas), _pyramid(canvas)
+    vertices = np.empty((BLOCK + 1, BLOCK + 1, 5))
+    for block in range(len(blocks)):
+        if not _in_view(sides, T, blocks[block]):
+            continue
+        i0, j0 = int(blocks[block, 0]), int(blocks[block, 1])
+        i1, j1 = min(i0 + BLOCK, heights.shape[0] - 1), min(j0 + BLOCK, heights.shape[1] - 1)
+        _project_vertices(canvas.lens, T, heights, grid, i0, i1, j0, j1, vertices)
+        for i in range(i1 - i0):
+            for j in range(j1 - j0):
+                for half in range(2):
+                    p, q = _vertex(vertices, i, j), _vertex(vertices, i + 1, j + half)
+                    r = _vertex(vertices, i + 1 - half, j + 1)
+                    if min(p[2], q[2], r[2]) >= _NEAR:
+                        _draw_triangle(canvas, p, q, r, colour)
+                        continue
+                    for k in range(3):
+                        work.corners[0, k], work.corners[1, k], work.corners[2, k] = p[k], q[k], r[k]
+                    _draw_polygon(canvas, work, 3, colour)
+
+
+@compiled
+def draw_capsules(canvas: Canvas, T: Array, starts: Array, ends: Array, radii: Array, colour: Array) -> None:
+    """Draw capsules from start to end (n, 3) [m] {world}."""
+    sides = _pyramid(canvas)
+    for side in range(5):
+        sides[side] /= np.sqrt(sides[side, 0] ** 2 + sides[side, 1] ** 2 + sides[side, 2] ** 2)
+    for item in range(len(radii)):
+        p, e = _in_camera(T, starts[item]), _in_camera(T, ends[item])
+        seen = True
+        for side in range(5):
+            inward = (sides[side, 0], sides[side, 1], sides[side, 2])
+            if max(_dot(inward, p), _dot(inward, e)) < -radii[item]:
+                seen = False
+        if seen:
+            _draw_capsule(canvas, p, e, radii[item], colour)
+
+
+# ------------------------------------------------------------------------------------------------------------- shared
+
+
+@compiled
+def _workspace(canvas: Canvas) -> _Workspace:
+    rows, columns = canvas.w.shape
+    return _Workspace(
+        np.empty((4, 3)), np.empty((12, 2)), np.empty((12, 4)), np.empty((2, rows), np.int32), np.empty(columns, np.float32)
+    )
+
+
+@compiled
+def _pyramid(canvas: Canvas) -> Array:
+    """The pyramid of view: inward normals (5, 3) {camera}, all through the lens."""
+    rows, columns = canvas.w.shape
+    fx, fy, cx, cy = canvas.lens
+    return np.array(
+        [
+            [fx, 0.0, cx + 1.0],
+            [-fx, 0.0, columns - cx],
+            [0.0, fy, cy + 1.0],
+            [0.0, -fy, rows - cy],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+
+
+@compiled
+def _inverse_depth_of(lens: _Lens, nx: float, ny: float, nz: float, d: float) -> tuple[float, float, float]:
+    """Inverse depth of the plane n . p = d as a sum a u + b v + c."""
+    fx, fy, cx, cy = lens
+    a, b = nx / (fx * d), ny / (fy * d)
+    return a, b, nz / d - a * cx - b * cy
+
+
+@compiled
+def _shade(normal_x: float, normal_y: float, normal_z: float, light: _Point) -> float:
+    """Brightness of a surface with a normal of any length: half of it from all sides, half from the lamp."""
+    length = np.sqrt(normal_x * normal_x + normal_y * normal_y + normal_z * normal_z)
+    cosine = (normal_x * light[0] + normal_y * light[1] + normal_z * light[2]) / length
+    return float(0.45 + 0.55 * max(0.0, cosine))
+
+
+@compiled
+def _paint(rgb: NDArray[np.uint8], row: int, column: int, colour: Array, bright: float) -> None:
+    for k in range(3):
+        rgb[row, column, k] = np.uint8(colour[k] * bright)
+
+
+@compiled
+def _chequer(canvas: Canvas, T: Array, colour: Array, bright: float) -> None:
+    """Colour the ground wherever it is in view and not too far."""
+    w = canvas.w
+    fx, fy, cx, cy = canvas.lens
+    for row in range(w.shape[0]):
+        for column in range(w.shape[1]):
+            if w[row, column] > 0.02:
+                z = 1.0 / w[row, column]
+                px = z * (column - cx) / fx - T[0, 3]
+                py = z * (row - cy) / fy - T[1, 3]
+                pz = z - T[2, 3]
+                x = T[0, 0] * px + T[1, 0] * py + T[2, 0] * pz
+                y = T[0, 1] * px + T[1, 1] * py + T[2, 1] * pz
+                odd = (int(np.floor(x * 10.0)) + int(np.floor(y * 10.0))) & 1
+                for k in range(3):
+                    canvas.rgb[row, column, k] = np.uint8(colour[k] * bright * (0.93 if odd else 1.0))
+
+
+# ------------------------------------------------------------------------------------------------------------- faces
+
+
+@compiled
+def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -> None:
+    """Draw the convex face of the workspace's corners, counter-clockwise seen from outside; its back is not drawn."""
+    nx, ny, nz, d = _normal(work.corners[0], work.corners[1], work.corners[2])
+    if not d < 0.0:
+        return
+    # 1. Clip at the near plane and project.
+    m = _project(canvas.lens, work.corners, count, work.image)
+    if m == 0:
+        return
+    # 2. The rows that it covers, and the columns that its edges leave of each.
+    first, last = _rows(work.image, m, canvas.w.shape[0])
+    if first > last:
+        return
+    widest = canvas.w.shape[1] - 1.0
+    _bound(work.image, m, widest, work.edges)
+    _span_rows(work.edges, canvas.ramp, first, last, widest, work.spans)
+    # 3. Pixels.
+    a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
+    if canvas.rgb.shape[0] == 0:
+        _fill(canvas, work, first, last, a, b, c)
+    else:
+        _fill_in_colour(canvas, work, first, last, a, b, c, colour, _shade(nx, ny, nz, canvas.light))
+
+
+@compiled
+def _normal(p: Array | _Point, q: Array | _Point, r: Array | _Point) -> tuple[float, float, float, float]:
+    """Normal n and distance d of the plane n . p = d through three corners."""
+    ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return nx, ny, nz, nx * p[0] + ny * p[1] + nz * p[2]
+
+
+@compiled
+def _project(lens: _Lens, corners: Array, count: int, image: Array) -> int:
+    """Clip a face at the near plane (Sutherland-Hodgman) and project it; the number of corners that it then has."""
+    fx, fy, cx, cy = lens
+    m = 0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        z0, z1 = corners[i, 2], corners[j, 2]
+        if z0 >= _NEAR:
+            image[m, 0] = fx * corners[i, 0] / z0 + cx
+            image[m, 1] = fy * corners[i, 1] / z0 + cy
+            m += 1
+        if (z0 >= _NEAR) != (z1 >= _NEAR):
+            s = (_NEAR - z0) / (z1 - z0)
+            image[m, 0] = fx * (corners[i, 0] + s * (corners[j, 0] - corners[i, 0])) / _NEAR + cx
+            image[m, 1] = fy * (corners[i, 1] + s * (corners[j, 1] - corners[i, 1])) / _NEAR + cy
+            m += 1
+    return m
+
+
+@compiled
+def _rows(image: Array, m: int, rows: int) -> tuple[int, int]:
+    """First and last row of the picture that a face of m corners covers."""
+    lowest, highest = np.inf, -np.inf
+    for i in range(m):
+        lowest, highest = min(lowest, image[i, 1]), max(highest, image[i, 1])
+    return int(np.ceil(max(lowest - _EDGE, 0.0))), int(np.floor(min(highest + _EDGE, rows - 1.0)))
+
+
+@compiled
+def _bound(image: Array, m: int, widest: float, edges: Array) -> None:
+    """Find the edges that bound rows on the left, then those on the right: where each crosses row zero, and its slope.
+
+    Seen from outside in an image whose v points down, the corners run counter-clockwise: left edges go down. A side has four
+    edges at most, a clipped face having five corners; those that are missing bound nothing but the image.
+    """
+    for i in range(4):
+        edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3] = 0.0, 0.0, widest, 0.0
+    lefts, rights = 0, 0
+    for i in range(m):
+        j = i + 1 if i + 1 < m else 0
+        rise = image[j, 1] - image[i, 1]
+        if abs(rise) > _LEVEL:
+            slope = (image[j, 0] - image[i, 0]) / rise
+            crossing = image[i, 0] - image[i, 1] * slope
+            if rise > 0.0:
+                edges[lefts, 0], edges[lefts, 1] = crossing - _EDGE, slope
+                lefts += 1
+            else:
+                edges[rights, 2], edges[rights, 3] = crossing + _EDGE, slope
+                rights += 1
+
+
+@compiled
+def _span_rows(edges: Array, ramp: Array, first: int, last: int, widest: float, spans: NDArray[np.int32]) -> None:
+    """The columns of each row that the edges leave, without branches, so that it runs in vectors."""
+    p0, p1, p2, p3 = edges[0, 0], edges[1, 0], edges[2, 0], edges[3, 0]
+    q0, q1, q2, q3 = edges[0, 1], edges[1, 1], edges[2, 1], edges[3, 1]
+    r0, r1, r2, r3 = edges[0, 2], edges[1, 2], edges[2, 2], edges[3, 2]
+    s0, s1, s2, s3 = edges[0, 3], edges[1, 3], edges[2, 3], edges[3, 3]
+    for k in range(last - first + 1):
+        v = ramp[first + k]
+        left = np.ceil(max(max(p0 + q0 * v, p1 + q1 * v), max(p2 + q2 * v, p3 + q3 * v), 0.0))
+        right = np.floor(min(min(r0 + s0 * v, r1 + s1 * v), min(r2 + s2 * v, r3 + s3 * v), widest))
+        spans[0, k], spans[1, k] = np.int32(left), np.int32(right - left) + np.int32(1)
+
+
+@compiled
+def _fill(canvas: Canvas, work: _Workspace, first: int, last: int, a: float, b: float, c: float) -> None:
+    """Write the inverse depth a u + b v + c into the spans of rows, wherever it is nearer."""
+    w, ramp, spans, nearer = canvas.w, canvas.ramp, work.spans, work.nearer
+    for k in range(last - first + 1):
+        if spans[1, k] <= 0:
+            continue
+        row, begin, size = np.uint64(first + k), np.uint64(spans[0, k]), np.uint64(spans[1, k])
+        start = b * row + c
+        start += a * begin
+        for n in range(size):
+            value, old = np.float32(start + a * ramp[n]), w[row, begin + n]
+            nearer[n] = value if value > old else old  # stored in place it would be a branch, and no vector
+        for n in range(size):
+            w[row, begin + n] = nearer[n]
+
+
+@compiled
+def _fill_in_colour(
+    canvas: Canvas,
+    work: _Workspace,
+    first: int,
+    last: int,
+    a: float,
+    b: float,
+    c: float,
+    colour: Array,
+    bright: float,
+) -> None:
+    """The same, and colour with it."""
+    for k in range(last - first + 1):
+        begin = work.spans[0, k]
+        _fill_row(canvas.w, canvas.rgb, first + k, begin, begin + work.spans[1, k] - 1, a, b * (first + k) + c, colour, bright)
+
+
+@written_into
+def _fill_row(
+    w: NDArray[np.float32],
+    rgb: NDArray[np.uint8],
+    row: int,
+    begin: int,
+    end: int,
+    a: float,
+    start: float,
+    colour: Array,
+    bright: float,
+) -> None:
+    """Write the inverse depth a u + start into the columns of a row, the last one included, wherever it is nearer."""
+    for column in range(begin, end + 1):
+        value = np.float32(start + a * column)
+        if value > w[row, column]:
+            w[row, column] = value
+            if rgb.shape[0] > 0:
+                _paint(rgb, row, column, colour, bright)
+
+
+# ------------------------------------------------------------------------------------------------------------- height fields
+
+
+@compiled
+def _in_view(sides: Array, T: Array, block: Array) -> bool:
+    """Whether any of a block's box may lie within the pyramid of view."""
+    for side in range(5):
+        reach = 0.0
+        for k in range(3):
+            n = sides[side, 0] * T[0, k] + sides[side, 1] * T[1, k] + sides[side, 2] * T[2, k]
+            reach += n * (block[5 + k] if n > 0.0 else block[2 + k])
+        reach += sides[side, 0] * T[0, 3] + sides[side, 1] * T[1, 3] + sides[side, 2] * T[2, 3]
+        if reach < 0.0:
+            return False
+    return True
+
+
+@compiled
+def _project_vertices(
+    lens: _Lens, T: Array, heights: Array, grid: Array, i0: int, i1: int, j0: int, j1: int, vertices: Array
+) -> None:
+    """Places [m] {camera} and in the image [px] of a block's vertices: x, y, z, u, v."""
+    fx, fy, cx, cy = lens
+    for i in range(i0, i1 + 1):
+        x = grid[0] + i * grid[2]
+        for j in range(j0, j1 + 1):
+            y, z = grid[1] + j * grid[2], heights[i, j]
+            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            vertex = vertices[i - i0, j - j0]
+            vertex[0], vertex[1], vertex[2] = px, py, pz
+            vertex[3] = fx * px / pz + cx
+            vertex[4] = fy * py / pz + cy
+
+
+@compiled
+def _vertex(vertices: Array, i: int, j: int) -> _Vertex:
+    return vertices[i, j, 0], vertices[i, j, 1], vertices[i, j, 2], vertices[i, j, 3], vertices[i, j, 4]
+
+
+@written_into
+def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: Array) -> None:
+    """Draw a triangle before the lens, counter-clockwise seen from outside."""
+    rows, columns = canvas.w.shape
+    pu, pv, qu, qv, ru, rv = p[3], p[4], q[3], q[4], r[3], r[4]
+    top = int(np.ceil(max(min(pv, qv, rv) - _EDGE, 0.0)))
+    bottom = int(np.floor(min(max(pv, qv, rv) + _EDGE, rows - 1.0)))
+    leftmost = np.ceil(max(min(pu, qu, ru) - _EDGE, 0.0))
+    rightmost = np.floor(min(max(pu, qu, ru) + _EDGE, columns - 1.0))
+    if top > bottom or leftmost > rightmost:
+        return
+    nx, ny, nz, d = _normal(p[:3], q[:3], r[:3])
+    if not d < 0.0:
+        return
+    a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
+    bright = _shade(nx, ny, nz, canvas.light) if canvas.rgb.shape[0] > 0 else 0.0
+    # Level edges have an infinite slope and bound no row.
+    pq, qr, rp = (qu - pu) / (qv - pv), (ru - qu) / (rv - qv), (pu - ru) / (pv - rv)
+    for row in range(top, bottom + 1):
+        left, right = _cut(leftmost, rightmost, qv - pv, pu + (row - pv) * pq)
+        left, right = _cut(left, right, rv - qv, qu + (row - qv) * qr)
+        left, right = _cut(left, right, pv - rv, ru + (row - rv) * rp)
+        if left <= right:
+            _fill_row(canvas.w, canvas.rgb, row, int(np.ceil(left)), int(np.floor(right)), a, b * row + c, colour, bright)
+
+
+@compiled
+def _cut(left: float, right: float, rise: float, at: float) -> tuple[float, float]:
+    """What an edge that rises by so much leaves of a row that it crosses at a column."""
+    if rise > _LEVEL:
+        return max(left, at - _EDGE), right
+    if rise < -_LEVEL:
+        return left, min(right, at + _EDGE)
+    return left, right
+
+
+# ------------------------------------------------------------------------------------------------------------- capsules
+
+
+@compiled
+def _span(x: float, z: float, radius: float, focal: float, centre: float, size: int) -> tuple[int, int]:
+    """First and last pixel along one image axis that a sphere can cover."""
+    if z <= radius + _NEAR:
+        return 0, size - 1
+    root = radius * np.sqrt(x * x + z * z - radius * radius)
+    low = (x * z - root) / (z * z - radius * radius)
+    high = (x * z + root) / (z * z - radius * radius)
+    first = np.floor(focal * low + centre)
+    last = np.ceil(focal * high + centre)
+    return int(min(max(first, 0.0), float(size))), int(max(min(last, size - 1.0), -1.0))
+
+
+@compiled
+def _ray_sphere(ray: _Point, centre: _Point, radius: float) -> float:
+    """Depth where a ray, its last part being 1, enters a sphere {camera}; infinite if it misses."""
+    a = ray[0] * ray[0] + ray[1] * ray[1] + 1.0
+    b = ray[0] * centre[0] + ray[1] * centre[1] + centre[2]
+    c = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius * radius
+    root = b * b - a * c
+    if root < 0.0:
+        return np.inf
+    depth = (b - np.sqrt(root)) / a
+    return depth if depth > 0.0 else np.inf
+
+
+@compiled
+def _in_camera(T: Array, p: Array) -> _Point:
+    x = T[0, 3] + T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2]
+    y = T[1, 3] + T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2]
+    z = T[2, 3] + T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2]
+    return x, y, z
+
+
+@compiled
+def _ray_barrel(ray: _Point, p: _Point, axis: _Point, length: float, radius: float) -> float:
+    """Depth where a ray enters the mantle of a cylinder from p along its axis {camera}; infinite if it misses."""
+    p_axial, ray_axial = _dot(p, axis), _dot(ray, axis)
+    off, across = _beside(p, p_axial, axis), _beside(ray, ray_axial, axis)
+    a, b = _dot(across, across), _dot(across, off)
+    root = b * b - a * (_dot(off, off) - radius * radius)
+    if length > 0.0 and root >= 0.0 and a > 0.0:
+        depth = (b - np.sqrt(root)) / a
+        if depth > 0.0 and 0.0 <= depth * ray_axial - p_axial <= length:
+            return float(depth)
+    return np.inf
+
+
+@compiled
+def _dot(a: _Point, b: _Point) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def _beside(a: _Point, along: float, axis: _Point) -> _Point:
+    """A vector less its part along an axis."""
+    return a[0] - along * axis[0], a[1] - along * axis[1], a[2] - along * axis[2]
+
+
+@compiled
+def _draw_capsule(canvas: Canvas, p: _Point, e: _Point, radius: float, colour: Array) -> None:
+    """Draw a capsule from p to e [m] {camera}."""
+    w, rgb = canvas.w, canvas.rgb
+    rows, columns = w.shape
+    fx, fy, cx, cy = canvas.lens
+    way = (e[0] - p[0], e[1] - p[1], e[2] - p[2])
+    length = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+    axis = (way[0] / length, way[1] / length, way[2] / length) if length > 0.0 else (0.0, 0.0, 0.0)
+    left0, right0 = _span(p[0], p[2], radius, fx, cx, columns)
+    left1, right1 = _span(e[0], e[2], radius, fx, cx, columns)
+    top0, bottom0 = _span(p[1], p[2], radius, fy, cy, rows)
+    top1, bottom1 = _span(e[1], e[2], radius, fy, cy, rows)
+    for row in range(min(top0, top1), max(bottom0, bottom1) + 1):
+        dy = (row - cy) / fy
+        for column in range(min(left0, left1), max(right0, right1) + 1):
+            ray = ((column - cx) / fx, dy, 1.0)
+            ends = min(_ray_sphere(ray, p, radius), _ray_sphere(ray, e, radius))
+            depth = min(ends, _ray_barrel(ray, p, axis, length, radius))
+            if depth < np.inf and np.float32(1.0 / depth) > w[row, column]:
+                w[row, column] = np.float32(1.0 / depth)
+                if rgb.shape[0] > 0:
+                    hit = (depth * ray[0] - p[0], depth * ray[1] - p[1], depth - p[2])
+                    nx, ny, nz = _beside(hit, min(max(_dot(hit, axis), 0.0), length), axis)
+                    _paint(rgb, row, column, colour, _shade(nx, ny, nz, canvas.light))

@@ -1,0 +1,330 @@
+"""The emulated bus behind all that can go wrong with it: bytes, answers, single servos, the adapter and the supply.
+
+Pure and seeded: the same faults, bytes and times give the same answers. Where no fault is on, it is the bus itself. What each
+fault means is said in `sextant.shared.servo.bus_fault.GRID`.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from random import Random
+
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.host_link import AnswersOnly, Outlet, Reply
+from sextant.services.simulator.servo_bus.servo_faults import Ailments
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.wire.messages import FaultTarget
+
+_SEC, _MS = 1e9, 1_000_000
+_STREAM_BYTES = 100  # in each millisecond of a line that never rests
+_STREAM_MS = 8  # longer than a host waits for an answer
+_MOST_NOISE = 20  # [bytes] in front of an answer
+_ON_JOINTS = ("servo", "supply")  # targets whose faults the bank of servos suffers
+
+
+@dataclass(slots=True)
+class _Running:
+    """A fault with its own random numbers and what it remembers."""
+
+    number: int  # counted from the first that was injected
+    fault: BusFault
+    begin_ns: int  # simulated, as all times here
+    end_ns: int
+    row: int  # of its servo, -1 for none
+    rng: Random
+    until_hit: int = 0  # bytes that go unharmed before the next one does not
+    streamed_ns: int = 0  # up to when a line that never rests has sent
+    drain: float = 0.0  # [1/s]
+    earlier: dict[int, bytes] = field(default_factory=dict)  # servo -> its last answer; -1 -> the last of all
+
+    def __post_init__(self) -> None:
+        self.until_hit = self._gap()
+
+    @property
+    def cell(self) -> tuple[str, str]:
+        return self.fault.target, self.fault.kind
+
+    def on(self, t_ns: int) -> bool:
+        """Whether it is there; one that comes and goes always is, between its beginning and its end."""
+        return self.begin_ns <= t_ns < self.end_ns
+
+    def away(self, t_ns: int) -> bool:
+        """Whether what fails now and then, or at all, fails now."""
+        fault = self.fault
+        if fault.kind != "intermittent":
+            return fault.kind == "silent"
+        return (t_ns - self.begin_ns) / _MS % (fault.on_ms + fault.off_ms) >= fault.on_ms
+
+    def strikes(self) -> bool:
+        """Whether the next answer is among those that it is about."""
+        return self.rng.random() < self.fault.share
+
+    def hits(self, count: int) -> list[int]:
+        """Which of the next so many bytes it is about."""
+        found = []
+        while self.until_hit < count:
+            found.append(self.until_hit)
+            self.until_hit += 1 + self._gap()
+        self.until_hit -= count
+        return found
+
+    def _gap(self) -> int:
+        """Bytes between two hits, whose share each byte has for itself."""
+        share = self.fault.share
+        return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
+
+
+class BusFaults(AnswersOnly):
+    """Servos on a bus where things go wrong; to the host and to the physics it is what `ServoBusEmulator` is."""
+
+    def __init__(self, bus: ServoBusEmulator, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
+        """Come between a bus and its host.
+
+        Args:
+            bus: The bus as it should be.
+            bank: Its servos.
+            seed: Of everything random.
+            faults: What goes wrong, and when.
+
+        Raises:
+            ValueError: A fault of a servo that is not there.
+        """
+        self.origin_ns: int | None = 0  # bus time at the beginning of simulated time; None while that has not begun
+        self._overhear: Callable[[bytes, int], object] | None = None
+        self._bus = bus
+        self._bank = bank
+        self._seed = seed
+        self._running: list[_Running] = []
+        self._injected = 0
+        self._gone: list[_Running] = []  # those of them that take the port away
+        self._outlet = Outlet()  # after those that are over and forgotten
+        self._suffered: list[tuple[int, bool]] = []  # numbers of the faults that servos suffer, and whether each is away
+        for fault in faults:
+            self.inject(fault, 0)
+
+    def inject(self, fault: BusFault, now_ns: int) -> None:
+        """Let a fault happen at its time, or from now [ns] on where that is past.
+
+        Raises:
+            ValueError: There is no such servo.
+        """
+        row = -1
+        if fault.servo >= 0:
+            ids = self._bank.tables[:, dxl.ID.address].tolist()
+            if fault.servo not in ids:
+                known = ", ".join(map(str, sorted(ids)))
+                raise ValueError(f"{fault}: one of the servos {known} expected, found {fault.servo}")
+            row = ids.index(fault.servo)
+        begin_ns = max(round(fault.at_s * _SEC), self._simulated(now_ns))
+        end_ns = begin_ns + round(fault.for_s * _SEC)
+        rng = Random(f"{self._seed} {self._injected}")
+        self._running.append(_Running(self._injected, fault, begin_ns, end_ns, row, rng))
+        if (fault.target, fault.kind) == ("bus", "gone"):
+            self._gone.append(self._running[-1])
+        self._injected += 1
+
+    def overhear(self, sent: Callable[[bytes, int], object], arrived: Callable[[bytes, int], object]) -> None:
+        """Have a recorder hear what the host sends and what of it comes to the servos, and when [ns]."""
+        self._overhear, self._bus.overhear = sent, arrived
+
+    def words(self, now_ns: int) -> str:
+        """What is wrong now, or nothing."""
+        t_ns = self._simulated(now_ns)
+        return "; ".join(str(running.fault) for running in self._running if running.on(t_ns))
+
+    def outlet(self, now_ns: int) -> Outlet | None:
+        """How the bus is reached now, None while its port is gone."""
+        if not self._gone:
+            return self._outlet
+        t_ns = self._simulated(now_ns)
+        if any(running.on(t_ns) for running in self._gone):
+            return None
+        return _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
+
+    def _simulated(self, now_ns: int) -> int:
+        return 0 if self.origin_ns is None else now_ns - self.origin_ns
+
+    # ------------------------------------------------------------------------------------------------ the host's side
+
+    def receive(self, data: bytes, now_ns: int) -> list[Reply]:
+        """Take bytes that the host sends at a time and return what it gets, as `ServoBusEmulator.receive`."""
+        t_ns = self._simulated(now_ns)
+        if self._overhear is not None:
+            self._overhear(data, now_ns)
+        active = [running for running in self._running if running.on(t_ns)]
+        self._bus.cut_off(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
+        if not active:
+            return self._bus.receive(data, now_ns)
+        for running in _of("bus", active):
+            if running.away(t_ns) or running.fault.kind == "gone":
+                return []
+            if running.fault.kind in ("stuck", "garbage"):
+                return _stream(running, now_ns)
+        spoilers = _of("bytes", active)
+        for running in spoilers:
+            data = _spoil(running, data, t_ns)
+        replies = self._bus.receive(data, now_ns)
+        for running in (*_of("servo", active), *_of("packets", active), *_of("bus", active)):
+            replies = [reply for answer in replies for reply in _garble(running, answer, t_ns)]
+        for running in spoilers:
+            replies = [reply for answer in replies for reply in _spoil_reply(running, answer, t_ns)]
+        return replies
+
+    # --------------------------------------------------------------------------------------------- the physics' side
+
+    def advance(self, now_ns: int) -> None:
+        """Let the servos suffer what they have to, and the writes of the bus take effect. Call before each physics step."""
+        if self._running:
+            t_ns = self._simulated(now_ns)
+            self._suffer(t_ns)
+            self._forget(t_ns)
+        self._bus.advance(now_ns)
+
+    def _suffer(self, t_ns: int) -> None:
+        active = [r for r in self._running if r.fault.target in _ON_JOINTS and r.on(t_ns)]
+        suffered = [(running.number, running.away(t_ns)) for running in active]
+        if suffered == self._suffered:
+            return
+        self._suffered = suffered
+        ailments = Ailments.none(len(self._bank))
+        for running in active:
+            self._afflict(ailments, running, running.away(t_ns))
+        self._bank.ail(ailments if active else None)
+
+    def _afflict(self, ailments: Ailments, running: _Running, away: bool) -> None:
+        """What one fault adds to what ails servos and supply."""
+        fault, row = running.fault, running.row
+        match running.cell:
+            case "servo", ("silent" | "intermittent"):
+                ailments.unpowered[row] |= fault.cable and away
+            case "servo", "stuck":
+                ailments.frozen[row] = True
+            case "servo", "jammed":
+                ailments.jammed[row] = True
+            case "servo", "wrong":
+                ailments.offset[row] += fault.offset_ticks
+            case "servo", "overload":
+                ailments.tripped[row] |= int(dxl.ServoError.OVERLOAD)
+            case "servo", "heat":
+                ailments.heating[row] += fault.kelvin_per_s
+            case "servo", "hot":
+                ailments.reads_hot[row] = fault.celsius
+            case "supply", "sag":
+                ailments.sag += fault.volts
+            case "supply", "drain":
+                running.drain = running.drain or self._bank.charge / fault.for_s
+                ailments.drain += running.drain
+
+    def _forget(self, t_ns: int) -> None:
+        """Let go of faults that are over."""
+        if all(running.end_ns > t_ns for running in self._running):
+            return
+        self._outlet = _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
+        self._gone = [running for running in self._gone if running.end_ns > t_ns]
+        self._running = [running for running in self._running if running.end_ns > t_ns]
+
+
+def _after(outlet: Outlet, over: Sequence[_Running]) -> Outlet:
+    """Where the bus is found after the port was taken away some more times."""
+    return Outlet(outlet.name + sum(running.fault.renamed for running in over), outlet.times + len(over))
+
+
+def _of(target: FaultTarget, active: Sequence[_Running]) -> list[_Running]:
+    return [running for running in active if running.fault.target == target]
+
+
+def _stream(running: _Running, now_ns: int) -> list[Reply]:
+    """What comes of a line that never rests, as far as a host waits."""
+    start_ns, end_ns = max(now_ns, running.streamed_ns), now_ns + _STREAM_MS * _MS
+    running.streamed_ns = max(start_ns, end_ns)
+    held = running.fault.kind == "stuck"
+
+    def heard() -> bytes:
+        return bytes([running.fault.value] * _STREAM_BYTES) if held else running.rng.randbytes(_STREAM_BYTES)
+
+    return [Reply(due_ns, heard()) for due_ns in range(start_ns + _MS, end_ns + 1, _MS)]
+
+
+def _spoil(running: _Running, data: bytes, t_ns: int) -> bytes:
+    """Bytes as they arrive over a bad line; late ones are whole."""
+    fault, rng = running.fault, running.rng
+    if fault.kind == "intermittent":
+        return rng.randbytes(len(data)) if running.away(t_ns) else data
+    if fault.kind == "slow":
+        return data
+    spoilt = bytearray(data)
+    for i in reversed(running.hits(len(data))):
+        match fault.kind:
+            case "silent":
+                del spoilt[i]
+            case "stuck":
+                spoilt[i] = fault.value
+            case "garbage":
+                spoilt[i] = (spoilt[i] + rng.randrange(1, 256)) & 0xFF
+            case _:
+                spoilt[i] ^= 1 << rng.randrange(8)
+    return bytes(spoilt)
+
+
+def _spoil_reply(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
+    if running.fault.kind != "slow":
+        yield reply._replace(data=_spoil(running, reply.data, t_ns))
+        return
+    start, due_ns = 0, reply.due_ns
+    for i in running.hits(len(reply.data)):
+        yield Reply(due_ns, reply.data[start:i], reply.servo_id)
+        start, due_ns = i, due_ns + round(running.fault.delay_ms * _MS)
+    yield Reply(due_ns, reply.data[start:], reply.servo_id)
+
+
+def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
+    """What becomes of one answer by one fault of answers, of a servo or of the whole bus; echoes pass."""
+    fault = running.fault
+    if reply.servo_id < 0 or fault.servo not in (-1, reply.servo_id):
+        yield reply
+        return
+    match running.cell:
+        case _, "slow" if fault.target != "packets" or running.strikes():
+            yield reply._replace(due_ns=reply.due_ns + round(fault.delay_ms * _MS))
+        case "packets", "silent" if running.strikes():
+            return
+        case "packets", "intermittent" if running.away(t_ns):
+            return
+        case "packets", "stuck":
+            before = running.earlier.get(reply.servo_id, reply.data)
+            running.earlier[reply.servo_id] = reply.data
+            yield reply._replace(data=before if running.strikes() else reply.data)
+        case "packets", "garbage" if running.strikes():
+            noise = running.rng.randbytes(running.rng.randint(1, _MOST_NOISE))
+            yield reply._replace(data=noise + reply.data)
+        case "packets", "wrong" if running.strikes():
+            yield reply._replace(data=_misspoken(running, reply))
+        case "servo", "garbage":
+            yield reply._replace(data=running.rng.randbytes(len(reply.data)))
+        case "bus", "wrong":
+            before = running.earlier.get(-1, b"")
+            running.earlier[-1] = reply.data
+            yield reply._replace(data=before)
+        case _:
+            yield reply
+
+
+def _misspoken(running: _Running, reply: Reply) -> bytes:
+    """An answer that is wrong in one part though its checksum is right, or in two bits or bytes."""
+    servo_id, error, parameters, rng = reply.servo_id, reply.data[4], reply.data[5:-1], running.rng
+    match running.fault.part:
+        case "id":
+            return dxl.status((servo_id + rng.randrange(1, dxl.MAX_ID)) % (dxl.MAX_ID + 1), error, parameters)
+        case "length":
+            return dxl.status(servo_id, error, parameters[:-1] if rng.random() < 0.5 and parameters else parameters + b"\x00")
+        case "error":
+            return dxl.status(servo_id, error ^ 1 << rng.randrange(8), parameters)
+        case "value":
+            return dxl.status(servo_id, error, rng.randbytes(len(parameters)))
+        case part:
+            spoilt = bytearray(reply.data)
+            for i in rng.sample(range(len(spoilt)), 2):
+                spoilt[i] ^= 1 << rng.randrange(8) if part == "two bits" else rng.randrange(1, 256)
+            return bytes(spoilt)

@@ -1,0 +1,287 @@
+"""TOML -> frozen dataclasses: every key known, every type right, and all that is wrong said at once.
+
+A dataclass is its own schema: field types say what is expected, defaults say what may be left out, its `checks` what must hold
+of the values, `__post_init__` refuses what is left of nonsense. Nothing is repaired. A union of dataclasses is told apart by
+the key `kind`, a Literal of each member.
+"""
+
+import dataclasses
+import math
+import types
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from sextant.shared.files import input_file
+from sextant.shared.spelling import hint, nearest
+
+T = TypeVar("T")
+_MOST_SHOWN = 30  # problems of one configuration
+
+
+class ConfigError(ValueError):
+    """What is wrong in a configuration, one line each, with the place, what was expected and what was found."""
+
+    def __init__(self, source: str, problems: list[str]):
+        self.problems = tuple(problems)
+        more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
+        shown = [*problems[:_MOST_SHOWN], *more]
+        listed = f" {shown[0]}" if len(shown) == 1 else "".join(f"\n  - {problem}" for problem in shown)
+        super().__init__(f"{source}:{listed}")
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A value that is not as it must be."""
+
+    place: str  # key below the table that is checked, as in "limits[1]"
+    expected: str  # in words
+    found: str  # in words
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What must hold of some of a table's values.
+
+    All checks of a schema are tried on what could be read, so that every mistake is told at once; one that needs a value which
+    could not be read, or which another check has found wrong already, is left out.
+    """
+
+    keys: tuple[str, ...]
+    finds: Callable[..., Iterable[Misfit]]  # takes the values of the keys
+
+
+def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check, ...]:
+    """Checks of the value of one key or, with spaces between, of several, and of every entry where a value is a list."""
+
+    def of(key: str) -> Check:
+        def finds(value: Any) -> Iterator[Misfit]:
+            entries = enumerate(value) if isinstance(value, tuple) else ((None, value),)
+            for index, entry in entries:
+                if _known(entry) and not holds(entry):
+                    yield Misfit(key if index is None else f"{key}[{index}]", expected, _shown(entry))
+
+        return Check((key,), finds)
+
+    return tuple(map(of, keys.split()))
+
+
+def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
+    """A check of what the values of some keys, with spaces between, have to do with each other; told at the first."""
+    names = keys.split()
+
+    def finds(*values: Any) -> Iterator[Misfit]:
+        if all(map(_known, values)) and not holds(*values):
+            found = ", ".join(f"{name} = {_shown(value)}" for name, value in zip(names, values, strict=True))
+            yield Misfit(names[0], expected, found)
+
+    return Check(tuple(names), finds)
+
+
+def verify(made: Any) -> None:
+    """Refuse a dataclass whose `checks` do not hold, for its `__post_init__`.
+
+    Raises:
+        ValueError: All that is wrong.
+    """
+    values = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
+    misfits = _misfits(type(made).checks, values)
+    if misfits:
+        raise ValueError("; ".join(map(_words, misfits)))
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The table of plain values that a TOML file holds; raises ConfigError when there is none."""
+    try:
+        return input_file.read_toml(path)
+    except input_file.FileError as error:
+        raise ConfigError(error.place, [error.cause]) from None
+
+
+def load(path: Path, schema: type[T]) -> T:
+    """Read a TOML file as a frozen dataclass.
+
+    Raises:
+        ConfigError: The file is missing, is not TOML, or does not fit the schema; all misfits are listed.
+    """
+    return build(read(path), schema, str(path))
+
+
+def build(table: dict[str, Any], schema: type[T], source: str = "configuration", also: tuple[Check, ...] = ()) -> T:
+    """Make a frozen dataclass from a table of plain values; raises ConfigError that lists every misfit.
+
+    `also` are further checks of the top level.
+    """
+    problems: list[str] = []
+    value = _build_dataclass(table, schema, "", problems, also)
+    if problems:
+        raise ConfigError(source, problems)
+    return cast(T, value)
+
+
+def as_table(value: object) -> Any:
+    """The plain table that `build` would make the value from: tuples become lists, None fields are left out."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        pairs = ((f.name, getattr(value, f.name)) for f in dataclasses.fields(value))
+        return {name: as_table(item) for name, item in pairs if item is not None}
+    if isinstance(value, list | tuple):
+        return [as_table(item) for item in value]
+    if isinstance(value, dict):
+        return {key: as_table(item) for key, item in value.items()}
+    return value
+
+
+_INVALID = object()
+
+
+class _Partial:
+    """What is right of a table that is not right as a whole."""
+
+    def __init__(self, values: dict[str, object]):
+        self._values = values
+
+    def __getattr__(self, name: str) -> object:
+        value = self._values.get(name, _INVALID)
+        if not _known(value):
+            raise AttributeError(name)
+        return value
+
+
+def _known(value: object) -> bool:
+    """Whether a value could be read as a whole."""
+    if isinstance(value, tuple):
+        return all(map(_known, value))
+    return value is not _INVALID and not isinstance(value, _Partial)
+
+
+def _misfits(checks: Iterable[Check], values: dict[str, object]) -> list[Misfit]:
+    """What the checks find in the values that are there; those found wrong are taken out of them."""
+    found: list[Misfit] = []
+    for check in checks:
+        if all(values.get(key, _INVALID) is not _INVALID for key in check.keys):
+            misfits = list(check.finds(*(values[key] for key in check.keys)))
+            for misfit in misfits:
+                if "." not in misfit.place:  # else what is wrong lies within a table that is right as such
+                    values[misfit.place.split("[")[0]] = _INVALID
+            found += misfits
+    return found
+
+
+def _words(misfit: Misfit) -> str:
+    return f"{misfit.place}: {misfit.expected} expected, found {misfit.found}"
+
+
+def _build_dataclass(table: object, schema: type[Any], where: str, problems: list[str], also: tuple[Check, ...] = ()) -> object:
+    if not isinstance(table, dict):
+        problems.append(f"{where or 'top level'}: a table expected, found {_shown(table)}")
+        return _INVALID
+    hints = get_type_hints(schema)
+    fields = {f.name: f for f in dataclasses.fields(schema) if f.init}
+    before = len(problems)
+    unknown = sorted(str(key) for key in table.keys() - fields.keys())
+    problems += [f"{_join(where, key[:60])}: unknown key; {hint(key, sorted(fields), 'known keys')}" for key in unknown]
+    misspelt = {nearest(key, sorted(fields)) for key in unknown}
+    values: dict[str, object] = {}
+    for name, field in fields.items():
+        if name in table:
+            values[name] = _build_value(table[name], hints[name], _join(where, name), problems)
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING and name not in misspelt:
+            problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
+    given = dict(values)
+    misfits = _misfits((*getattr(schema, "checks", ()), *also), values)
+    problems += [_join(where, _words(misfit)) for misfit in misfits]
+    if len(problems) > before:
+        return _Partial(values)
+    try:
+        return schema(**given)
+    except ValueError as error:
+        problems.append(f"{where or 'top level'}: {error}")
+        return _INVALID
+
+
+def _build_value(value: object, hint: Any, where: str, problems: list[str]) -> object:
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return _build_union(value, [a for a in args if a is not type(None)], where, problems)
+    if dataclasses.is_dataclass(hint):
+        return _build_dataclass(value, cast(type[Any], hint), where, problems)
+    if origin is tuple:
+        return _build_tuple(value, args, where, problems)
+    if origin is dict and isinstance(value, dict):
+        return {key: _build_value(item, args[1], _join(where, str(key)), problems) for key, item in value.items()}
+    if origin is Literal:
+        if value in args:
+            return value
+        near = nearest(value, map(str, args)) if isinstance(value, str) else ""
+        guess = f"; did you mean {near!r}?" if near else ""
+        problems.append(f"{where}: one of {', '.join(map(repr, args))} expected, found {_shown(value)}{guess}")
+        return _INVALID
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            problems.append(f"{where}: a number that fits 64 bits expected, found one of {value.bit_length()} bits")
+            return _INVALID
+    if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
+        if isinstance(value, float) and not math.isfinite(value):
+            problems.append(f"{where}: a finite number expected, found {value}")
+            return _INVALID
+        return value
+    problems.append(f"{where}: {_type_words(hint)} expected, found {_shown(value)}")
+    return _INVALID
+
+
+def _build_union(value: object, members: list[Any], where: str, problems: list[str]) -> object:
+    if len(members) == 1:
+        return _build_value(value, members[0], where, problems)
+    kinds: dict[object, Any] = {get_args(get_type_hints(m)["kind"])[0]: m for m in members}
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if not isinstance(kind, str) or kind not in kinds:
+        problems.append(f"{_join(where, 'kind')}: found {_shown(kind)}; {hint(str(kind), map(str, kinds), 'known kinds')}")
+        return _INVALID
+    return _build_dataclass(value, kinds[kind], where, problems)
+
+
+def _build_tuple(value: object, args: tuple[Any, ...], where: str, problems: list[str]) -> object:
+    if not isinstance(value, list | tuple):
+        problems.append(f"{where}: a list expected, found {_shown(value)}")
+        return _INVALID
+    hints = [args[0]] * len(value) if len(args) == 2 and args[1] is Ellipsis else list(args)
+    if len(hints) != len(value):
+        problems.append(f"{where}: a list of {len(hints)} values expected, found {len(value)}")
+        return _INVALID
+    return tuple(_build_value(v, h, f"{where}[{i}]", problems) for i, (v, h) in enumerate(zip(value, hints, strict=True)))
+
+
+def _join(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+def _wanted(hint: Any, name: str) -> str:
+    """What a missing key asks for, in words."""
+    if dataclasses.is_dataclass(hint):
+        return f"a table [{name}]"
+    if get_origin(hint) is tuple and any(dataclasses.is_dataclass(member) for member in _members(hint)):
+        return f"one table [[{name}]] or more"
+    return f"a value of {_type_words(hint)}"
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    """What the entries of a tuple's hint may be."""
+    return tuple(member for entry in get_args(hint) for member in (get_args(entry) or (entry,)))
+
+
+def _type_words(hint: Any) -> str:
+    if get_origin(hint) is tuple:
+        return "a list"
+    words: dict[Any, str] = {
+        float: "a number", int: "a whole number", str: "a text", bool: "true or false", date: "a date as in 2026-07-30",
+    }  # fmt: skip
+    return words.get(hint, getattr(hint, "__name__", str(hint)))
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

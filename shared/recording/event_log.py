@@ -1,0 +1,104 @@
+"""The log: what has come about, in the words of those whom it has come about for. Pure: time comes in."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
+
+KEPT = 300  # entries
+_BAD = (Mode.FAULT, Mode.OFF)
+_SILENT_NS = 3_000_000_000  # [ns] without a word of a service, after which that is said
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line."""
+
+    at_ns: int
+    who: str
+    words: str
+    bad: bool  # something is wrong
+
+
+class Diary:
+    """Follows what the services say, and notes what is new."""
+
+    def __init__(self) -> None:
+        self.entries: deque[Entry] = deque(maxlen=KEPT)
+        self.count = 0  # of all that there ever were
+        self._told: dict[str, str] = {}  # what was last noted, by subject
+        self._warnings: frozenset[str] = frozenset()
+        self._silent: set[str] = set()
+        self._slow = False  # whether the computer was, when that was noted last
+        self._refusals: dict[str, str] = {}  # the last one noted, by service
+
+    def note(self, at_ns: int, who: str, words: str, bad: bool = False) -> None:
+        """Add a line."""
+        self.entries.append(Entry(at_ns, who, words, bad))
+        self.count += 1
+
+    def legs(self, now_ns: int, state: ActuatorState | None) -> None:
+        """See what the actuator says; None where it has said nothing for a while."""
+        if state is None:
+            self._if_new(now_ns, "actuator", "mode", "no word from the actuator", True, unless="")
+            return
+        self._if_new(now_ns, "actuator", "mode", f"{state.mode}: {state.reason}", state.mode in _BAD)
+        self._if_new(now_ns, "actuator", "refused", state.refused, True)
+        self._if_new(now_ns, "actuator", "lease", f"{state.lease or 'nobody'} leads", False)
+        warnings = frozenset(state.warnings)
+        for words in state.warnings:
+            if words not in self._warnings:
+                self.note(now_ns, "actuator", words, True)
+        self._warnings = warnings
+
+    def planner(self, now_ns: int, status: PlannerStatus | None) -> None:
+        """See what the planner says; while it steps only that it does, its words change with every step."""
+        if status is None:
+            return
+        words = status.state if status.state == "stepping" else f"{status.state}: {status.reason}"
+        self._if_new(now_ns, "planner", "status", words, status.state == "blocked")
+
+    def perception(self, now_ns: int, pose: BodyPose) -> None:
+        """See whether it is known where the robot is."""
+        known = "it is known where the robot is"
+        self._if_new(now_ns, "perception", "pose", known if pose.ok else pose.reason, not pose.ok, unless=known)
+
+    def camera(self, now_ns: int, state: CameraState | None) -> None:
+        """See how the camera fares."""
+        if state is not None:
+            self._if_new(now_ns, "camera", "state", "pictures come" if state.ok else state.reason, not state.ok)
+
+    def computer(self, now_ns: int, too_slow: str) -> None:
+        """Note that the computer is too slow, or no longer is; the figures change all the time."""
+        if bool(too_slow) != self._slow:
+            self._slow = bool(too_slow)
+            self.note(now_ns, "console", too_slow or "the services keep up again", self._slow)
+
+    def passage(self, now_ns: int, plan: PassagePlan) -> None:
+        """A section of a passage was planned."""
+        self.note(now_ns, "planner", f"passage, section {plan.section}: {plan.state}: {plan.reason}", plan.state == "no way")
+
+    def services(self, now_ns: int, heard: Mapping[str, tuple[Health, int]]) -> None:
+        """Note services that have gone silent, are back, or refuse a message; forget those that are not in `heard`."""
+        self._silent &= heard.keys()
+        self._refusals = {name: words for name, words in self._refusals.items() if name in heard}
+        for name, (word, at_ns) in heard.items():
+            if now_ns - at_ns > _SILENT_NS and name not in self._silent:
+                self._silent.add(name)
+                self.note(now_ns, name, f"silent for {_SILENT_NS * 1e-9:.0f} s", True)
+            elif now_ns - at_ns <= _SILENT_NS and name in self._silent:
+                self._silent.discard(name)
+                self.note(now_ns, name, "is back")
+            if word.last_refusal and word.last_refusal != self._refusals.get(name):
+                self._refusals[name] = word.last_refusal
+                self.note(now_ns, name, word.last_refusal, True)
+
+    def _if_new(self, now_ns: int, who: str, subject: str, words: str, bad: bool, unless: str | None = None) -> None:
+        key = f"{who} {subject}"
+        before = self._told.get(key, unless)
+        if words == before:
+            return
+        self._told[key] = words
+        if words:
+            self.note(now_ns, who, words, bad)

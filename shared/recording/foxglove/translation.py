@@ -1,0 +1,147 @@
+"""Follows a walk and tells it in Foxglove's schemas."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
+
+from sextant.shared.recording.event_log import Diary
+from sextant.shared.recording.foxglove import ground, numbers, robot
+from sextant.shared.recording.foxglove.parts import time
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.health_table import HealthTable
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    BodyPose,
+    CameraState,
+    Health,
+    PassagePlan,
+    PlannerStatus,
+    Preview,
+    Scan,
+    StepPlan,
+    TerrainMap,
+)
+
+Told = tuple[str, Message]  # topic of Foxglove, message
+
+_MAP_NS = 1_000_000_000  # [ns] between two maps
+_SCAN_NS = 400_000_000  # [ns] likewise of scans
+_SCENE_NS = 80_000_000  # [ns] likewise of the robot, and of its next footholds, as they are drawn
+_SERVICES_NS = 1_000_000_000  # [ns] likewise of looks for services that have gone silent
+
+
+class Foxglove:
+    """Tells what comes, larger things more seldom than they come."""
+
+    def __init__(self, profile: RobotProfile):
+        """Begin with nothing known of the robot but its profile."""
+        self._profile = profile
+        self._T_world_odom = np.eye(4)
+        self._due_ns: dict[str, int] = {}
+        self._diary = Diary()
+        self._logged = 0  # entries of the diary that were told
+        self._health = HealthTable()
+        self._tells: Mapping[AnyTopic, Callable[[Any, int], Iterator[Told]]] = {
+            topics.ACTUATOR_STATE: self._legs,
+            topics.STEP_PLAN: self._step,
+            topics.PLANNER_STATUS: self._planner,
+            topics.PASSAGE_PLAN: self._passage,
+            topics.TERRAIN: self._map,
+            topics.SCAN: self._scan,
+            topics.PREVIEW: self._picture,
+        }
+        self._follows: Mapping[AnyTopic, Callable[[Any, int], None]] = {
+            topics.BODY_POSE: self._pose,
+            topics.CAMERA_STATE: self._camera,
+            **{topic: partial(self._service, role) for role, topic in topics.HEALTH_OF.items()},
+        }
+
+    def translate(self, topic: AnyTopic, frame: bytes, at_ns: int) -> Sequence[Told]:
+        """(Foxglove's topic, message) of a frame that came at a time [ns]; of one that does not decode a line in the log."""
+        if topic not in self._tells and topic not in self._follows:
+            return ()
+        if (topic is topics.TERRAIN and not self._due("map", at_ns, _MAP_NS)) or (
+            topic is topics.SCAN and not self._due("scan", at_ns, _SCAN_NS)
+        ):
+            return ()
+        told: list[Told] = []
+        try:
+            message, _ = codec.decode(frame, topic.type, topic.max_bytes)
+        except codec.DecodeError as error:
+            self._diary.note(at_ns, "recorder", f"{topic.key}: {error}", bad=True)
+        else:
+            if topic in self._tells:
+                told += self._tells[topic](message, at_ns)
+            else:
+                self._follows[topic](message, at_ns)
+        return [*told, *self._log()]
+
+    def _due(self, what: str, at_ns: int, apart_ns: int) -> bool:
+        """Whether it is time for the next one; notes that it is made."""
+        if at_ns < self._due_ns.get(what, at_ns):
+            return False
+        self._due_ns[what] = at_ns + apart_ns
+        return True
+
+    def _legs(self, state: ActuatorState, at_ns: int) -> Iterator[Told]:
+        self._diary.legs(at_ns, state)
+        T_world_body = self._T_world_odom @ state.T_odom_body
+        yield "/tf", robot.frames(state, self._T_world_odom, self._profile.camera.T_body_camera)
+        yield "/body", robot.body(state, T_world_body)
+        yield "/joints", robot.joints(state)
+        yield "/walk", numbers.walk(state, T_world_body)
+        if self._due("robot", at_ns, _SCENE_NS):
+            yield "/robot", robot.drawn(state, self._profile)
+
+    def _step(self, plan: StepPlan, at_ns: int) -> Iterator[Told]:
+        if self._due("plan", at_ns, _SCENE_NS):
+            yield "/plan", robot.footholds(plan)
+
+    def _planner(self, status: PlannerStatus, at_ns: int) -> Iterator[Told]:
+        self._diary.planner(at_ns, status)
+        if len(status.path) and self._due("way", at_ns, _MAP_NS):
+            yield "/plan", robot.way(status)
+
+    def _passage(self, plan: PassagePlan, at_ns: int) -> Iterator[Told]:
+        self._diary.passage(at_ns, plan)
+        yield "/plan", robot.section(plan)
+
+    def _map(self, terrain: TerrainMap, _: int) -> Iterator[Told]:
+        yield "/map", ground.grid(terrain)
+        yield "/map/points", ground.cells(terrain)
+
+    def _scan(self, scan: Scan, _: int) -> Iterator[Told]:
+        yield "/scan", ground.points(scan)
+
+    def _picture(self, picture: Preview, _: int) -> Iterator[Told]:
+        for name, jpeg in (("depth", picture.depth_jpeg), ("color", picture.color_jpeg)):
+            if jpeg.size:
+                yield f"/camera/{name}", ground.image(picture.stamp_ns, jpeg)
+
+    def _pose(self, pose: BodyPose, at_ns: int) -> None:
+        self._T_world_odom = pose.T_world_odom
+        self._diary.perception(at_ns, pose)
+
+    def _camera(self, state: CameraState, at_ns: int) -> None:
+        self._diary.camera(at_ns, state)
+
+    def _service(self, role: str, health: Health, at_ns: int) -> None:
+        self._health.add(role, health, at_ns)
+        if self._due("services", at_ns, _SERVICES_NS):
+            self._health.forget(at_ns)
+            self._diary.services(at_ns, self._health.named())
+
+    def _log(self) -> Iterator[Told]:
+        """What is new in the diary."""
+        entries = self._diary.entries
+        new = min(self._diary.count - self._logged, len(entries))
+        self._logged = self._diary.count
+        for entry in list(entries)[len(entries) - new :]:
+            level = Log.WARNING if entry.bad else Log.INFO
+            yield "/log", Log(timestamp=time(entry.at_ns), level=level, message=entry.words, name=entry.who)

@@ -1,0 +1,1 @@
+"""Describe robots: profiles, kinematics, stability and cameras."""

@@ -1,0 +1,100 @@
+"""The pinhole depth camera: intrinsics, range, noise figures, and the rays of its pixels.
+
+The camera frame is optical: x right, y down, z forward; depth is the z of a point, not its distance.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.files import config
+from sextant.shared.wire import topics
+
+_MOST_PIXELS = min(topics.cells_that_fit(topics.DEPTH), topics.cells_that_fit(topics.COLOR))
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """Pinhole projection: u = fx * x / z + cx, v = fy * y / z + cy, pixel centres at whole u and v."""
+
+    width: int  # [px]
+    height: int  # [px]
+    fx: float  # [px]
+    fy: float  # [px]
+    cx: float  # [px]
+    cy: float  # [px]
+
+    checks = (
+        *config.each("width height", lambda pixels: 1 <= pixels <= 4096, "1 to 4096 pixels"),
+        *config.each("fx fy", lambda length: 1 <= length <= 1e5, "a focal length of 1 to 100000 pixels"),
+        config.together(
+            "width height",
+            lambda width, height: width * height <= _MOST_PIXELS,
+            f"at most {_MOST_PIXELS} pixels in all, which a message of {topics.DEPTH.key} has room for",
+        ),
+        *config.each("cx cy", lambda centre: abs(centre) <= 1e5, "at most 100000 pixels either way"),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    def check_raw(self, depth: NDArray[np.uint16]) -> None:
+        """Refuse a raw depth image of another shape or type than (h, w) uint16.
+
+        Raises:
+            ValueError: It is.
+        """
+        if depth.shape != (self.height, self.width) or depth.dtype != np.uint16:
+            raise ValueError(f"uint16 depth image {(self.height, self.width)} expected, found {depth.dtype} {depth.shape}")
+
+    def points(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (h, w, 3) [m] {camera} of a depth image (h, w) [m]; NaN stays NaN (Lotriet 2024, eq. 4.6-4.8)."""
+        if depth.shape != (self.height, self.width):
+            raise ValueError(f"depth image {(self.height, self.width)} expected, found {depth.shape}")
+        return self.points_of(np.arange(self.width), np.arange(self.height)[:, None], depth)
+
+    def points_of(self, u: NDArray[np.integer], v: NDArray[np.integer], depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (..., 3) [m] {camera} of pixels u, v (...) of a depth (...) [m]."""
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        return np.stack([depth * x, depth * y, depth], axis=-1, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSensor:
+    """What a depth camera can measure, and how well.
+
+    Triangulating cameras err by sigma = z^2 * disparity_sigma / (fx * baseline); PrimeSense devices quantise disparity too.
+    """
+
+    rate_hz: float = 30.0
+    min_range: float = 0.5  # [m] nearer surfaces give no return
+    max_range: float = 3.5  # [m]
+    baseline: float = 0.075  # [m] projector to sensor
+    disparity_sigma: float = 0.05  # [px] Gaussian
+    disparity_step: float = 0.125  # [px] quantisation, 0 for none
+    depth_scale: float = 1000.0  # raw units per metre: 1000 counts millimetres
+
+    checks = (
+        *config.each("rate_hz", lambda rate: 0.1 <= rate <= 1000, "0.1 to 1000 Hz"),
+        *config.each("min_range max_range", lambda range_m: 0 < range_m <= 100, "more than 0 and at most 100 m"),
+        *config.each("baseline", lambda length: 0 < length <= 10, "more than 0 and at most 10 m"),
+        *config.each("depth_scale", lambda scale: 1 <= scale <= 1e6, "1 to 1000000 raw units per metre"),
+        *config.each("disparity_sigma disparity_step", lambda noise: noise >= 0, "at least 0 pixels"),
+        config.together("min_range max_range", lambda low, high: low < high, "min_range below max_range"),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    @property
+    def raw_bounds(self) -> tuple[int, int]:
+        """Lowest and highest raw value within range."""
+        lowest = math.ceil(self.min_range * self.depth_scale - 1e-6)
+        return max(lowest, 1), min(math.floor(self.max_range * self.depth_scale + 1e-6), 65535)
+
+    def sigma(self, z: NDArray[np.float64], fx: float) -> NDArray[np.float64]:
+        """One-sigma depth noise [m] at depth z [m], Gaussian and quantisation together."""
+        disparity = np.hypot(self.disparity_sigma, self.disparity_step / np.sqrt(12.0))
+        return np.asarray(z**2 * disparity / (fx * self.baseline))

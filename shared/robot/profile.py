@@ -1,0 +1,393 @@
+"""Robots as types: the body, six legs in circular order, joint limits, servo map, camera mount, stance; profiles fill them.
+
+Legs are numbered as Masri 2016's f1 to f6: left front, right front, right middle, right rear, left rear, left middle. That is
+once around the body, so every second leg makes a tripod (Lotriet 2024, eq. 5.15, counts the same way).
+
+Joint angles q are (6, 3) [rad]: coxa about body z from the leg's neutral yaw, femur up from the horizontal, tibia from the
+femur's straight continuation, up positive. All zero is the leg straight out.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.files import config
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
+
+LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
+JOINTS = ("coxa", "femur", "tibia")
+GRAVITY = 9.81  # [m/s^2]
+MAX_TRIM_DEG = 20.0  # more is no horn that sits a little wrong, but another notch of it, or another pose
+_SERVO_RANGE_DEG = 150.0  # either way from tick 512
+
+
+@dataclass(frozen=True, slots=True)
+class LegLinks:
+    """Lengths of a leg's three links [m]: coxa axis to femur axis, femur to tibia axis, tibia axis to the foot's centre."""
+
+    coxa: float
+    femur: float
+    tibia: float
+
+    checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, "a length of 0.001 to 10 m"),)
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """Where one leg sits, which servos move it, and how far each may turn."""
+
+    name: str
+    mount_xyz: tuple[float, float, float]  # [m] {body} coxa axis
+    neutral_yaw_deg: float  # [deg] direction of the leg at coxa angle zero, about body z from x
+    servo_ids: tuple[int, int, int]  # coxa, femur, tibia
+    # Signs and limits as in Masri 2016, Tables 3.1 and 3.2: servo angle = sign * (joint angle + horn offset), 0 = tick 512.
+    # Limits are those of a leg without trims: they come of what its brackets meet, so a trim moves them along.
+    servo_signs: tuple[int, int, int]
+    servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+    checks = (
+        *config.each("name", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
+        *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
+        *config.each("neutral_yaw_deg", lambda yaw: abs(yaw) <= 360, "-360 to 360 deg"),
+        *config.each("servo_ids", lambda servo: 0 <= servo <= 253, "a servo id from 0 to 253"),
+        *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
+        *config.each(
+            "servo_limits_deg",
+            lambda limits: -_SERVO_RANGE_DEG <= limits[0] < limits[1] <= _SERVO_RANGE_DEG,
+            "limits (coxa, femur, tibia) within -150 and 150 deg in rising order",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Data sheet of the servos, all 18 alike."""
+
+    model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]
+    stall_torque: float  # [N m]
+    no_load_speed: float  # [rad/s]
+    stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope
+    compliance_slope: int  # registers 28 and 29
+    armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
+    friction: float  # [N m] dry friction
+    temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
+    lock_eeprom: bool = True  # once set up, id, baud rate and limits cannot be written until its power goes
+
+    checks = (
+        *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
+        *config.each("armature friction", lambda value: 0 <= value <= 100, "0 to 100"),
+        *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
+        *config.each("compliance_slope", lambda slope: 1 <= slope <= 254, "a compliance slope from 1 to 254"),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    @property
+    def damping(self) -> float:
+        """Joint damping [N m s/rad] that makes stall torque and no-load speed the ends of one line."""
+        return self.stall_torque / self.no_load_speed
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """What the servos live on; the defaults are those of three lithium polymer cells."""
+
+    warn_voltage: float = 10.5  # [V] below which it is time to end the walk
+    empty_voltage: float = 9.9  # [V] below which the robot lies down and lets go
+
+    checks = (
+        config.together(
+            "warn_voltage empty_voltage",
+            lambda warn, empty: 0 < empty <= warn <= 100,
+            "an empty_voltage of more than 0 V and at most warn_voltage, which is at most 100 V,",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """The trunk as a box, and the robot's weight."""
+
+    size: tuple[float, float, float]  # [m] length, width, height
+    mass: float  # [kg] everything but the legs
+    leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
+    # [m] {body} of `mass`: where battery, computer and camera put it. A trunk hung by it, from two points, shows where it is.
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    checks = (
+        *config.each("size", lambda edge: 0 < edge <= 10, "an edge of more than 0 and at most 10 m"),
+        *config.each("mass leg_link_masses", lambda mass: 0 < mass <= 1000, "a mass of more than 0 and at most 1000 kg"),
+        config.together(
+            "size centre_of_mass",
+            lambda size, centre: (
+                all(2 * abs(c) <= edge for c, edge in zip(centre[:2], size[:2], strict=True)) and abs(centre[2]) <= max(size)
+            ),
+            "a centre of mass over or under the trunk, in metres from its middle",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the whole robot [kg]."""
+        return self.mass + 6.0 * sum(self.leg_link_masses)
+
+
+@dataclass(frozen=True, slots=True)
+class Foot:
+    """The foot is a sphere around the end of the tibia."""
+
+    radius: float  # [m]
+
+    checks = (*config.each("radius", lambda radius: 0 < radius <= 1, "a foot radius of more than 0 and at most 1 m"),)
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Stance:
+    """How the robot stands and walks when nothing else is asked."""
+
+    # [m] horizontal distance of a resting foot from its coxa axis, for front, middle and rear legs: in a tripod a middle leg
+    # stands alone on its side and carries the most, so it had better stand near.
+    foot_radius_from_coxa: tuple[float, float, float]
+    body_height: float  # [m] body origin above the ground
+    body_height_range: tuple[float, float]  # [m]
+    max_speed: float  # [m/s]
+    step_s: float  # [s] duration of a tripod's step over level ground
+    stride: float  # [m] of the body while a foot stands, at most
+    foot_speed: float  # [m/s] of swinging feet, height counted twice: what asks for more takes longer, or the servos grow hot
+    # What goes with the robot's size, too; these are a PhantomX's.
+    search_radius: float = 0.06  # [m] around the nominal foothold in which another is looked for
+    foot_distance: float = 0.06  # [m] between feet, at least
+    support_margin: float = 0.02  # [m] of the centre of mass inside each support polygon, at least
+    max_climb: float = 0.03  # [m] of the body's height in one step
+    rough_lift: float = 0.04  # [m] clearance at least, where the ground under a swing is uneven
+    max_lift: float = 0.11  # [m] over both ends of a swing that a leg can lift its foot
+
+    checks = (
+        *config.each(
+            "foot_radius_from_coxa body_height body_height_range stride search_radius max_climb rough_lift max_lift",
+            lambda length: 0 < length <= 10,
+            "more than 0 and at most 10 m",
+        ),
+        *config.each("foot_distance support_margin", lambda length: 0 <= length <= 10, "0 to 10 m"),
+        *config.each("max_speed foot_speed", lambda speed: 0 < speed <= 100, "more than 0 and at most 100 m/s"),
+        *config.each("step_s", lambda duration: 0.4 <= duration <= 2.0, "0.4 to 2 s"),
+        config.together(
+            "body_height body_height_range",
+            lambda height, bounds: bounds[0] <= height <= bounds[1],
+            "a body height within its range",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """The depth camera and where it is mounted: looking along body x, pitched down."""
+
+    intrinsics: Intrinsics
+    sensor: DepthSensor
+    mount_xyz: tuple[float, float, float]  # [m] {body} optical centre
+    pitch_down_deg: float  # [deg]
+    color: bool = False  # whether it sends colour pictures too
+    # What the robot itself reads it by: "openni2", "realsense", the path of a recorded folder, or "none" for no driver.
+    device: str = "none"
+
+    checks = (
+        *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
+        *config.each("pitch_down_deg", lambda pitch: -45.0 <= pitch <= 90.0, "an angle from -45 (up) to 90 (straight down)"),
+        *config.each(
+            "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    @property
+    def T_body_camera(self) -> Array:
+        """Optical frame (x right, y down, z forward) in the body frame."""
+        look = from_xyz_rpy(self.mount_xyz, (0.0, np.radians(self.pitch_down_deg), 0.0))
+        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        return np.asarray(look @ transform(optical, np.zeros(3)))
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """How the horns of one leg sit beside where the profile has them; `sextant servos calibrate` measures it."""
+
+    leg: str
+    date: date
+    trims_deg: tuple[float, float, float]  # coxa, femur, tibia; added to the horn offsets
+
+    checks = (
+        *config.each("leg", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
+        *config.each("date", lambda day: type(day) is date, "a date without time, as in 2026-07-30,"),
+        *config.each(
+            "trims_deg",
+            lambda trim: abs(trim) <= MAX_TRIM_DEG,
+            f"a trim of at most {MAX_TRIM_DEG:g} deg either way; take the horn off and put it on straight",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
+def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
+    """Legs whose names are not those of their places."""
+    for i, (leg, expected) in enumerate(zip(legs, LEGS, strict=False)):
+        found = getattr(leg, "name", expected)
+        if found != expected:
+            yield config.Misfit(f"legs[{i}].name", f"{expected!r}, as the legs go once around the body,", repr(found))
+
+
+def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
+    """Servos with the id of another."""
+    owners: dict[int, str] = {}
+    for i, leg in enumerate(legs):
+        for k, servo in enumerate(getattr(leg, "servo_ids", ())):
+            place = f"legs[{i}].servo_ids[{k}]"
+            if servo in owners:
+                yield config.Misfit(place, "18 different servo ids", f"{servo}, as {owners[servo]} has it")
+            owners.setdefault(servo, place)
+
+
+def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.Misfit]:
+    """Legs with more than one calibration."""
+    seen: set[str] = set()
+    for i, entry in enumerate(calibration):
+        name = getattr(entry, "leg", None)
+        if name in seen:
+            yield config.Misfit(f"calibration[{i}].leg", "each leg once", repr(name))
+        seen |= {name} if name else set()
+
+
+@dataclass(frozen=True)
+class RobotProfile:
+    """Everything the services know about one kind of robot, in SI units."""
+
+    name: str
+    servo: Servo
+    horn_offsets_deg: tuple[float, float, float]  # coxa, femur, tibia; Masri 2016, Fig. 3.4
+    links: LegLinks
+    body: Body
+    foot: Foot
+    stance: Stance
+    legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
+    camera: Camera
+    battery: Battery = Battery()
+    calibration: tuple[Calibration, ...] = ()  # of the legs that have been measured
+
+    checks = (
+        *config.each("name", lambda name: name.strip() != "", "a name"),
+        *config.each("name", lambda name: len(name) <= 100, "a name of at most 100 characters"),
+        *config.each("horn_offsets_deg", lambda offset: abs(offset) <= 360, "-360 to 360 deg"),
+        config.Check(("legs",), _out_of_order),
+        config.Check(("legs",), _ids_given_twice),
+        config.Check(("calibration",), _calibrated_twice),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    @cached_property
+    def servo_ids(self) -> NDArray[np.int64]:
+        """(6, 3) bus ids."""
+        return np.array([leg.servo_ids for leg in self.legs])
+
+    @cached_property
+    def servo_signs(self) -> Array:
+        """(6, 3) of +-1: which way a servo turns for a growing joint angle."""
+        return np.array([leg.servo_signs for leg in self.legs], dtype=np.float64)
+
+    @cached_property
+    def servo_names(self) -> dict[int, str]:
+        """Bus id -> "left front coxa", leg by leg."""
+        return {servo: f"{leg.name} {joint}" for leg in self.legs for servo, joint in zip(leg.servo_ids, JOINTS, strict=True)}
+
+    @cached_property
+    def trims(self) -> Array:
+        """(6, 3) [rad] how each horn sits beside `horn_offsets_deg`; zero for legs that have not been measured."""
+        measured = {entry.leg: entry.trims_deg for entry in self.calibration}
+        return np.asarray(np.radians([measured.get(name, (0.0, 0.0, 0.0)) for name in LEGS]))
+
+    @cached_property
+    def horn_offsets(self) -> Array:
+        """(6, 3) [rad] added to the joint angle before the sign, trims included."""
+        return np.asarray(np.radians(self.horn_offsets_deg) + self.trims)
+
+    @cached_property
+    def joint_limits(self) -> Array:
+        """(6, 3, 2) [rad] lowest and highest joint angle q, from the servo limits by the map of Table 3.1.
+
+        What a leg meets does not move with its horns: trims change its limits only where the servo's own range ends.
+        """
+        servo = np.radians(np.array([leg.servo_limits_deg for leg in self.legs]))
+        signs = self.servo_signs[..., None]
+        servo = np.clip(servo + signs * self.trims[..., None], *np.radians([-_SERVO_RANGE_DEG, _SERVO_RANGE_DEG]))
+        return np.sort(signs * servo - self.horn_offsets[..., None], axis=-1)
+
+    @cached_property
+    def foot_radii(self) -> Array:
+        """(6,) [m] horizontal distance of the resting feet from their coxa axes."""
+        front, middle, rear = self.stance.foot_radius_from_coxa
+        return np.array([front, front, middle, rear, rear, middle])
+
+    @cached_property
+    def leg_reach(self) -> Array:
+        """(6, 2) [m] shortest and longest way from a femur's axis to its foot, by the limits of the tibia."""
+        femur, tibia = self.links.femur, self.links.tibia
+        folded, stretched = self.joint_limits[:, 2, 0], np.minimum(self.joint_limits[:, 2, 1], 0.0)
+        ways = [np.sqrt(femur**2 + tibia**2 + 2.0 * femur * tibia * np.cos(q)) for q in (folded, stretched)]
+        return np.column_stack(ways)
+
+    @cached_property
+    def T_body_coxa(self) -> Array:
+        """(6, 4, 4) coxa frames at joint angle zero: origin on the coxa axis, x outward along the neutral leg, z up."""
+        yaw = np.radians([leg.neutral_yaw_deg for leg in self.legs])
+        return transform(rotation_z(yaw), np.array([leg.mount_xyz for leg in self.legs]))
+
+    @cached_property
+    def T_coxa_body(self) -> Array:
+        """(6, 4, 4) inverse of `T_body_coxa`."""
+        return inverse(self.T_body_coxa)
+
+    def rest_feet(self, body_height: float | None = None) -> Array:
+        """(6, 3) [m] {body} foot centres of the resting stance on flat ground, the body origin at its height [m]."""
+        height = self.stance.body_height if body_height is None else body_height
+        feet = np.zeros((6, 3))
+        feet[:, :2] = self.T_body_coxa[:, :2, 3] + self.foot_radii[:, None] * self.T_body_coxa[:, :2, 0]
+        feet[:, 2] = self.foot.radius - height
+        return feet
+
+    def servo_angles(self, q: Array) -> Array:
+        """Servo angles (..., 6, 3) [rad], zero at tick 512, of joint angles; Masri 2016, eq. (3.11)-(3.13) less 150 deg."""
+        return np.asarray(self.servo_signs * (q + self.horn_offsets))
+
+    def joint_angles(self, servo: Array) -> Array:
+        """Joint angles q (..., 6, 3) [rad] of servo angles; the inverse of `servo_angles`."""
+        return np.asarray(self.servo_signs * servo - self.horn_offsets)

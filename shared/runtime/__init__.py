@@ -1,0 +1,1 @@
+"""Run services: live over Zenoh or in lockstep, with clocks, watchdog and shutdown."""

@@ -1,0 +1,225 @@
+"""Services in one process on simulated time: as fast as the machine allows, and the same every time."""
+
+import heapq
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from sextant.shared.runtime.service import AnyTopic, Every, Service, Worker
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Message
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A service that is away between two times: killed (a new object comes back) or hung (the same one goes on)."""
+
+    service: str
+    from_ns: int
+    until_ns: int
+    kill: bool
+
+
+class ServiceFailedError(RuntimeError):
+    """A service raised an exception, which would have ended its process; the exception is the `__cause__`."""
+
+    def __init__(self, service: str, error: Exception):
+        """Name the service, the exception, and the line of code that raised it."""
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        super().__init__(f"{service} failed: {type(error).__name__}: {error}{place}")
+
+
+class Radio(Protocol):
+    """What is between two machines."""
+
+    def crosses(self, sender: str, reader: str, /) -> bool:
+        """Whether what one service says reaches another by it."""
+        ...
+
+    def arrival_ns(self, topic: AnyTopic, sender: str, size: int, now_ns: int, /) -> int | None:
+        """When a message of some bytes arrives that is sent now [ns], or None where it is dropped."""
+        ...
+
+
+class Lockstep:
+    """A set of services in one process on simulated time, deterministic and as fast as the machine allows.
+
+    Each message reaches its readers after its topic's latency. Beats fall on multiples of their period; at the same instant
+    deliveries come first, then beats in the order in which the services were given.
+    """
+
+    def __init__(
+        self,
+        makers: Mapping[str, Callable[[], Service]],
+        tap: Callable[[AnyTopic, bytes, int], object] = lambda _topic, _frame, _at_ns: None,
+        latency_s: Mapping[str, float] | None = None,
+        outages: Sequence[Outage] = (),
+        busy_until: Mapping[str, Callable[[], int]] | None = None,
+        radio: Radio | None = None,
+    ):
+        """Make the services.
+
+        Args:
+            makers: Name -> maker of the service.
+            tap: Sees every frame as it is sent, with the time; what a recorder or a test listens at.
+            latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
+            outages: What goes away, and when.
+            busy_until: Name -> until when [ns] a service is busy: what takes it longer than a beat costs it the next ones.
+            radio: What is between services that are on two machines.
+
+        Raises:
+            ValueError: An outage of a service that is not there, or a latency of a topic that is not.
+        """
+        unknown = {o.service for o in outages} - makers.keys()
+        if unknown:
+            raise ValueError(f"outages of {', '.join(makers)} expected, found {', '.join(sorted(unknown))}")
+        strange = (latency_s or {}).keys() - {t.key for t in topics.TOPICS}
+        if strange:
+            raise ValueError(f"latencies of keys of the topic table expected, found {', '.join(sorted(strange))}")
+        self.now_ns = 0
+        self._makers = makers
+        self._tap = tap
+        self._latency_ns = {t.key: round(1e9 * (latency_s or {}).get(t.key, t.latency_s)) for t in topics.TOPICS}
+        self._outages: dict[str, list[Outage]] = {name: [] for name in makers}
+        self._busy_until = busy_until or {}
+        self._radio = radio
+        self._decode = _DecodedOnce()
+        self._events: list[tuple[int, int, int, Callable[[], None]]] = []
+        self._sequence = 0
+        self._workers: dict[str, Worker] = {}
+        self._readers: dict[str, list[str]] = {}
+        self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the running step, for the tap
+        for order, name in enumerate(makers):
+            self._start(name)
+            pace = self._workers[name].service.paced_by
+            if isinstance(pace, Every):
+                self._keep_beating(name, pace.period_ns, order)
+        for outage in outages:
+            self.lose(outage)
+
+    def service(self, name: str) -> Service:
+        """The object that runs now under a name."""
+        return self._workers[name].service
+
+    def lose(self, outage: Outage) -> None:
+        """Let a service be away between two times; the second is still to come."""
+        self._outages[outage.service].append(outage)
+        if outage.kill:
+            name = outage.service
+            self._schedule(outage.until_ns, -2, lambda: self._guarded(name, lambda: self._start(name)))
+
+    def say(self, message: Message, topic: AnyTopic | None = None) -> None:
+        """Send a message now, as none of the services; `topic` is that of another role than the robot."""
+        frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
+        self._send("", topic or topics.OF_TYPE[type(message)], frame)
+        self._show()
+
+    def run(self, until_ns: int) -> None:
+        """Let simulated time pass up to and including an instant.
+
+        Raises:
+            ServiceFailedError: A service raised an exception.
+        """
+        while self._events and self._events[0][0] <= until_ns:
+            at_ns, _, _, act = heapq.heappop(self._events)
+            self.now_ns = at_ns
+            act()
+        self.now_ns = max(self.now_ns, until_ns)
+
+    def _start(self, name: str) -> None:
+        service = self._makers[name]()
+        worker = Worker(
+            service,
+            lambda topic, frame, _: self._send(name, topic, frame),
+            lambda: self.now_ns,
+            self._wanted,
+            self._decode,
+            robot_time=True,
+        )
+        self._workers[name] = worker
+        for topic in worker.reads:
+            readers = self._readers.setdefault(topic.key, [])
+            if name not in readers:
+                readers.append(name)
+
+    def _guarded(self, name: str, act: Callable[[], object]) -> None:
+        """Let a service act, then show the tap what it sent: an exception of the tap is not the service's."""
+        try:
+            act()
+        except Exception as error:
+            raise ServiceFailedError(name, error) from error
+        finally:
+            self._show()
+
+    def _show(self) -> None:
+        sent, self._sent = self._sent, []
+        for topic, frame in sent:
+            self._tap(topic, frame, self.now_ns)
+
+    def _wanted(self, topic: AnyTopic) -> bool:
+        return bool(self._readers.get(topic.key))
+
+    def _outage(self, name: str) -> Outage | None:
+        for outage in self._outages[name]:
+            if outage.from_ns <= self.now_ns < outage.until_ns:
+                return outage
+        return None
+
+    def _schedule(self, at_ns: int, rank: int, act: Callable[[], None]) -> None:
+        self._sequence += 1
+        heapq.heappush(self._events, (at_ns, rank, self._sequence, act))
+
+    def _keep_beating(self, name: str, period_ns: int, order: int) -> None:
+        busy_until = self._busy_until.get(name, lambda: 0)
+
+        def beat() -> None:
+            if self._outage(name) is None and busy_until() <= self.now_ns:
+                self._guarded(name, self._workers[name].tick)
+            self._schedule(self.now_ns + period_ns, order, beat)
+
+        self._schedule(0, order, beat)
+
+    def _send(self, sender: str, topic: AnyTopic, frame: bytes) -> None:
+        self._sent.append((topic, frame))
+        readers = self._readers.get(topic.key)
+        if not readers:
+            return
+        at_ns = self.now_ns + self._latency_ns[topic.key]
+        far = [] if self._radio is None else [reader for reader in readers if self._radio.crosses(sender, reader)]
+        if len(far) < len(readers):
+            self._schedule(at_ns, -1, lambda: self._deliver(topic, frame, [name for name in readers if name not in far]))
+        if self._radio is None or not far:
+            return
+        there_ns = self._radio.arrival_ns(topic, sender, len(frame), at_ns)
+        if there_ns is not None:
+            self._schedule(there_ns, -1, lambda: self._deliver(topic, frame, far))
+
+    def _deliver(self, topic: AnyTopic, frame: bytes, readers: Iterable[str]) -> None:
+        for name in readers:
+            outage = self._outage(name)
+            if outage is not None and outage.kill:
+                continue
+            worker = self._workers[name]
+            worker.inbox.receive(topic, frame, self.now_ns)  # a hung service finds it waiting
+            if outage is None and worker.service.paced_by is topic:
+                self._guarded(name, worker.arrived)
+
+
+class _DecodedOnce:
+    """Decodes a frame once for all that read it: messages are frozen and their arrays read-only, so they can be shared."""
+
+    def __init__(self) -> None:
+        self._newest: dict[type[Message], tuple[bytes, tuple[Any, codec.Timing]]] = {}
+
+    def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+        known = self._newest.get(kind)
+        if known is not None and known[0] is frame:
+            return known[1]
+        decoded = codec.decode(frame, kind, max_bytes)
+        self._newest[kind] = frame, decoded
+        return decoded

@@ -1,0 +1,220 @@
+"""The process around a service: arguments, signals, last words. Every `services/<name>/__main__.py` is a call of `main`.
+
+python -m sextant.services.planner --robot phantomx_mk2 --connect tcp/127.0.0.1:7447 --set blind=true
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import faulthandler
+import json
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from sextant.shared.files import config, input_file
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime import clock
+from sextant.shared.runtime.process_priority import go_first, keep_memory, switch_often
+from sextant.shared.runtime.service import Service
+from sextant.shared.runtime.shutdown import ToldToEnd, end_with, leave, leave_at_errors
+from sextant.shared.runtime.simulated_time import SimulatedTime
+from sextant.shared.runtime.watchdog import Watchdog
+from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import Keys
+from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
+
+_LOOK_S = 0.1  # [s] between two looks whether the robot is there
+_PATIENCE_S = 4.0  # [s] that a rehearsal takes where nothing has to be compiled, with time to spare
+
+S = TypeVar("S")
+
+
+def main(
+    name: str,
+    schema: type[S],
+    make: Callable[[RobotProfile, S], Service],
+    rehearse: Callable[[RobotProfile, S], None] | None = None,
+) -> NoReturn:
+    """Run one service and end the process."""
+    leave_at_errors()
+    with ToldToEnd() as told:
+        leave(run(name, schema, make, told, rehearse=rehearse))
+
+
+def run(
+    name: str,
+    schema: type[S],
+    make: Callable[[RobotProfile, S], Service],
+    told: ToldToEnd,
+    argv: Sequence[str] | None = None,
+    rehearse: Callable[[RobotProfile, S], None] | None = None,
+) -> int:
+    """Run one service until it is told to stop, with the settings of the command line.
+
+    Args:
+        name: Of the service.
+        schema: Its settings' class.
+        make: Makes it for a robot, with its settings.
+        told: That it shall stop.
+        argv: The command line, without the program; this process's own when left out.
+        rehearse: Compiles what it calls, before it says that it is there.
+
+    Returns:
+        Exit status: 0 when it was told to stop, 1 without the device or port that it needs, 2 for what the caller got wrong;
+        anything else ends in a traceback.
+    """
+    arguments = _parser(name, make.__module__.rpartition(".")[0], schema).parse_args(argv)
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
+    faulthandler.enable()
+    if arguments.parent:
+        end_with(arguments.parent)
+    os.nice(arguments.nice)
+    if arguments.urgent and (refused := go_first()):
+        logging.warning(refused)
+    keep_memory()
+    switch_often()
+    with contextlib.ExitStack() as stack:
+        try:
+            profile = load_profile(arguments.robot)
+            settings = load_settings(schema, arguments.config, arguments.set)
+            keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
+            if rehearse is not None:
+                _patiently(lambda: rehearse(profile, settings))
+            if arguments.simulated_time:
+                if arguments.elsewhere:
+                    raise ValueError("--simulated-time is shared on one machine: leave --elsewhere out")
+                stack.enter_context(clock.going_by(SimulatedTime(Path(arguments.simulated_time))))
+            told.open()
+            endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
+            watchdog = stack.enter_context(Watchdog(os.environ))
+            link = stack.enter_context(ZenohLink(endpoints))
+            ahead_s = _follow_robot(link, told.event, watchdog.beat) if arguments.elsewhere else lambda: 0.0
+            service = make(profile, settings)
+            if isinstance(service, contextlib.AbstractContextManager):
+                stack.enter_context(service)  # ports and servers are closed on the way out
+        except (ValueError, TransportError) as error:
+            logging.error("%s", error)
+            return 2
+        except OSError as error:  # a device or port that is not there; unlike the above it may come back
+            logging.error("%s", error)
+            return 1
+        try:  # a ValueError in here is a bug, and ends in a traceback
+            role = arguments.role if keys is None else keys.role.name
+            run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True)
+        except clock.ClockError as error:
+            logging.error("%s", error)
+            return 1
+    return 0
+
+
+def _patiently(rehearse: Callable[[], None]) -> None:
+    """Rehearse, and ask for patience where something has to be compiled."""
+    telling = threading.Timer(
+        _PATIENCE_S, logging.info, ["compiling the inner loops takes about a minute, the first time only"]
+    )
+    telling.daemon = True
+    telling.start()
+    try:
+        rehearse()
+    finally:
+        telling.cancel()
+
+
+def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int], object]) -> Callable[[], float]:
+    """Let this process go by the robot's clock, once the robot is heard; what says by how much [s] that is ahead."""
+    robot = clock.RobotClock()
+
+    def hear(_topic: object, frame: bytes) -> None:
+        with contextlib.suppress(codec.DecodeError):  # refused, counted and named where it is read
+            robot.heard(codec.label(frame).timing.sent_ns)
+
+    link.subscribe(topics.ACTUATOR_STATE, hear)
+    told = False
+    while not robot.known and not stop.wait(_LOOK_S):
+        alive(time.monotonic_ns())
+        if not told:
+            logging.info("waiting for the robot: nothing has come on %s", topics.ACTUATOR_STATE.key)
+            told = True
+    clock.go_by(robot)
+    return lambda: robot.ahead_s
+
+
+def load_settings(schema: type[S], path: str | None, assignments: Sequence[str]) -> S:
+    """Settings of a service from a TOML file and `key=value` assignments over it, values in TOML's notation.
+
+    Raises:
+        ConfigError: What is wrong, all at once.
+    """
+    table: dict[str, Any] = {}
+    if path is not None:
+        table = config.as_table(config.load(Path(path), schema))
+    for assignment in assignments:
+        key, equals, value = assignment.partition("=")
+        parts = [part.strip() for part in key.split(".")]
+        if not equals or not all(part.isidentifier() for part in parts):
+            raise config.ConfigError("--set", [f"key=value expected, found {assignment!r}"])
+        try:
+            parsed = input_file.parse_toml(Path("--set"), f"value = {value}".encode(errors="replace"))
+        except input_file.FileError:
+            parsed = {}
+        item = parsed["value"] if len(parsed) == 1 else value  # a bare word is a text
+        inner = table
+        for part in parts[:-1]:  # a dotted key changes one value of a nested table, not the whole table
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise config.ConfigError("--set", [f"{key}: {part} is not a table"])
+        inner[parts[-1]] = item
+    return config.build(table, schema, "settings")
+
+
+def assignments(settings: object) -> list[str]:
+    """The `--set` arguments that make `settings` again; fields at their defaults are left out."""
+    out: list[str] = []
+    for field in dataclasses.fields(settings):  # type: ignore[arg-type]
+        value = getattr(settings, field.name)
+        default = field.default_factory() if callable(field.default_factory) else field.default
+        if value != default and value is not None:
+            out += ["--set", f"{field.name}={toml_value(config.as_table(value))}"]
+    return out
+
+
+def toml_value(value: object) -> str:
+    """A plain value in TOML's notation, on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{toml_value(str(key))} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value)
+
+
+def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentParser:
+    known = ", ".join(f.name for f in dataclasses.fields(schema))
+    parser = argparse.ArgumentParser(prog=f"python -m {package}", description=f"The {name} service.")
+    parser.add_argument("--robot", default="phantomx_mk2", help="profile by name, or the path of a TOML file")
+    parser.add_argument("--connect", action="append", default=[], help="endpoint to connect to, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--scouting", action="store_true", help="find the others by multicast instead")
+    parser.add_argument("--namespace", default="sextant", help="prefix of every key; runs with different ones do not meet")
+    parser.add_argument("--keys", metavar="DIR", help="certificate of this machine, for endpoints of tls")
+    parser.add_argument("--config", help="TOML file with settings")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
+    parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")
+    words = "role of this machine, under which the service publishes its health (default %(default)s)"
+    parser.add_argument("--role", default="robot", choices=topics.ROLE_NAMES, help=words)
+    words = "file of the time that the processes of a simulated run share (default: real time)"
+    parser.add_argument("--simulated-time", metavar="FILE", help=words)
+    parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
+    parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
+    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    return parser

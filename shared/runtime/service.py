@@ -1,0 +1,380 @@
+"""What a service is: a plain object that makes messages out of messages.
+
+It says what paces it, what it reads and what it writes; somebody else moves the messages. There are two ways to run a set of
+them, with the same objects and encoded frames: `zenoh_runner` at real time, `lockstep` on simulated time.
+"""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+
+from sextant.shared.runtime.lateness import BEAT, MAX_STALL_S, STALL, InputAges, Limited
+from sextant.shared.runtime.stopwatch import stopwatch_ns
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Health, Message, Tick
+from sextant.shared.wire.topics import Delivery, Topic
+
+M = TypeVar("M", bound=Message)
+AnyTopic = Topic[Any]
+
+HEALTH_PERIOD_NS = 1_000_000_000
+QUEUE_LENGTH = 512  # frames of an EVERY topic that may wait; more are dropped and counted
+_SAMPLES = 4096  # timings kept per stage
+AHEAD_NS = 2_000_000_000  # [ns] by which a stamp may be ahead of the robot's time: a later one would make all that follow old
+_BEAT_LASTS = 1.0  # periods after a beat at which simulated time waits for its end, ...
+_LATE_BEAT = 1.5  # ... and for the next one
+
+
+@dataclass(frozen=True, slots=True)
+class Every:
+    """Paces a service by its own clock.
+
+    A service may bring a `wait` [s] of its own until the next beat, in which it does what has to be done between two; where
+    that comes back before its time, the beat comes at once, and the others a period after it.
+
+    A service that `fetches` takes what has come when it looks, and nothing runs when something comes. A frame counts as having
+    come at the look, so this is for those who look often at everything, and on whose reading of ages nothing hangs.
+
+    A service that beats `by_machine` waits by the machine's clock, so that it beats also while simulated time stands.
+    """
+
+    period_ns: int
+    wait: Callable[[float], object] | None = None
+    fetches: bool = False
+    by_machine: bool = False
+
+    @classmethod
+    def hz(cls, rate_hz: float) -> "Every":
+        """Pace at a rate."""
+        return cls(round(1e9 / rate_hz))
+
+
+class Stages:
+    """Durations of the named stages of a service's work, the newest few thousand of each."""
+
+    def __init__(self) -> None:
+        self._samples: dict[str, _Ring] = {}
+
+    def __call__(self, name: str) -> "_Stage":
+        """Time a block as one run of a stage."""
+        return _Stage(self, name)
+
+    def add(self, name: str, duration_ms: float) -> None:
+        """Record one duration [ms] of a stage."""
+        samples = self._samples.get(name)
+        if samples is None:
+            samples = self._samples[name] = _Ring()
+        samples.add(duration_ms)
+
+    def runs(self, name: str) -> int:
+        """How often a stage has run."""
+        return self._samples[name].count if name in self._samples else 0
+
+    def percentiles(self) -> dict[str, tuple[float, float]]:
+        """Stage -> 50th and 99th percentile [ms], by nearest rank."""
+        return {name: samples.percentiles() for name, samples in self._samples.items()}
+
+
+class _Stage:
+    """A running stage; a context manager made of a generator would cost several times as much."""
+
+    __slots__ = ("_began", "_name", "_stages")
+
+    def __init__(self, stages: Stages, name: str):
+        self._stages, self._name = stages, name
+
+    def __enter__(self) -> None:
+        self._began = stopwatch_ns()
+
+    def __exit__(self, *_: object) -> None:
+        self._stages.add(self._name, (stopwatch_ns() - self._began) * 1e-6)
+
+
+class _Ring:
+    """The newest numbers of a stream."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(_SAMPLES)
+        self.count = 0  # of all that came
+
+    def add(self, value: float) -> None:
+        self._values[self.count % _SAMPLES] = value
+        self.count += 1
+
+    def percentiles(self) -> tuple[float, float]:
+        values = self._values[: min(self.count, _SAMPLES)]
+        ranks = (round(0.50 * (len(values) - 1)), round(0.99 * (len(values) - 1)))
+        p50, p99 = np.partition(values, ranks)[[*ranks]].tolist()
+        return p50, p99
+
+
+class Decode(Protocol):
+    """What makes messages of frames; as `codec.decode`."""
+
+    def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+        """Decode a frame as a message of one type, or raise DecodeError."""
+        ...
+
+
+class Inbox:
+    """What has arrived for one service. Frames are decoded when they are looked at; those that do not decode are refused,
+    counted and reported, and the last good message of their topic stays."""
+
+    def __init__(
+        self,
+        reads: Sequence[AnyTopic],
+        stages: Stages,
+        wanted: Callable[[AnyTopic], bool] = lambda _: True,
+        decode: Decode = codec.decode,
+        ages: InputAges | None = None,
+        robot_time: bool = False,
+    ):
+        self.now_ns = 0
+        self._ages = ages or InputAges({})
+        self.refused = 0
+        self.dropped = 0
+        self.last_refusal = ""
+        self.wanted = wanted  # whether anybody listens to a topic: what nobody wants need not be made
+        self._stages = stages
+        self._decode = decode
+        self._robot_time = robot_time  # whether times of arrival are the robot's, as stamps are
+        self._reads = {topic.key: topic for topic in reads}
+        self._frames: dict[str, deque[tuple[bytes, int]]] = {}
+        for topic in reads:
+            length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
+            self._frames[topic.key] = deque(maxlen=length)
+        self._newest: dict[str, tuple[Message, int]] = {}
+        self._fetch: dict[str, Callable[[], list[bytes]]] = {}
+        self._lock = threading.Lock()
+
+    def receive(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Take in a frame; called by whoever moves messages, from any thread."""
+        with self._lock:
+            queue = self._frames[topic.key]
+            if len(queue) == queue.maxlen:
+                self.dropped += topic.delivery is Delivery.EVERY
+            queue.append((frame, at_ns))
+
+    def fetch(self, topic: AnyTopic, come: Callable[[], list[bytes]]) -> None:
+        """Have frames of a topic fetched when it is looked at, in place of `receive`."""
+        self._fetch[topic.key] = come
+
+    def waiting(self, topic: AnyTopic) -> bool:
+        """Whether a frame has come that nobody has looked at."""
+        self._look(topic)
+        return bool(self._frames[topic.key])
+
+    def latest(self, topic: Topic[M]) -> M | None:
+        """The newest good message of a topic, however old."""
+        found = self._use_newest(topic)
+        return cast(M, found[0]) if found else None
+
+    def fresh(self, topic: Topic[M], within_s: float | None = None) -> M | None:
+        """The newest message, or None once it came longer ago than `within_s`, by default three of its periods."""
+        found = self._use_newest(topic)
+        age_ns = topic.fresh_for_ns if within_s is None else within_s * 1e9
+        if found is None or self.now_ns - found[1] > age_ns:
+            return None
+        return cast(M, found[0])
+
+    def drain(self, topic: Topic[M]) -> list[M]:
+        """All messages that have come since the last look, in order."""
+        messages = self._decode_waiting(topic)
+        at_ns = self._newest[topic.key][1] if messages else 0
+        for message in messages:
+            self._ages.note(topic.key, self.now_ns - message.stamp_ns, at_ns - message.stamp_ns)
+        return messages
+
+    def _use_newest(self, topic: Topic[M]) -> tuple[Message, int] | None:
+        """The newest good message of a topic and when it came [ns]; a use of it."""
+        self._decode_waiting(topic)
+        found = self._newest.get(topic.key)
+        if found is not None:
+            self._ages.note(topic.key, self.now_ns - found[0].stamp_ns, found[1] - found[0].stamp_ns)
+        return found
+
+    def _decode_waiting(self, topic: Topic[M]) -> list[M]:
+        """Decode what waits of a topic, in order."""
+        self._look(topic)
+        queue = self._frames[topic.key]
+        if not queue:
+            return []
+        with self._lock:
+            frames = list(queue)
+            queue.clear()
+        messages: list[M] = []
+        for frame, at_ns in frames:
+            try:
+                message, timing = self._decode(frame, topic.type, topic.max_bytes)
+            except codec.DecodeError as error:
+                self._refuse(topic, str(error))
+                continue
+            if self._robot_time and message.stamp_ns > at_ns + AHEAD_NS:
+                self._refuse(topic, f"stamped {(message.stamp_ns - at_ns) * 1e-9:.1f} s ahead of now")
+                continue
+            if timing.began_ns > 0 and topic.key not in self._fetch:
+                self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
+            self._newest[topic.key] = (message, at_ns)
+            messages.append(message)
+        return messages
+
+    def _refuse(self, topic: AnyTopic, why: str) -> None:
+        self.refused += 1
+        self.last_refusal = f"{topic.key}: {why}"[:500]
+
+    def _look(self, topic: AnyTopic) -> None:
+        fetch = self._fetch.get(topic.key)
+        for frame in fetch() if fetch is not None else ():
+            self.receive(topic, frame, self.now_ns)
+
+
+class Service(Protocol):
+    """One of the processes, as a plain object."""
+
+    name: str
+    stages: Stages
+
+    @property
+    def paced_by(self) -> AnyTopic | Every:
+        """What makes it step: a topic's messages, or its own clock."""
+        ...
+
+    @property
+    def reads(self) -> tuple[AnyTopic, ...]:
+        """Topics that it samples; the pacing topic need not be repeated."""
+        ...
+
+    @property
+    def writes(self) -> tuple[AnyTopic, ...]:
+        """Topics whose messages it makes."""
+        ...
+
+    def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
+        """Make messages out of the pacing message (or a Tick) and what the inbox holds."""
+        ...
+
+    def doing(self) -> str:
+        """What the service is about, in words, for the operator."""
+        ...
+
+
+class Worker:
+    """Runs one service's steps and sends what they make; the part that both ways of running share."""
+
+    def __init__(
+        self,
+        service: Service,
+        send: Callable[[AnyTopic, bytes, int], None],
+        clock: Callable[[], int],
+        wanted: Callable[[AnyTopic], bool] = lambda _: True,
+        decode: Decode = codec.decode,
+        ahead_s: Callable[[], float] = lambda: 0.0,
+        astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
+        role: str = "robot",
+        hold: Callable[[int | None], object] = lambda _limit_ns: None,
+        robot_time: bool = False,
+    ):
+        self.service = service
+        self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
+        self._max_age_s = dict(service.max_age_s) if isinstance(service, Limited) else {}
+        self.ages = InputAges({**self._max_age_s, STALL: MAX_STALL_S} if self._max_age_s else {})
+        self._hold = hold  # states until when [ns] simulated time may go on without another step
+        self._missed_beats = 0
+        self._ahead_s = ahead_s
+        self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
+        self._last_refusals = ("", "")  # of those, and of what did not decode
+        self._last_refusal = ""  # the newer one
+        self.reads = tuple(
+            dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
+        )
+        self.inbox = Inbox(self.reads, service.stages, wanted, decode, self.ages, robot_time)
+        self._send = send
+        self._clock = clock
+        self._writes = set(service.writes)
+        self._steps = 0
+        self._stepped_ns = clock()
+        self._health_due_ns = 0
+
+    def tick(self) -> None:
+        """One beat of a service paced by its own clock."""
+        now_ns, pace = self._clock(), self.service.paced_by
+        if isinstance(pace, Every) and self._steps:
+            since_ns = now_ns - self._stepped_ns
+            self._missed_beats += max(0, round(since_ns / pace.period_ns) - 1)
+            self.ages.note(BEAT, since_ns)
+        self._step(Tick(now_ns))
+
+    def arrived(self) -> None:
+        """Steps for every pacing message that waits."""
+        pace = self.service.paced_by
+        if not isinstance(pace, Every):
+            self.inbox.now_ns = self._clock()
+            for message in self.inbox.drain(pace):
+                self._step(message)
+
+    def _step(self, message: Message) -> None:
+        began_ns = self.inbox.now_ns = self._clock()
+        if self._max_age_s:
+            self._hold(self._next_step_by(began_ns, _BEAT_LASTS))
+        with self.service.stages(self.service.name):
+            for made in self.service.step(message, self.inbox):
+                topic = topics.OF_TYPE.get(type(made))
+                if topic is None or topic not in self._writes:
+                    raise ValueError(f"{self.service.name} made a {type(made).__name__}, which its `writes` does not name")
+                self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
+        self._steps += 1
+        self._stepped_ns = began_ns
+        if self._max_age_s:
+            self._hold(self._next_step_by(began_ns, _LATE_BEAT))
+            self.ages.forget_uses()
+        self.report_health(began_ns)
+
+    def _next_step_by(self, began_ns: int, periods: float) -> int | None:
+        """When [ns] inputs of this step are late, or a beat that is to come within some periods; None where nothing can be."""
+        left_ns = self.ages.left_ns()
+        if BEAT in self._max_age_s and isinstance(pace := self.service.paced_by, Every):
+            left_ns = min(periods * pace.period_ns, math.inf if left_ns is None else left_ns)
+        return None if left_ns is None else began_ns + round(left_ns)
+
+    def report_health(self, now_ns: int) -> None:
+        """Send how the service fares, if it is time."""
+        if now_ns < self._health_due_ns:
+            return
+        self._health_due_ns = now_ns + HEALTH_PERIOD_NS
+        timings, ages = self.service.stages.percentiles(), self.ages.report()
+        astray, last_astray = self._astray()
+        refusals = (last_astray, self.inbox.last_refusal)
+        newer = [words for words, before in zip(refusals, self._last_refusals, strict=True) if words != before]
+        self._last_refusals, self._last_refusal = refusals, [self._last_refusal, *newer][-1]
+        health = Health(
+            stamp_ns=now_ns,
+            service=self.service.name,
+            doing=(self._starved(now_ns) + self.service.doing())[:500],
+            steps=self._steps,
+            refused=self.inbox.refused + astray,
+            dropped=self.inbox.dropped,
+            last_refusal=self._last_refusal,
+            stages=tuple(timings),
+            stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
+            stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
+            robot_ahead_s=self._ahead_s(),
+            inputs=tuple(age.what for age in ages),
+            input_age_s=np.array([age.age_s for age in ages], dtype=np.float64),
+            input_arrived_s=np.array([age.arrived_s for age in ages], dtype=np.float64),
+            input_limit_s=np.array([age.limit_s for age in ages], dtype=np.float64),
+            input_late=np.array([age.late for age in ages], dtype=np.float64),
+            missed_beats=self._missed_beats,
+        )
+        self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
+
+    def _starved(self, now_ns: int) -> str:
+        """That what makes the service step has not come for a while, or nothing."""
+        pace, waited_ns = self.service.paced_by, now_ns - self._stepped_ns
+        if isinstance(pace, Every) or waited_ns <= max(pace.fresh_for_ns, HEALTH_PERIOD_NS):
+            return ""
+        return f"nothing has come on {pace.key} for {waited_ns * 1e-9:.0f} s; the last: "

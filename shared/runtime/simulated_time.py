@@ -1,0 +1,142 @@
+"""Simulated time that the processes of one run share: it never runs faster than real time, and it waits for what is late.
+
+The simulator grants time in small spans, so time stands while the simulator does not run. Each service that has a limit on the
+age of its inputs or on its cycle states until when simulated time may go on; time stands there until the service states a later
+limit. A service that states none for `_PATIENCE_NS` of real time has ended or hangs, and time goes on without it.
+
+The state lies in a file that all processes map. Two records take turns: the simulator fills the one that nobody reads and then
+counts up, so a reader whose count has not changed has read a whole record. Robots with real servos do not use this module.
+"""
+
+import mmap
+import struct
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from sextant.shared.runtime.clock import in_use
+
+SPAN_NS = 10_000_000  # [ns] of simulated time that one grant allows at most: it passes at once where all processes stood still
+SERVO_BUS = "servo bus"  # has a limit while either end has sent something that the other has not received
+REACTION_NS = 1_000_000  # [ns] of simulated time that may pass meanwhile
+_PATIENCE_NS = 1_000_000_000  # [ns] of real time for which simulated time waits at one limit
+_NO_LIMIT = (1 << 63) - 1
+_COUNT, _RECORDS, _RECORD, _SLOTS = 0, 1, 3, 7  # words: of the count, of two records of three words, of the limits
+_NAME_BYTES = 32
+_MAX_NAMES = 16
+_WORDS = _SLOTS + 2 * _MAX_NAMES  # each service has a limit and the real time for which time stood at it
+_SIZE = 8 * _WORDS + _NAME_BYTES * _MAX_NAMES
+
+
+class SimulatedTime:
+    """The simulated time [ns] of one run, as a process sees it that has mapped its file; calling it reads the time."""
+
+    def __init__(self, path: Path, machine: Callable[[], int] = time.monotonic_ns):
+        """Map the file of a run.
+
+        Args:
+            path: Made by `create`.
+            machine: [ns] the monotonic clock of this machine.
+
+        Raises:
+            ValueError: There is no such file, or it is none of simulated time.
+        """
+        try:
+            with path.open("r+b") as file:
+                self._map = mmap.mmap(file.fileno(), 0)
+        except (OSError, ValueError) as error:
+            raise ValueError(f"cannot map simulated time in {path}: {error}") from None
+        if len(self._map) != _SIZE:
+            size = len(self._map)
+            self._map.close()
+            raise ValueError(f"{path}: a file of {_SIZE} bytes expected for simulated time, found {size}")
+        self.path = path
+        self._words = memoryview(self._map).cast("q")
+        self._machine = machine
+        names = bytes(self._map[8 * _WORDS :])
+        parts = [names[k : k + _NAME_BYTES].rstrip(b"\0") for k in range(0, len(names), _NAME_BYTES)]
+        self.names = tuple(part.decode("utf-8", "replace") for part in parts if part)
+        self._index = {name: _SLOTS + 2 * k for k, name in enumerate(self.names)}
+        self._bound: dict[str, tuple[int, int]] = {}  # limits that time has met, and when [ns] of this machine
+        self._granted_ns = machine()
+
+    @classmethod
+    def create(cls, path: Path, names: Sequence[str], machine: Callable[[], int] = time.monotonic_ns) -> "SimulatedTime":
+        """Make the file of a run whose time stands at this machine's until it is granted.
+
+        Args:
+            path: Of the file.
+            names: Services that may state limits.
+            machine: [ns] the monotonic clock of this machine.
+
+        Raises:
+            ValueError: Too many names, or one that is too long.
+        """
+        encoded = [name.encode() for name in names]
+        if len(names) > _MAX_NAMES or any(len(name) > _NAME_BYTES for name in encoded):
+            raise ValueError(f"at most {_MAX_NAMES} names of at most {_NAME_BYTES} bytes expected, found {names}")
+        now = machine()
+        words = [0, *(now, now, now) * 2, *(_NO_LIMIT, 0) * _MAX_NAMES]
+        head = struct.pack(f"={_WORDS}q", *words)
+        path.write_bytes(
+            head + b"".join(name.ljust(_NAME_BYTES, b"\0") for name in encoded).ljust(_NAME_BYTES * _MAX_NAMES, b"\0")
+        )
+        return cls(path, machine)
+
+    def __call__(self) -> int:
+        """[ns] now."""
+        while True:
+            count = self._words[_COUNT]
+            machine_ns, simulated_ns, limit_ns = self._record(count)
+            if self._words[_COUNT] == count:
+                return min(simulated_ns + self._machine() - machine_ns, limit_ns)
+
+    def grant(self) -> int:
+        """Let time go on by one span at most, up to the least limit; returns the time [ns]. The simulator's alone."""
+        count, machine_ns = self._words[_COUNT], self._machine()
+        then_ns, simulated_ns, granted_ns = self._record(count)
+        now_ns = min(simulated_ns + machine_ns - then_ns, granted_ns)
+        limit_ns = now_ns + SPAN_NS
+        for name, word in self._index.items():
+            stated_ns = self._words[word]
+            if stated_ns >= limit_ns or self._has_waited(name, stated_ns, machine_ns):
+                continue
+            if stated_ns <= now_ns:
+                self._words[word + 1] += machine_ns - self._granted_ns
+            limit_ns = max(stated_ns, now_ns)
+        self._granted_ns = machine_ns
+        limit_ns = max(limit_ns, granted_ns)  # what was granted stays granted, so that time never goes back
+        for word, value in enumerate((machine_ns, now_ns, limit_ns), _RECORDS + _RECORD * (count + 1 & 1)):
+            self._words[word] = value
+        self._words[_COUNT] = count + 1
+        return now_ns
+
+    def hold(self, name: str, limit_ns: int | None) -> None:
+        """State until when [ns] time may go on without another word of a service, or that it has no limit."""
+        word = self._index.get(name)
+        if word is not None:
+            self._words[word] = _NO_LIMIT if limit_ns is None else limit_ns
+
+    def waited_s(self) -> dict[str, float]:
+        """Service -> real time [s] for which simulated time has waited for it."""
+        return {name: self._words[word + 1] * 1e-9 for name, word in self._index.items()}
+
+    def _record(self, count: int) -> tuple[int, int, int]:
+        """When a grant was made [ns] by the machine's clock, what time it was then [ns], and until when time may go on [ns]."""
+        first = _RECORDS + _RECORD * (count & 1)
+        return self._words[first], self._words[first + 1], self._words[first + 2]
+
+    def _has_waited(self, name: str, stated_ns: int, machine_ns: int) -> bool:
+        """Whether time has waited at a limit for as long as it does."""
+        met_ns, since_ns = self._bound.get(name, (-1, 0))
+        if met_ns != stated_ns:
+            self._bound[name] = stated_ns, machine_ns
+            return False
+        return machine_ns - since_ns >= _PATIENCE_NS
+
+
+def hold(name: str, limit_ns: int | None) -> None:
+    """State until when [ns] time may go on, where this process goes by simulated time; real time does not wait."""
+    time_in_use = in_use()
+    if isinstance(time_in_use, SimulatedTime):
+        time_in_use.hold(name, limit_ns)

@@ -1,0 +1,1 @@
+"""Describe runs: terrain, start, goal, robot, movers and faults."""

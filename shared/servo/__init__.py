@@ -1,0 +1,1 @@
+"""Speak to servos: Dynamixel packets, the bridge protocol, framing and the fault table."""

@@ -1,0 +1,152 @@
+"""What can go wrong with the servos and their bus, as a table: the fault grid of the servo-bus emulator.
+
+Six kinds on four targets, and the conditions of servos and battery that health is about. `GRID` says what each cell means and
+which parameters it takes; whoever gives one that means nothing there is told.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+from sextant.shared.files import config
+from sextant.shared.wire.messages import BrokenPart, FaultCommand, FaultKind, FaultTarget
+
+
+class Cell(NamedTuple):
+    """One cell of the grid."""
+
+    means: str  # in words
+    takes: tuple[str, ...] = ()  # parameters of `BusFault` beside its times
+    needs_servo: bool = False
+
+
+def _of_servo(means: str, *takes: str) -> Cell:
+    return Cell(means, ("servo", *takes), needs_servo=True)
+
+
+_PACKETS, _WINDOWS = ("share", "servo"), ("on_ms", "off_ms")
+GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
+    {
+        ("bytes", "silent"): Cell("a share of the bytes is lost, both ways", ("share",)),
+        ("bytes", "stuck"): Cell("a share of the bytes becomes one value, both ways", ("share", "value")),
+        ("bytes", "garbage"): Cell("a share of the bytes becomes any other, both ways", ("share",)),
+        ("bytes", "wrong"): Cell("a share of the bytes has one bit flipped, both ways", ("share",)),
+        ("bytes", "slow"): Cell("a share of the bytes from servos comes late, with what is behind it", ("share", "delay_ms")),
+        ("bytes", "intermittent"): Cell("bursts: for a while every byte becomes any other, both ways", _WINDOWS),
+        ("packets", "silent"): Cell("a share of the answers is lost", _PACKETS),
+        ("packets", "stuck"): Cell("in place of a share of the answers the servo's one before comes again", _PACKETS),
+        ("packets", "garbage"): Cell("noise comes in front of a share of the answers", _PACKETS),
+        ("packets", "wrong"): Cell(
+            "a share of the answers is wrong: in one part, its checksum right, or in two bits or bytes", (*_PACKETS, "part")
+        ),
+        ("packets", "slow"): Cell("a share of the answers comes late", (*_PACKETS, "delay_ms")),
+        ("packets", "intermittent"): Cell("for a while every answer is lost", ("servo", *_WINDOWS)),
+        ("servo", "silent"): _of_servo("it neither hears nor answers; with its cable pulled it has no power either", "cable"),
+        ("servo", "stuck"): _of_servo("its position register does not change; the joint moves"),
+        ("servo", "jammed"): _of_servo("its joint does not move; what it measures is right"),
+        ("servo", "garbage"): _of_servo("its answers are random bytes"),
+        ("servo", "wrong"): _of_servo("its position register is off", "offset_ticks"),
+        ("servo", "slow"): _of_servo("its answers come late", "delay_ms"),
+        ("servo", "intermittent"): _of_servo("a loose cable: silent for a while, again and again", *_WINDOWS, "cable"),
+        ("servo", "overload"): _of_servo("it has latched an overload, and latches it again until the end"),
+        ("servo", "heat"): _of_servo("its motor is heated from outside", "kelvin_per_s"),
+        ("servo", "hot"): _of_servo("its temperature register reads a value, whatever its heat is", "celsius"),
+        ("bus", "silent"): Cell("the adapter has no power: nobody hears and nobody answers; servos hold their goals"),
+        ("bus", "stuck"): Cell("the line is held: one byte comes without end, nobody hears", ("value",)),
+        ("bus", "garbage"): Cell("random bytes come without end, nobody hears"),
+        ("bus", "wrong"): Cell("every answer is the one to the question before"),
+        ("bus", "slow"): Cell(
+            "every answer comes late, as from a USB adapter with its latency timer as delivered", ("delay_ms",)
+        ),
+        ("bus", "intermittent"): Cell("silent for a while, again and again", _WINDOWS),
+        ("bus", "gone"): Cell("the port is gone; it comes back, perhaps under another name", ("renamed",)),
+        ("supply", "sag"): Cell("the voltage is lower", ("volts",)),
+        ("supply", "drain"): Cell("the battery runs empty, steadily, from the beginning to the end"),
+    }
+)
+
+
+def _off_the_grid(target: FaultTarget, kind: FaultKind) -> Iterator[config.Misfit]:
+    if (target, kind) not in GRID:
+        known = ", ".join(k for t, k in GRID if t == target)
+        yield config.Misfit("kind", f"one of {known} for target = {target!r}", repr(kind))
+
+
+def _meaningless(target: FaultTarget, kind: FaultKind, *values: object) -> Iterator[config.Misfit]:
+    """Parameters that a cell of the grid does not take, and a servo that it lacks."""
+    cell = GRID.get((target, kind))
+    if cell is None:
+        return
+    defaults = {field.name: field.default for field in dataclasses.fields(BusFault)}
+    for name, value in zip(_PARAMETERS, values, strict=True):
+        if name not in cell.takes and value != defaults[name]:
+            yield config.Misfit(name, f"none for {target} {kind}", repr(value))
+        elif name == "servo" and cell.needs_servo and value == defaults[name]:
+            yield config.Misfit(name, f"the bus id of a servo, 0 to 253, for {target} {kind}", repr(value))
+
+
+_PARAMETERS = (
+    *("servo", "share", "value", "part", "delay_ms", "on_ms", "off_ms"),
+    *("cable", "offset_ticks", "kelvin_per_s", "celsius", "renamed", "volts"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BusFault:
+    """Something that goes wrong with the servos or their bus for a while; `GRID` says what it means."""
+
+    target: FaultTarget
+    kind: FaultKind
+    at_s: float  # [s] simulated; at once where that is past
+    for_s: float = 2.0  # [s] from its beginning on
+    servo: int = -1  # bus id; of packets, -1 for those of all servos
+    share: float = 0.01  # of the bytes or answers
+    value: int = 0  # of a byte
+    part: BrokenPart = "value"  # of an answer
+    delay_ms: float = 16.0  # [ms]
+    on_ms: float = 200.0  # [ms] all is well first, ...
+    off_ms: float = 50.0  # [ms] ... and then not, again and again
+    cable: bool = False  # the servo's power goes with it: limp, and when it is back torque is off and its RAM forgotten
+    offset_ticks: int = 100
+    kelvin_per_s: float = 1.0  # [K/s]
+    celsius: int = 85  # [deg C] that its temperature register reads
+    renamed: bool = False  # the port comes back under another name
+    volts: float = 2.0  # [V] less
+
+    checks = (
+        *config.each("at_s", lambda at: 0 <= at <= 1e6, "a time from 0 to 1000000 s"),
+        *config.each("for_s", lambda length: 0 < length <= 1e6, "more than 0 and at most 1000000 s"),
+        config.Check(("target", "kind"), _off_the_grid),
+        *config.each("servo", lambda servo: -1 <= servo <= 253, "a servo id from 0 to 253, or -1 for none in particular,"),
+        *config.each("share", lambda share: 0 < share <= 1, "a share above 0, at most 1,"),
+        *config.each("value", lambda value: 0 <= value <= 255, "a byte, 0 to 255,"),
+        *config.each("delay_ms on_ms off_ms", lambda time: 0 < time <= 60_000, "more than 0 and at most 60000 ms"),
+        *config.each("offset_ticks", lambda ticks: 0 < abs(ticks) <= 1023, "-1023 to 1023 ticks, not 0,"),
+        *config.each("kelvin_per_s", lambda rate: 0 < rate <= 100, "more than 0 and at most 100 K/s"),
+        *config.each("celsius", lambda celsius: 0 <= celsius <= 255, "0 to 255 deg C"),
+        *config.each("volts", lambda volts: 0 < volts <= 20, "more than 0 and at most 20 V"),
+        config.Check(("target", "kind", *_PARAMETERS), _meaningless),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+    def __str__(self) -> str:
+        takes = GRID[self.target, self.kind].takes
+        given = (f"{name} {getattr(self, name)}" for name in takes if name != "servo" or self.servo >= 0)
+        return ", ".join((f"{self.target} {self.kind}", *given))
+
+    def command(self, stamp_ns: int) -> FaultCommand:
+        """The message that has the simulator do this."""
+        return FaultCommand(stamp_ns, **{field.name: getattr(self, field.name) for field in dataclasses.fields(self)})
+
+    @classmethod
+    def of(cls, command: FaultCommand) -> "BusFault":
+        """What a message asks for.
+
+        Raises:
+            ValueError: It makes no sense; all that is wrong.
+        """
+        return cls(**{field.name: getattr(command, field.name) for field in dataclasses.fields(cls)})

@@ -1,0 +1,1 @@
+"""Define the wire: messages, topics, encoding, transport and access roles."""

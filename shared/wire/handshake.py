@@ -1,0 +1,58 @@
+"""Whether a listener lets a certificate in, found out by a handshake: Zenoh itself only says that it cannot connect."""
+
+import ssl
+
+from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, Keys
+from sextant.shared.wire.endpoint import cannot_connect, connected, place
+
+_VERDICT_S = 0.25  # after its own handshake is done a client hears within a round trip that its certificate was refused
+
+_ALERTS = (  # what a listener sends, and what it means
+    ("EXPIRED", "this machine's certificate has expired, or its clock is wrong; make new ones with `sextant keys new`"),
+    ("UNKNOWN_CA", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
+    ("DECRYPT_ERROR", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
+    ("CERTIFICATE_REQUIRED", "the robot asks for a certificate; give --keys DIR"),
+    ("BAD_CERTIFICATE", "the robot does not take this certificate; use keys made together with the robot's"),
+)
+
+
+def refusal(endpoint: str, keys: Keys) -> str:
+    """Why a listener refuses these keys, or these keys the listener, in words; nothing where both agree."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(keys.folder / AUTHORITY)
+        context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
+    except (ssl.SSLError, OSError) as error:
+        return f"the keys in {keys.folder} cannot be read: {error}; copy the folder of this machine's role anew"
+    return verdict(endpoint, context)
+
+
+def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT_S) -> str:
+    """Why a handshake fails, in words, or nothing where no refusal comes within a time [s]."""
+    host, _ = place(endpoint)
+    try:
+        plain = connected(endpoint)
+    except OSError as error:
+        return cannot_connect(endpoint, error)
+    try:
+        with plain, context.wrap_socket(plain, server_hostname=host) as link:
+            link.settimeout(patience_s)
+            link.recv(1)
+    except TimeoutError:
+        return ""  # it waits for us to speak
+    except ssl.SSLCertVerificationError as error:
+        return f"{endpoint} is not who it should be: {error.verify_message}; {_of_certificate(error, host)}"
+    except ssl.SSLError as error:
+        said = next((words for alert, words in _ALERTS if alert in (error.reason or "")), "")
+        return f"{endpoint} refused this machine: {said or error.reason or error}"
+    except OSError as error:
+        return cannot_connect(endpoint, error)
+    return f"{endpoint} closed the connection without a word; does it speak TLS, and is this its port?"
+
+
+def _of_certificate(error: ssl.SSLCertVerificationError, host: str) -> str:
+    if "mismatch" in error.verify_message.lower():
+        return f"make keys with --robot-address {host}, or connect by a name that the certificate has"
+    if "expired" in error.verify_message:
+        return "make new keys with `sextant keys new`"
+    return "use keys made together with the robot's"

@@ -1,0 +1,137 @@
+"""The topic table: what travels under which key, how often, how it is delivered, and how long it takes.
+
+`latency_s` is what lockstep delays a message by: from the start of the step that makes it to its receipt, computing included.
+The defaults are the 99th percentiles of live runs on two cores, the median of five (`sextant run steps --json` prints a run's
+under stages_ms); of what such a run does not carry (colour, IMU) or does not time (health), that of its like.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from sextant.shared.wire import messages as m
+
+M = TypeVar("M", bound=m.Message)
+ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by their certificates (`sextant.shared.wire.access`)
+
+
+class Delivery(Enum):
+    """LATEST keeps one message and drops the old (state); EVERY keeps all in order (events, increments)."""
+
+    LATEST = "latest"
+    EVERY = "every"
+
+
+class Lane(Enum):
+    """BULK and CONTROL travel in sessions of their own, so that a large frame never delays a command."""
+
+    BULK = "bulk"
+    CONTROL = "control"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic(Generic[M]):
+    """One row of the table."""
+
+    key: str
+    type: type[M]
+    rate_hz: float
+    delivery: Delivery
+    lane: Lane
+    max_bytes: int  # larger frames are refused unread
+    latency_s: float
+
+    @property
+    def fresh_for_ns(self) -> int:
+        """A message older than three periods is stale."""
+        return int(3e9 / self.rate_hz)
+
+    def address(self, namespace: str) -> str:
+        """Its key behind the namespace of a robot; it goes with every frame (`sextant.shared.wire.transport`)."""
+        return f"{namespace}/{self.key}"
+
+
+_KIB = 1024
+
+DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.010)
+COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
+CAMERA_STATE = Topic("camera/state", m.CameraState, 4.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.003)
+PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 300 * _KIB, 0.010)
+IMU = Topic("imu", m.Imu, 100.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.013)
+ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015)
+BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
+SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
+SCAN_RECEIPT = Topic("mapper/receipt", m.ScanReceipt, 15.0, Delivery.LATEST, Lane.CONTROL, 1 * _KIB, 0.004)
+TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
+PASSAGE_REQUEST = Topic("passage/request", m.PassageRequest, 2.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
+PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK, 2048 * _KIB, 0.090)
+PASSAGE_PLAN = Topic("planner/passage", m.PassagePlan, 2.0, Delivery.EVERY, Lane.BULK, 512 * _KIB, 0.012)
+STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
+PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
+VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
+GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
+MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+STOP = Topic("operator/stop", m.StopOrder, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+RECORD = Topic("operator/record", m.RecordCommand, 1.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+RECORDER_STATE = Topic("recorder/state", m.RecorderState, 2.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.003)
+FAULT = Topic("simulator/fault", m.FaultCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
+
+
+def _per_role(key: str, type_: type[M]) -> Mapping[str, Topic[M]]:
+    """A key per role: the access rules let a certificate put the one of its own role, so a reader knows who says it."""
+    rows = (Topic(f"{key}/{role}", type_, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003) for role in ROLE_NAMES)
+    return MappingProxyType(dict(zip(ROLE_NAMES, rows, strict=True)))
+
+
+HEALTH_OF = _per_role("health", m.Health)
+PRESENCE_OF = _per_role("machine/presence", m.Presence)
+HEALTH, PRESENCE = HEALTH_OF["robot"], PRESENCE_OF["robot"]
+
+TOPICS: tuple[Topic[Any], ...] = (
+    DEPTH,
+    COLOR,
+    CAMERA_STATE,
+    PREVIEW,
+    IMU,
+    ODOMETRY,
+    ACTUATOR_STATE,
+    BODY_POSE,
+    SCAN,
+    SCAN_RECEIPT,
+    TERRAIN,
+    PASSAGE_REQUEST,
+    PASSAGE,
+    PASSAGE_PLAN,
+    STEP_PLAN,
+    PLANNER_STATUS,
+    VELOCITY,
+    GOAL,
+    MODE,
+    STOP,
+    RECORD,
+    RECORDER_STATE,
+    FAULT,
+    TRUTH,
+    *HEALTH_OF.values(),
+    *PRESENCE_OF.values(),
+)
+_HEADER_BYTES = 2048  # of a message that is mostly an array, at most
+
+
+def cells_that_fit(topic: Topic[Any]) -> int:
+    """Cells of a map, or pixels of a picture, that a message of a topic has room for with all of its layers."""
+    arrays = [detail for _, base, detail in m.schema(topic.type) if base is np.ndarray]
+    layers = [(dtype, dims.shape) for dtype, dims in arrays if dims.shape[:2] in (("nx", "ny"), ("h", "w"))]
+    per_cell = sum(dtype.itemsize * math.prod(shape[2:]) for dtype, shape in layers)
+    return int((topic.max_bytes - _HEADER_BYTES) // per_cell)
+
+
+OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's, where each role has a key
+RENAMED: Mapping[str, str] = MappingProxyType({"health": HEALTH.key, "machine/presence": PRESENCE.key})  # old key -> key

@@ -1,0 +1,383 @@
+"""What operators ask for at their pages, and what goes out: nothing moves but while it is asked for, by who leads."""
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, Desk
+from sextant.services.console.web.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, TakeOver, Walk
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
+MS = 1_000_000
+WALK = Walk(0.1, 0.04, "ripple")
+GO = GoTo(((1.0, 0.5),), 0.5, WALK, False)
+
+
+def drive(press: int, forward: float = 0.1, left: float = 0.0) -> Drive:
+    return Drive(press, forward, left, 0.1, WALK, False)
+
+
+class Office:
+    """A desk, its pages, and an actuator that gives the lease to who orders, as the guard does."""
+
+    def __init__(self) -> None:
+        self.desk = Desk(max_speed=0.12, place="here")
+        self.now = 1000 * MS
+        self.lease = ""
+        self.mode = Mode.HOLD
+        self.out: list[Message] = []
+
+    def state(self) -> ActuatorState:
+        return actuator_state(PROFILE, stamp_ns=self.now, mode=self.mode, lease=self.lease, reason="")
+
+    def status(self, state: str = "resting") -> PlannerStatus:
+        return PlannerStatus(self.now, state, "as it is", 0, 0, -1)  # type: ignore[arg-type]
+
+    def beat(self, after_ns: int = 20 * MS, status: PlannerStatus | None = None) -> list[Message]:
+        self.now += after_ns
+        out = self.desk.beat(self.now, self.state(), status)
+        for message in out:
+            if isinstance(message, ModeCommand) and (message.mode not in ("off", "stop") or message.take) and self.may(message):
+                self.lease = message.holder
+        self.out += out
+        return out
+
+    def may(self, order: ModeCommand) -> bool:
+        return order.take or self.lease in ("", order.holder)
+
+    def ask(self, page: int, request: object) -> str:
+        return self.desk.ask(page, request, self.now)  # type: ignore[arg-type]
+
+    def hold(self, page: int, press: int, beats: int = 5, **wish: float) -> list[Message]:
+        """The pad is held for some beats of 50 ms."""
+        out = []
+        for _ in range(beats):
+            assert self.ask(page, drive(press, **wish)) == ""
+            out += self.beat(50 * MS)
+        return out
+
+
+def of(kind: type[Message], messages: list[Message]) -> list[Message]:
+    return [m for m in messages if isinstance(m, kind)]
+
+
+def velocities(messages: list[Message]) -> list[VelocityCommand]:
+    return [m for m in messages if isinstance(m, VelocityCommand)]
+
+
+def orders(messages: list[Message]) -> list[str]:
+    """Orders in the order in which they were first given."""
+    return [m.mode for m in {m.sequence: m for m in messages if isinstance(m, ModeCommand)}.values()]
+
+
+@pytest.fixture
+def office() -> Office:
+    made = Office()
+    assert made.desk.arrive(1, made.now) == 1
+    made.beat()
+    return made
+
+
+def test_the_pad_walks_while_it_is_held_and_stops_when_it_is_let_go(office: Office) -> None:
+    out = office.hold(1, press=1, beats=20)
+    assert orders(out) == ["walk"]
+    sent = velocities(out)
+    assert 18 <= len(sent) <= 20, "about every 50 ms"
+    for command in sent:
+        np.testing.assert_allclose(command.velocity, [0.1, 0.0])
+        assert (command.yaw_rate, command.body_height, command.lift, command.gait) == (0.1, 0.1, 0.04, "ripple")
+    office.ask(1, Release())
+    after = office.beat(1 * MS)
+    assert orders(after) == ["stop"]
+    assert [list(v.velocity) for v in velocities(after)] == [[0.0, 0.0]]
+    later = [m for _ in range(50) for m in office.beat()]
+    assert all(not v.velocity.any() for v in velocities(later))
+    assert velocities([m for _ in range(20) for m in office.beat()]) == []
+
+
+def test_nobody_walks_faster_than_the_robot(office: Office) -> None:
+    sent = velocities(office.hold(1, press=1, beats=4, forward=0.6, left=-0.8))
+    for command in sent:
+        np.testing.assert_allclose(command.velocity, [0.072, -0.096])
+
+
+@pytest.mark.parametrize("silence_ms", [301, 5000])
+def test_a_page_that_falls_silent_has_let_go_and_its_press_counts_no_more(office: Office, silence_ms: int) -> None:
+    office.hold(1, press=1)
+    begun, out = office.now, []
+    while office.now - begun < silence_ms * MS:
+        out += office.beat(20 * MS)
+    stopped = next(m for m in out if isinstance(m, ModeCommand) and m.mode == "stop")
+    assert DEAD_MAN_NS - 50 * MS < stopped.stamp_ns - begun <= DEAD_MAN_NS + 20 * MS
+    assert "press it anew" in office.ask(1, drive(1)), "it was frozen, and goes on where it was"
+    for _ in range(10):
+        assert office.ask(1, drive(1)) == "", "which is said once"
+        assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
+    assert any(v.velocity.any() for v in velocities(office.hold(1, press=2)))
+
+
+def test_a_late_bunch_of_an_old_press_moves_nothing(office: Office) -> None:
+    office.hold(1, press=1)
+    office.now += 2 * DEAD_MAN_NS  # no beat came between: the process was stopped
+    for _ in range(10):
+        office.ask(1, drive(1))
+    assert all(not v.velocity.any() for v in velocities([m for _ in range(30) for m in office.beat()]))
+    assert orders(office.out)[-1] == "stop"
+
+
+def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
+    office.hold(1, press=1)
+    office.desk.leave(1, office.now)
+    assert orders(office.beat())[-1] == "stop"
+    assert "has gone" in " ".join(office.desk.drain_words())
+    assert office.desk.seats == ()
+
+
+def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> None:
+    office.desk.arrive(2, office.now)
+    office.hold(1, press=1)
+    assert office.lease == "console 1 at here"
+    assert "page 1 leads the robot; take over first" in office.ask(2, Command("stand"))
+    assert "page 1 leads" in office.ask(2, drive(1))
+    assert office.ask(2, GO) != ""
+    before = len(office.out)
+    assert office.ask(2, Command("stop")) == ""
+    office.beat()
+    assert [m.holder for m in of(ModeCommand, office.out[before:]) if m.mode == "stop"] == ["console 2 at here"]  # type: ignore[attr-defined]
+    for _ in range(5):  # the press has lapsed with it
+        office.ask(1, drive(1))
+        assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
+    assert office.ask(2, Command("off")) == ""
+    assert orders(office.beat())[-1] == "off"
+
+
+def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
+    office.desk.arrive(2, office.now)
+    office.hold(1, press=1)
+    assert office.ask(2, TakeOver()) == ""
+    (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2 at here")
+    assert (taken.mode, taken.take) == ("stop", True)
+    assert office.lease == "console 2 at here"
+    office.beat()  # the actuator has said so
+    assert "page 2 leads" in office.ask(1, drive(2))
+    assert any(v.velocity.any() for v in velocities(office.hold(2, press=1)))
+
+
+def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: Office) -> None:
+    office.hold(1, press=1)
+    office.lease = "bench"
+    office.beat()
+    assert office.desk.at_the_pad == 0
+    assert velocities([m for _ in range(5) for m in (office.ask(1, drive(1)), *office.beat(50 * MS)) if m]) == []
+    assert "bench has taken over" in " ".join(office.desk.drain_words())
+
+
+def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
+    there = Desk(max_speed=0.12, place="there")
+    there.arrive(1, office.now)
+    office.hold(1, press=1)
+    assert office.lease == "console 1 at here"
+    there.beat(office.now, office.state(), office.status())
+    assert there.ask(1, drive(1), office.now) == "console 1 at here leads the robot; take over first"
+    assert not [m for m in there.beat(office.now + 50 * MS, office.state(), office.status()) if isinstance(m, VelocityCommand)]
+
+
+def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> None:
+    assert office.ask(1, GO) == ""
+    out = [m for _ in range(50) for m in (office.ask(1, Here()), *office.beat()) if m]
+    goals = [m for m in out if isinstance(m, Goal)]
+    assert 4 <= len(goals) <= 6, "five a second"
+    np.testing.assert_array_equal(goals[0].waypoints, [[1.0, 0.5]])
+    assert goals[0].speed == 0.12, "no faster than the robot"
+    assert orders(out) == ["walk"]
+    office.beat(status=office.status("arrived"))
+    assert office.desk.goal is None
+    assert orders(office.beat())[-1:] in ([], ["stop"])
+    assert orders(office.out)[-1] == "stop"
+
+
+def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page_falls_silent(office: Office) -> None:
+    office.ask(1, GO)
+    office.beat()
+    office.ask(1, GiveUp())
+    office.beat()
+    assert office.desk.goal is None
+    office.ask(1, GO)
+    office.beat()
+    office.hold(1, press=1)
+    assert office.desk.goal is None
+    office.ask(1, Release())
+    office.ask(1, GO)
+    for _ in range(300):
+        office.beat()
+    assert office.desk.goal is None
+    assert "nothing was heard" in " ".join(office.desk.drain_words())
+    assert of(ModeCommand, office.beat(1000 * MS)) == [], "nor does it keep the lease"
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.SIT, Mode.FAULT])
+def test_who_cannot_walk_is_told_why(office: Office, mode: Mode) -> None:
+    office.mode = mode
+    office.beat()
+    assert f"its mode is {mode}" in office.ask(1, drive(1))
+    assert f"its mode is {mode}" in office.ask(1, GO)
+    assert office.ask(1, Command("stand")) == ""
+
+
+def test_without_a_word_from_the_actuator_nobody_leads(office: Office) -> None:
+    office.desk.beat(office.now, None, None)
+    assert "no word from the actuator" in office.ask(1, drive(1))
+    assert office.ask(1, Command("off")) == "", "but it may be let go"
+
+
+def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Office) -> None:
+    office.ask(1, Command("off"))
+    sent = of(ModeCommand, [m for _ in range(50) for m in office.beat()])
+    assert 10 <= len(sent) <= 11
+    assert len({m.sequence for m in sent}) == 1  # type: ignore[attr-defined]
+    office.mode = Mode.OFF
+    office.ask(1, Here())
+    assert of(ModeCommand, [m for _ in range(40) for m in office.beat()]), "it may have been off before"
+    for mode in (Mode.OFF, Mode.STAND):
+        office.mode = mode
+        office.ask(1, Here())
+        heard = [m for _ in range(100) for m in office.beat()]
+        assert not of(ModeCommand, heard[5:]), "a stop path that begins anew would obey it anew"
+
+
+def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(office: Office) -> None:
+    """An actuator, or a stop path, that begins anew would obey it anew, and the robot fall."""
+    office.ask(1, Command("off"))
+    office.beat()
+    for mode in (Mode.OFF, Mode.STAND):
+        office.mode = mode
+        office.beat(100 * MS)
+    office.ask(1, Here())
+    assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
+@pytest.mark.parametrize("order", ["stand", "ready", "sit", "stop"])
+def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, order: str) -> None:
+    """An actuator that begins anew knows nobody's orders, and would take it for a new one."""
+    office.ask(1, Command(order))  # type: ignore[arg-type]
+    assert of(ModeCommand, office.beat())
+    office.mode = Mode.OFF
+    office.beat(2100 * MS)
+    for mode in (Mode.OFF, Mode.HOLD):
+        office.mode = mode
+        office.ask(1, Here())
+        assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
+def test_who_rises_from_torque_off_goes_on_ordering_it_until_it_is_heard(office: Office) -> None:
+    office.mode = Mode.OFF
+    office.ask(1, Command("stand"))
+    assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
+
+
+def test_a_stop_of_who_does_not_lead_is_not_repeated_for_long(office: Office) -> None:
+    office.lease = "another"
+    office.ask(1, Command("stop"))
+    assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
+    office.ask(1, Here())
+    office.beat(400 * MS)
+    assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
+def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Office) -> None:
+    office.ask(1, Command("stand"))
+    office.beat()
+    office.now = 10 * MS
+    office.ask(1, Here())
+    office.ask(1, Command("sit"))
+    sit = next(m for m in office.beat() if isinstance(m, ModeCommand) and m.mode == "sit")
+    assert sit.sequence <= office.now + 2000 * MS
+
+
+def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
+    office.desk.arrive(2, office.now)
+    for k in range(6):
+        office.ask(1 + k % 2, Command("stop"))
+    sequences = [m.sequence for m in office.beat() if isinstance(m, ModeCommand)]
+    assert sequences == sorted(set(sequences))
+    assert sequences[0] >= office.now - 20 * MS, "above those of a console that ran before"
+
+
+def test_there_are_so_many_seats_and_who_has_none_looks_on(office: Office) -> None:
+    for page in range(2, SEATS + 1):
+        assert office.desk.arrive(page, office.now) == page
+    assert office.desk.arrive(99, office.now) == 0
+    office.beat()
+    assert "looks on" in office.ask(99, drive(1))
+    assert office.ask(99, TakeOver()) != ""
+    assert office.ask(99, Command("stop")) == ""
+    office.desk.leave(3, office.now)
+    assert office.desk.arrive(100, office.now) == 3, "a seat is taken again: the actuator remembers sixteen holders alone"
+
+
+def test_a_page_has_a_name(office: Office) -> None:
+    office.ask(1, Name("Ann"))
+    office.hold(1, press=1)
+    (seat,) = office.desk.seats
+    assert (seat.name, seat.leads) == ("Ann", True)
+
+
+ASKED = [Release(), Command("stop"), Command("off"), TakeOver(), GO, GiveUp(), Here()]
+
+
+class Anything(RuleBasedStateMachine):
+    """Whatever pages do, in whatever order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.office = Office()
+        self.heard: dict[int, int] = {}  # when each page last held its pad, by a press that counts
+        self.lapsed: dict[int, int] = {}
+        self.pages: set[int] = set()
+
+    @initialize()
+    def two_pages(self) -> None:
+        for page in (1, 2):
+            self.office.desk.arrive(page, self.office.now)
+            self.pages.add(page)
+        self.office.beat()
+
+    @rule(page=st.sampled_from([1, 2]), press=st.integers(0, 4))
+    def held(self, page: int, press: int) -> None:
+        if page in self.pages and self.office.ask(page, drive(press)) == "":
+            self.heard[page] = self.office.now
+
+    @rule(page=st.sampled_from([1, 2]), what=st.sampled_from(ASKED))
+    def asked(self, page: int, what: object) -> None:
+        if page in self.pages:
+            self.office.ask(page, what)
+
+    @rule(page=st.sampled_from([1, 2]))
+    def gone_and_back(self, page: int) -> None:
+        self.office.desk.leave(page, self.office.now)
+        self.office.desk.arrive(page, self.office.now)
+
+    @rule(after=st.sampled_from([1, 20, 49, 301, 6000]), mode=st.sampled_from([Mode.HOLD, Mode.WALK, Mode.OFF]))
+    def time_passes(self, after: int, mode: Mode) -> None:
+        self.office.mode = mode
+        out = self.office.beat(after * MS)
+        for command in velocities(out):
+            if command.velocity.any():
+                fresh = [page for page, at in self.heard.items() if self.office.now - at <= DEAD_MAN_NS]
+                assert any(self.office.lease == f"console {page} at here" for page in fresh), "who leads holds the pad"
+        for goal in of(Goal, out):
+            assert self.office.desk.goal is not None
+            assert goal is not None
+
+    @invariant()
+    def one_at_most_holds_the_pad(self) -> None:
+        assert self.office.desk.at_the_pad in (0, 1, 2)
+
+
+TestAnything = Anything.TestCase
+TestAnything.settings = settings(max_examples=60, stateful_step_count=40, deadline=None, derandomize=True)

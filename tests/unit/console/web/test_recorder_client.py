@@ -1,0 +1,117 @@
+from dataclasses import replace
+from typing import Any
+
+from sextant.services.console.web.recorder_client import Clerk
+from sextant.shared.recording.event_log import Diary
+from sextant.shared.wire.messages import RecordCommand, RecorderState
+
+S = 1_000_000_000
+RESTING = RecorderState(0, False, -1, "", 0.0, 0, 5 * 10**9, 0, "")
+
+
+class Recorder:
+    """One that does what it is told, as the clerk sees it."""
+
+    def __init__(self) -> None:
+        self.diary = Diary()
+        self.clerk = Clerk(self.diary)
+        self.state: RecorderState | None = RESTING
+        self.now_ns = 0
+        self.beat()
+
+    def beat(self, **changes: Any) -> list[RecordCommand]:
+        self.now_ns += S // 2
+        if self.state is not None:
+            self.state = replace(self.state, **changes)
+        return list(self.clerk.beat(self.now_ns, self.state))
+
+    def want(self, record: bool) -> RecordCommand:
+        assert self.clerk.want(record, self.now_ns) == ""
+        (order,) = self.beat()
+        return order
+
+    def follow(self, order: RecordCommand) -> None:
+        assert self.beat(recording=order.record, sequence=order.sequence, file="/r/0001.mcap") == []
+
+    @property
+    def words(self) -> list[str]:
+        return [entry.words for entry in self.diary.entries]
+
+
+def test_an_order_is_repeated_until_it_is_followed_and_no_longer() -> None:
+    recorder = Recorder()
+    first = recorder.want(True)
+    assert recorder.beat() == [], "a second goes by first"
+    assert recorder.beat() == [first]
+    recorder.follow(first)
+    assert [recorder.beat() for _ in range(5)] == [[]] * 5
+    end = recorder.want(False)
+    assert end.sequence > first.sequence
+    recorder.follow(end)
+    assert recorder.words == ["recording to /r/0001.mcap", "recorded /r/0001.mcap"]
+
+
+def test_a_recorder_that_died_is_told_again_and_its_silence_is_said() -> None:
+    recorder = Recorder()
+    order = recorder.want(True)
+    recorder.follow(order)
+    was, recorder.state = recorder.state, None
+    assert recorder.beat() == []
+    assert recorder.words[-1] == "no word from the recorder: what is said now is not recorded"
+    assert recorder.clerk.view() is None
+    assert was is not None
+    recorder.state = RESTING  # another process
+    assert recorder.beat() == [order]
+    recorder.follow(order)
+    assert recorder.words[-1] == "recording to /r/0001.mcap"
+
+
+def test_a_recorder_that_died_and_is_back_at_once_is_said_too() -> None:
+    recorder = Recorder()
+    order = recorder.want(True)
+    recorder.follow(order)
+    recorder.state = RESTING
+    assert recorder.beat() == [order]
+    assert recorder.words[-1] == "the recorder died and is back: what was said meanwhile is not recorded"
+
+
+def test_one_that_cannot_is_not_asked_again_until_an_operator_does() -> None:
+    recorder = Recorder()
+    order = recorder.want(True)
+    recorder.follow(order)
+    assert recorder.beat(recording=False, reason="the disk is full") == []
+    assert recorder.words[-1] == "the disk is full"
+    assert recorder.diary.entries[-1].bad
+    assert all(recorder.beat() == [] for _ in range(5))
+    assert recorder.want(True).sequence > order.sequence
+
+
+def test_messages_that_were_lost_are_said_once_for_each_loss() -> None:
+    recorder = Recorder()
+    recorder.follow(recorder.want(True))
+    recorder.beat(dropped=3)
+    recorder.beat()
+    assert [w for w in recorder.words if "not recorded" in w] == ["3 messages were not recorded: the disk is too slow"]
+
+
+def test_without_a_recorder_that_is_said() -> None:
+    clerk = Clerk(Diary())
+    assert "no recorder is running" in clerk.want(True, 0)
+    assert clerk.view() is None
+    assert list(clerk.beat(S, None)) == []
+
+
+def test_a_recorder_that_somebody_else_started_is_shown_and_left_alone() -> None:
+    recorder = Recorder()
+    assert recorder.beat(recording=True, sequence=7, file="/r/1.mcap", seconds=61.2, size=2 * 10**6, free=-1) == []
+    view = recorder.clerk.view()
+    assert view is not None
+    assert view == {
+        "recording": True,
+        "file": "/r/1.mcap",
+        "seconds": 61,
+        "megabytes": 2.0,
+        "free_gigabytes": None,
+        "dropped": 0,
+        "reason": "",
+    }

@@ -1,0 +1,191 @@
+"""What is looked through is cleared and what still stands stays: a camera before blocks, its scans made ray by ray."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from tests.support.grid_scans import take
+
+RAYS_U, RAYS_V = np.meshgrid(np.linspace(-0.45, 0.45, 181), np.linspace(-0.38, 0.38, 181), indexing="ij")
+
+
+def look(
+    blocks: NDArray[np.float64],
+    p_camera: NDArray[np.float64],
+    pitch: float = math.radians(30.0),
+    rng: np.random.Generator | None = None,
+    ground: float = 0.0,
+) -> NDArray[np.float64]:
+    """Points (n, 3), one per centimetre cell, the highest, of blocks (k, 5) x0 y0 x1 y1 top on a floor (-inf for none)."""
+    forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
+    down = np.array([-math.sin(pitch), 0.0, -math.cos(pitch)])
+    ray = forward + RAYS_U[..., None] * np.array([0.0, -1.0, 0.0]) + RAYS_V[..., None] * down
+    ray = ray.reshape(-1, 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(ray[:, 2] < 0, (ground - p_camera[2]) / ray[:, 2], np.inf)
+        for x0, y0, x1, y1, top in blocks:
+            t0, t1 = (np.array([x0, y0, -2.0]) - p_camera) / ray, (np.array([x1, y1, top]) - p_camera) / ray
+            enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
+            depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    seen = (depth > 0.4) & (depth < 2.0)
+    depth, ray = depth[seen], ray[seen]
+    if rng is not None:
+        depth = depth + 1.3e-3 * depth**2 * rng.normal(size=len(depth))
+    points = p_camera + depth[:, None] * ray
+    order = np.argsort(-points[:, 2])
+    _, first = np.unique(np.floor(points[order, :2] / 0.01).astype(int) @ [100_000, 1], return_index=True)
+    return np.asarray(points[order][first])
+
+
+BOX = np.array([[0.9, -0.15, 1.1, 0.15, 0.10]])
+
+WHERE_THE_BOX_WAS = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(-0.145, 0.15, 0.01), indexing="ij"), axis=-1)
+
+
+@pytest.mark.parametrize("measured", [1.0, 0.3, 0.0])
+def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured(measured: float) -> None:
+    """While the camera stands: of the ground where it was, as on dark or grazed floor, only a share of cells returns."""
+    rng = np.random.default_rng(6)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    for _ in range(20):
+        take(grid, look(BOX, camera, rng=rng), camera)
+    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    dark = rng.random((400, 400)) >= measured
+    cleared = 0
+    for _ in range(60):
+        points = look(np.zeros((0, 5)), camera, rng=rng)
+        on_spot = (points[:, 0] > 0.88) & (points[:, 0] < 1.12) & (np.abs(points[:, 1]) < 0.17)
+        i, j = np.floor(points[:, :2] / 0.01).astype(int).T
+        cleared += take(grid, points[~(on_spot & dark[i % 400, j % 400])], camera).cleared
+    # Where nothing returns from the spot, no line of sight to what lies behind passes well below the box's front.
+    after = grid.heights(WHERE_THE_BOX_WAS)[4 if measured == 0.0 else 0 :]
+    assert not (after > 0.02).any()
+    known = np.isfinite(after)
+    assert known.mean() <= measured + 0.05
+    assert cleared > 0 or measured == 1.0
+    assert np.abs(after[known]).max(initial=0.0) < 0.01
+
+
+def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_the_camera_measures() -> None:
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    near = np.array([[0.42, -0.05, 0.52, 0.05, 0.10]])
+    for k in range(20):
+        above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is met
+        take(grid, look(np.concatenate([BOX, near]), above, ground=-9.0), above)
+    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    beyond = look(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # where the pictures show nothing, somewhere below
+    for _ in range(60):
+        take(grid, np.empty((0, 3)), camera, sights=beyond, nearest=0.6)
+    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    assert (grid.heights([[0.46, 0.0], [0.48, 0.02]]) > 0.09).all()
+
+
+def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> None:
+    """Of 90 million cells on the way from the further camera the window has 400: to follow all would not end."""
+    y = np.arange(-0.245, 0.25, 0.001)
+    level = np.column_stack([np.full(len(y), 1.9), y, np.full(len(y), 0.03)])
+    left = []
+    for away in (2.0, 9e5):
+        grid = ElevationGrid(size=400)
+        for k in range(20):
+            above = np.array([0.0, 0.0, 0.4 + 0.003 * k])  # so that every cell is met
+            take(grid, look(BOX, above), above)
+        for _ in range(60):
+            take(grid, np.empty((0, 3)), np.array([-away, 0.0, 0.05]), sights=level)
+        left.append(grid.snapshot().elevation)
+        assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+        beside = np.array([0.0, 1e5, 0.0])
+        assert take(grid, np.empty((0, 3)), np.array([-away, 1e5, 0.05]), sights=level + beside).cleared == 0
+    np.testing.assert_array_equal(*left)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> None:
+    """Whether the box went by measurement of the floor or, that being dark at first, by lines of sight."""
+    rng = np.random.default_rng(6)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    for _ in range(20):
+        take(grid, look(BOX, camera, rng=rng), camera)
+    x, y = np.meshgrid(np.arange(0.605, 1.7, 0.01), np.arange(-0.295, 0.3, 0.01), indexing="ij")
+    floor = np.column_stack([x.ravel(), y.ravel(), rng.normal(0.0, 1e-3, x.size)])
+    on_spot = (np.abs(floor[:, 0] - 1.0) < 0.12) & (np.abs(floor[:, 1]) < 0.17)
+    for k in range(200):
+        take(grid, floor[~on_spot] if dark and k < 40 else floor, camera)
+    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    post, foot = np.array([[0.995, 0.005, 0.15]]), np.array([1.0, 0.0])
+    for _ in range(20):
+        take(grid, post, camera)
+    np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
+    for _ in range(100):
+        take(grid, floor[np.abs(floor[:, :2] - foot).max(axis=1) > 0.05], camera)
+    np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
+
+
+STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along their faces, a stair
+    [
+        [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],
+        [0.95, -0.2, 1.1, -0.05, 0.05], [1.3, -0.6, 2.2, 0.6, 0.06], [1.5, -0.6, 2.2, 0.6, 0.12],
+    ]
+)  # fmt: skip
+
+
+def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
+    """Grazing rays over edges, along faces and past pillars, with a pose that errs by millimetres and tenths of a degree.
+
+    Only single cells fall, which fewer scans have measured than have looked past what fills them in part.
+    """
+    rng = np.random.default_rng(8)
+    grid = ElevationGrid(size=400)
+    cleared = 0
+    for k in range(50):
+        camera = np.array([0.018 * k, 0.05 * math.sin(0.2 * k), 0.30 + 0.01 * math.sin(0.9 * k)])
+        points = look(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
+        w, v = rng.normal(0.0, 2e-3, 3), rng.normal(0.0, 1.5e-3, 3)
+        report = take(
+            grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
+        )
+        assert report.cleared <= 1
+        cleared += report.cleared
+    assert cleared <= 5
+    assert grid.height_drift == 0.0
+
+
+def legs_at(y: float) -> NDArray[np.float64]:
+    """Two legs of a person, 12 cm thick, as blocks; in the picture as high as the camera."""
+    return np.array([[0.94, y + a - 0.06, 1.06, y + a + 0.06, 0.9] for a in (-0.1, 0.1)])
+
+
+@pytest.mark.parametrize("above", [5e-324, 1e-300, 1e-12])
+def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
+    """They rise above everything only after 1e320 cells, or more than a whole number can hold."""
+    grid = ElevationGrid(size=400)
+    for k in range(20):
+        p_camera = np.array([0.0, 0.0, 0.4 + 0.003 * k])
+        take(grid, look(BOX, p_camera), p_camera)
+    y = np.arange(-0.245, 0.25, 0.001)
+    level = np.column_stack([np.full(len(y), 1.9), y, np.zeros(len(y))])
+    for _ in range(60):
+        take(grid, np.empty((0, 3)), np.array([0.0, 0.0, above]), sights=level)
+    assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+
+
+def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_hardly_seen() -> None:
+    """A person crosses before the camera within 2 s; behind two low blocks the ground is hidden from it."""
+    rng = np.random.default_rng(9)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.25])
+    low = np.array([[0.85, -0.3, 0.95, -0.1, 0.04], [0.85, 0.1, 0.95, 0.3, 0.04]])
+    for _ in range(20):
+        take(grid, look(low, camera, rng=rng), camera)
+    before = grid.snapshot().elevation
+    for k in range(30):
+        take(grid, look(np.concatenate([low, legs_at(0.9 - 0.06 * k)]), camera, rng=rng), camera)
+    assert np.nanmax(grid.snapshot().elevation) > 0.08
+    for _ in range(30):
+        take(grid, look(low, camera, rng=rng), camera)
+    after = grid.snapshot().elevation
+    assert np.nanmax(after) < 0.065, "lines of sight pass over the blocks 2 cm and more below that"
+    known = np.isfinite(before) & np.isfinite(after)
+    assert np.abs(after - before)[known].max() < 0.02

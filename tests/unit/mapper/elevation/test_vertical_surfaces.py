@@ -1,0 +1,177 @@
+"""A wall in the map is as high as what has been seen of it, until it is gone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.vertical_surfaces import RIM, TALL
+from sextant.shared.geometry import Array
+
+CAMERA = np.array([0.0, 0.0, 0.26])
+WALL_X = 0.805  # [m] middle of the cells that hold the wall's face
+ACROSS = np.arange(-0.095, 0.1, 0.01)  # [m]
+BEFORE = np.arange(0.605, 0.80, 0.01)
+BEYOND = np.arange(0.815, 1.0, 0.01)
+
+
+def ground(x: NDArray[np.float64]) -> Array:
+    """Points (n, 4) x, y, z and spread [m] of flat ground at z = 0."""
+    xy = np.stack(np.meshgrid(x, ACROSS, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.column_stack([xy, np.zeros((len(xy), 2))])
+
+
+def face(top: float) -> Array:
+    """Points (n, 4) of the wall as far as it is in the picture, which tells the top of that and its spread."""
+    column = ground(np.array([WALL_X]))
+    column[:, 2:] = top - 0.004, top
+    return column
+
+
+def see(grid: ElevationGrid, *parts: Array, covariance: Array | None = None, camera: Array = CAMERA) -> None:
+    points = np.vstack(parts)
+    grid.fuse(CheckedScan.of(points[:, :3], np.full(len(points), 6), points[:, 3], camera, covariance))
+
+
+def wall_of(grid: ElevationGrid) -> Array:
+    return grid.heights(np.column_stack([np.full(len(ACROSS), WALL_X), ACROSS]))
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    tops=st.lists(st.floats(0.02, 0.3), min_size=1, max_size=12),
+    feet=st.integers(0, 20),
+    assumed=st.booleans(),
+)
+def test_a_wall_is_never_lower_than_what_has_been_seen_of_it(tops: list[float], feet: int, assumed: bool) -> None:
+    grid = ElevationGrid(size=256)
+    if assumed:
+        grid.seed_plane([[0.3, -0.5], [1.2, -0.5], [1.2, 0.5], [0.3, 0.5]], [0.0, 0.0, 0.0])
+    highest = TALL + 2 * RIM
+    see(grid, ground(BEFORE), face(highest))
+    for top in tops:
+        see(grid, ground(BEFORE), face(top))
+        highest = max(highest, top)
+        assert wall_of(grid).min() > highest - RIM - 0.004
+    for _ in range(feet):  # of the cells that hold its face, only the ground before it is in the picture
+        see(grid, ground(np.append(BEFORE, WALL_X)))
+    assert wall_of(grid).min() > highest - RIM - 0.004
+    assert np.abs(grid.heights(np.column_stack([BEFORE, np.zeros(len(BEFORE))]))).max() < 0.001
+
+
+def test_a_wall_that_is_gone_is_cleared_once_the_ground_around_is_seen() -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(30):
+        see(grid, ground(BEFORE), face(0.15))
+    for _ in range(8):
+        see(grid, ground(np.concatenate([BEFORE, [WALL_X], BEYOND])))
+    assert np.abs(wall_of(grid)[1:-1]).max() < 0.001
+
+
+@pytest.mark.parametrize("looks", [1, 30])
+def test_a_wall_that_comes_is_taken_over_within_the_patience(looks: int) -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(looks):
+        see(grid, ground(np.concatenate([BEFORE, [WALL_X], BEYOND])))
+    for _ in range(grid.model.patience):
+        see(grid, ground(BEFORE), face(0.15))
+    np.testing.assert_allclose(wall_of(grid), 0.146, atol=0.002)
+
+
+def test_the_rim_of_a_block_whose_top_is_known_stays_as_high_as_its_top() -> None:
+    grid = ElevationGrid(size=256)
+    top = ground(np.append(WALL_X, BEYOND))
+    top[:, 2] = 0.10
+    for _ in range(10):
+        see(grid, ground(BEFORE), top)
+    for shown in (0.10, 0.08, 0.05):
+        see(grid, ground(BEFORE), face(shown))
+    np.testing.assert_allclose(wall_of(grid), 0.10, atol=0.001)
+
+
+def test_a_riser_that_legs_climb_is_no_face_and_a_pose_that_is_far_off_makes_none() -> None:
+    for spread, sigma in ((0.05, 0.0), (0.15, 0.10)):
+        grid = ElevationGrid(size=256)
+        covariance = np.diag([sigma**2] * 3 + [0.0] * 3)
+        see(grid, ground(BEFORE), face(spread), covariance=covariance)
+        see(grid, ground(np.append(BEFORE, WALL_X)))
+        assert np.abs(wall_of(grid)).max() < 0.005
+
+
+def post(x: float, top: float) -> Array:
+    """Points (4, 4) of a post 2 cm wide whose nearer side is at x, as far as it is in the picture."""
+    xy = np.array([[x + a, b] for a in (0.0, 0.01) for b in (-0.005, 0.005)])
+    return np.column_stack([xy, np.full(4, top - 0.004), np.full(4, top)])
+
+
+@pytest.mark.parametrize("apart", [0.015, 0.03, 0.05])
+def test_what_is_gone_is_cleared_by_rows_that_skip_cells(apart: float) -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(8):
+        see(grid, ground(BEFORE), post(WALL_X, 0.3))
+    assert grid.heights([WALL_X, 0.005]) > 0.29
+    for k in range(60):  # walking, 3 mm a scan
+        rows = np.arange(0.6, 1.0, apart) + 0.003 * k % apart
+        see(grid, ground(rows))
+    around = np.stack(np.meshgrid(WALL_X + np.arange(-1, 3) * 0.01, ACROSS), axis=-1)
+    assert np.nanmax(grid.heights(around)) < 0.005
+
+
+def test_a_thin_wall_that_is_seen_from_both_sides_stays() -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(4):
+        for side, x in ((BEFORE, 0.0), (BEYOND, 2.0 * WALL_X)):
+            camera = np.array([x, 0.0, CAMERA[2]])
+            see(grid, ground(side), face(0.15), camera=camera)
+            for _ in range(6):  # from near, of the wall's cells only the ground before it
+                see(grid, ground(np.append(side, WALL_X)), camera=camera)
+    assert wall_of(grid).min() > 0.12
+
+
+def test_a_post_hides_the_ground_behind_it_and_stays_when_its_foot_alone_is_seen() -> None:
+    grid = ElevationGrid(size=256)
+    see(grid, ground(BEFORE), post(WALL_X, 0.3))
+    near = ground(np.concatenate([BEFORE, [WALL_X], BEYOND]))
+    behind, beside = near[:, 0] - WALL_X, near[:, 1]
+    for askew in (0.0, 0.5, 1.0):
+        hidden = (behind > 0.005) & (np.abs(beside - askew * (behind - 0.01)) < 0.016 + 0.012 * askew)
+        camera = np.array([0.0, -askew * WALL_X, CAMERA[2]])
+        for _ in range(10):
+            see(grid, near[~hidden], camera=camera)
+        assert grid.heights(post(WALL_X, 0.3)[:, :2]).min() > 0.29
+
+
+def window_edges() -> tuple[ElevationGrid, Array, Array]:
+    """A grid whose buffer wraps inside the window, its first and its last row of cells (n, 2) [m]."""
+    grid = ElevationGrid(size=32)
+    grid.move_to([0.105, 0.0])
+    y = grid.origin[1] + 0.01 * np.arange(32)
+    first, last = (np.column_stack([np.full(32, grid.origin[0] + 0.01 * i), y]) for i in (0, 31))
+    return grid, first, last
+
+
+def test_ground_at_the_other_side_of_the_window_is_not_beside_a_wall() -> None:
+    grid, first, last = window_edges()
+    shelf = np.vstack([first, first + np.array([0.01, 0.0]), first + np.array([0.02, 0.0])])
+    high = np.column_stack([shelf, np.full((len(shelf), 1), 0.2), np.zeros((len(shelf), 1))])
+    wall = np.column_stack([last, np.full((32, 1), 0.146), np.full((32, 1), 0.15)])
+    foot = np.column_stack([last, np.zeros((32, 2))])
+    for _ in range(10):
+        see(grid, high)
+    see(grid, wall)
+    for _ in range(10):
+        see(grid, high, foot)
+    assert grid.heights(last).min() > 0.14
+
+
+def test_what_is_seen_at_the_other_side_of_the_window_clears_no_wall() -> None:
+    grid, first, last = window_edges()
+    wall = np.column_stack([last, np.full((32, 1), 0.146), np.full((32, 1), 0.15)])
+    low = np.vstack([np.column_stack([p, np.zeros((32, 2))]) for p in (first, last - [0.01, 0.0], last)])
+    see(grid, wall)
+    for _ in range(10):
+        see(grid, low)
+    assert grid.heights(last).min() > 0.14

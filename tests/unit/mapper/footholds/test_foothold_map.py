@@ -1,0 +1,244 @@
+"""Laws of Masri's foothold map: closing, signed Manhattan distance, and what is never a foothold."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.mapper.footholds.foothold_map import (
+    EvaluationFunction,
+    FootholdRules,
+    closed,
+    disc,
+    holes,
+    published_evaluation,
+    signed_manhattan,
+)
+from sextant.shared.wire.messages import UNKNOWN
+
+Mask = NDArray[np.uint8]
+
+
+@st.composite
+def masks(draw: st.DrawFn, most: int = 24) -> Mask:
+    """Random blocks and specks, from nearly empty to nearly full."""
+    shape = draw(st.tuples(st.integers(1, most), st.integers(1, most)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    mask = (rng.random(shape) < draw(st.sampled_from([0.0, 0.02, 0.5, 0.98, 1.0]))).astype(np.uint8)
+    for _ in range(draw(st.integers(0, 4))):
+        i, j = rng.integers(0, shape[0]), rng.integers(0, shape[1])
+        mask[i : i + rng.integers(1, 9), j : j + rng.integers(1, 9)] = rng.integers(0, 2)
+    return mask
+
+
+def brute_force(mask: Mask, bound: int, reach: int) -> NDArray[np.int64]:
+    """Eq. (4.8) for every pair of cells, the ring around the map being 0."""
+    padded = np.pad(mask, 1)
+    i, j = np.nonzero(padded == 0)
+    k, m = np.nonzero(padded == 1)
+    out = np.full(mask.shape, reach, dtype=np.int64)
+    for a, b in np.ndindex(*mask.shape):
+        if mask[a, b]:
+            out[a, b] = -min(bound, (abs(i - a - 1) + abs(j - b - 1)).min())
+        elif len(k):
+            out[a, b] = min(reach, (abs(k - a - 1) + abs(m - b - 1)).min())
+    return out
+
+
+# ---- the distance
+
+
+@given(masks(), st.integers(1, 30), st.integers(1, 30))
+@settings(deadline=None, max_examples=60)
+def test_the_distance_is_that_of_every_pair(mask: Mask, bound: int, reach: int) -> None:
+    np.testing.assert_array_equal(signed_manhattan(mask, bound, reach), brute_force(mask, bound, reach))
+
+
+@given(masks())
+@settings(deadline=None, max_examples=30)
+def test_it_is_opencv_s_distance_transform(mask: Mask) -> None:
+    inside = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L1, 3)[1:-1, 1:-1]
+    np.testing.assert_array_equal(np.minimum(signed_manhattan(mask, 126, 126), 0), -inside)
+
+
+@given(masks())
+@settings(deadline=None, max_examples=40)
+def test_signs_and_steps(mask: Mask) -> None:
+    F = signed_manhattan(mask, 126, 126).astype(int)
+    np.testing.assert_array_equal(F < 0, mask == 1)
+    assert (F != 0).all()
+    if mask.any():
+        # From -1 to 1 is one step; else neighbours differ by one at most. So greedy descent never jumps.
+        rank = np.where(F > 0, F - 1, F)
+        for axis in (0, 1):
+            assert (np.abs(np.diff(rank, axis=axis)) <= 1).all()
+
+
+@given(masks(), st.integers(0, 2**32))
+@settings(deadline=None, max_examples=40)
+def test_more_ground_is_never_worse(mask: Mask, seed: int) -> None:
+    more = mask | (np.random.default_rng(seed).random(mask.shape) < 0.1)
+    assert (signed_manhattan(more.astype(np.uint8), 5, 15) <= signed_manhattan(mask, 5, 15)).all()
+
+
+@given(masks(), st.integers(1, 9))
+@settings(deadline=None, max_examples=30)
+def test_the_threshold_only_cuts_off(mask: Mask, bound: int) -> None:
+    np.testing.assert_array_equal(signed_manhattan(mask, bound, 126), np.maximum(signed_manhattan(mask, 126, 126), -bound))
+
+
+# ---- the closing
+
+
+def definition(mask: Mask, half: int) -> Mask:
+    """Eq. (4.5)-(4.7) as unions and intersections of translations, on a plane that is empty beyond the map."""
+    k = 2 * half
+    wide = np.pad(mask, 2 * k).astype(bool)
+    steps = [(i, j) for i in range(-half, half + 1) for j in range(-half, half + 1)]
+    dilated = np.logical_or.reduce([np.roll(wide, s, (0, 1)) for s in steps])
+    eroded = np.logical_and.reduce([np.roll(dilated, s, (0, 1)) for s in steps])
+    return eroded[2 * k : 2 * k + mask.shape[0], 2 * k : 2 * k + mask.shape[1]].astype(np.uint8)
+
+
+@given(masks(), st.integers(1, 3), st.integers(0, 2**32))
+@settings(deadline=None, max_examples=40)
+def test_the_closing_is_that_of_the_equations_and_keeps_its_laws(mask: Mask, half: int, seed: int) -> None:
+    once = closed(mask, half)
+    np.testing.assert_array_equal(once, definition(mask, half))
+    assert (once >= mask).all()  # it only adds
+    np.testing.assert_array_equal(closed(once, half), once)  # once is enough
+    more = mask | (np.random.default_rng(seed).random(mask.shape) < 0.1)
+    assert (closed(more.astype(np.uint8), half) >= once).all()  # it is monotone
+
+
+@pytest.mark.parametrize(("gap", "bridged"), [(1, True), (4, True), (5, False), (8, False)])
+def test_gaps_below_five_centimetres_are_bridged(gap: int, bridged: bool) -> None:
+    mask = np.ones((30, 30), dtype=np.uint8)
+    mask[10 : 10 + gap] = 0
+    assert closed(mask, 2)[12, 15] == bridged or gap < 3
+    assert closed(mask, 2)[10, 15] == bridged
+
+
+# ---- the evaluation function
+
+
+def evaluate(accessible: Mask, refused: Mask | None = None, known: Mask | None = None, rules: FootholdRules | None = None):
+    nothing = np.zeros_like(accessible)
+    all_known = np.ones_like(accessible)
+    return EvaluationFunction(0.01, rules).evaluate(
+        accessible, nothing if refused is None else refused, all_known if known is None else known
+    )
+
+
+@given(masks(), masks())
+@settings(deadline=None, max_examples=60)
+def test_neither_unknown_nor_refused_cells_are_footholds(a: Mask, b: Mask) -> None:
+    n, m = min(len(a), len(b)), min(a.shape[1], b.shape[1])
+    known, refused = a[:n, :m], b[:n, :m] & a[:n, :m]
+    F = evaluate(known & ~refused & 1, refused, known)
+    np.testing.assert_array_equal(F == UNKNOWN, known == 0)
+    assert (F[refused == 1] > 0).all()
+
+
+def test_with_nothing_refused_or_vacant_it_is_the_thesis_s() -> None:
+    rules = FootholdRules(unknown_clearance=0.0)
+    mask = np.zeros((40, 40), dtype=np.uint8)
+    mask[5:20, 5:30] = 1
+    mask[12, 9:13] = 0  # a hole, which is closed
+    F = evaluate(mask, rules=rules)
+    np.testing.assert_array_equal(F, published_evaluation(mask, 2, 5, 15))
+    assert F[12, 10] == -5
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_a_crack_between_two_blocks_is_no_ground_where_the_thesis_s_closing_bridges_it(width: int) -> None:
+    known = np.zeros((40, 40), dtype=np.uint8)
+    known[5:35, 10:30] = 1
+    known[20 : 20 + width] = 0
+    known[22, 15:18] = 1  # what flies between the two
+    assert published_evaluation(known, 2, 5, 15)[20 + width // 2, 20] < 0 or width < 3
+    F = evaluate(known, None, known)
+    assert (F[18:20, 10:30] > 0).all()  # the clearance of what is vacant
+    assert (F[20 + width : 22 + width, 10:30] > 0).all()
+    assert (F[20 : 20 + width] > 0).all()
+    assert F[14, 20] == -4
+
+
+@given(masks(), st.integers(1, 4))
+@settings(deadline=None, max_examples=60)
+def test_a_hole_is_small_and_surrounded(mask: Mask, widest: int) -> None:
+    found = holes(mask, widest)
+    assert not (found & mask).any()
+    padded = np.pad(mask | found, 1)
+    shifts = [
+        np.roll(padded, s, (0, 1))[1:-1, 1:-1] for s in [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
+    ]
+    assert np.logical_and.reduce(shifts)[found == 1].all()  # ground, or the same hole, all around
+    for run in (found, found.T):
+        lengths = [len(part) for row in run for part in "".join(map(str, row)).split("0")]
+        assert max(lengths, default=0) <= widest
+
+
+def test_an_edge_stays_refused_where_the_thesis_s_closing_brings_it_back() -> None:
+    refused = np.zeros((40, 40), dtype=np.uint8)
+    refused[20:22] = 1  # both sides of a step
+    mask = np.asarray(1 - refused, dtype=np.uint8)
+    assert (published_evaluation(mask, 2, 5, 15)[20:22, 10] < 0).all()
+    assert (evaluate(mask, refused)[20:22, 10] == 1).all()
+
+
+def test_a_vacant_cell_takes_nothing_from_its_neighbours_and_a_vacant_region_keeps_them_away() -> None:
+    known = np.ones((40, 40), dtype=np.uint8)
+    known[10, 10] = 0
+    known[20:30, 20:30] = 0
+    F = evaluate(known, None, known)
+    assert F[10, 11] == -5
+    assert F[10, 10] == UNKNOWN
+    i, j = np.mgrid[:40, :40]
+    away = np.hypot(np.maximum(np.maximum(20 - i, i - 29), 0), np.maximum(np.maximum(20 - j, j - 29), 0))
+    region = known == 0
+    np.testing.assert_array_equal((F > 0)[2:-2, 2:-2], ((away <= 2) | region)[2:-2, 2:-2])
+
+
+def test_the_numbers_of_the_thesis_are_lengths() -> None:
+    """Ground twice as coarse has half the cells: -5 cm is -5 cells of 1 cm, -10 of 5 mm, and so with the square."""
+    for resolution, bound, half in ((0.01, 5, 2), (0.005, 10, 4), (0.02, 2, 1)):
+        e = EvaluationFunction(resolution)
+        n = round(0.6 / resolution)
+        ground = np.ones((n, n), dtype=np.uint8)
+        assert e.evaluate(ground, 0 * ground, ground).min() == -bound == -e.bound
+        ground[n // 2 : n // 2 + 2 * half, n // 2 : n // 2 + 2 * half] = 0
+        assert e.evaluate(ground, 0 * ground, np.ones_like(ground))[n // 2, n // 2] == -bound
+        ground[n // 2 : n // 2 + 2 * half + 1, n // 2 : n // 2 + 2 * half] = 0
+        assert e.evaluate(ground, 0 * ground, np.ones_like(ground))[n // 2, n // 2] > 0
+
+
+@given(masks(), st.integers(1, 3))
+@settings(deadline=None, max_examples=30)
+def test_a_margin_keeps_a_disc_of_ground_around_every_foothold(mask: Mask, cells: int) -> None:
+    rules = FootholdRules(unknown_clearance=0.0, closing=0.0)
+    level = np.full(mask.shape, cells, dtype=np.uint8)
+    known = np.ones_like(mask)
+    F = EvaluationFunction(0.01, rules).evaluate(mask, 1 - mask, known, level)
+    padded = np.pad(mask, cells)
+    around = [padded[cells + i : cells + i + len(mask), cells + j : cells + j + mask.shape[1]] for i, j in offsets(cells)]
+    np.testing.assert_array_equal(F < 0, np.logical_and.reduce(around))
+
+
+def offsets(radius: int) -> list[tuple[int, int]]:
+    return [(int(i), int(j)) for i, j in np.argwhere(disc(radius, least=0)) - radius]
+
+
+def test_bad_rules_are_refused() -> None:
+    with pytest.raises(ValueError, match="bound"):
+        FootholdRules(bound=0.0)
+    with pytest.raises(ValueError, match="slope_limit"):
+        FootholdRules(slope_limit=2.0)
+    with pytest.raises(ValueError, match="closing"):
+        FootholdRules(closing=-0.01)
+    with pytest.raises(ValueError, match="resolution"):
+        EvaluationFunction(0.0)
+    with pytest.raises(ValueError, match="126 cells"):
+        EvaluationFunction(0.0002)

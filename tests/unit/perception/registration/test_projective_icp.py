@@ -1,0 +1,375 @@
+"""Registration on a synthetic floor with boxes: what the scene constrains is found, the rest stays as expected."""
+
+import numpy as np
+import pytest
+
+from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_icp import (
+    Acceptance,
+    Registration,
+    _Aligned,
+    belief,
+    error_twist,
+    jump,
+    moved,
+)
+from sextant.services.perception.registration.relocalization_map import AnchorMap, Found, Misfit
+from sextant.shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
+from sextant.shared.robot.camera import DepthSensor, Intrinsics
+
+TIGHT = 1e-6 * np.eye(6)
+WIDE = np.diag([0.02] * 3 + [0.02] * 3) ** 2
+# The default camera at half its resolution, with the same noise, for walks of many frames.
+SMALL = Intrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
+SMALL_SENSOR = DepthSensor(baseline=0.15)
+SPREAD = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])  # [m] wider than one body
+STEP = 0.02  # [m] between frames of the synthetic walk
+
+
+def odometry_increment(T_before, T_after, scale=1.05, turn=1.0e-3):
+    """A walked motion as legs would measure it: 5 % too long, and turning about the vertical [rad per frame]."""
+    motion = inverse(T_before) @ T_after
+    motion[:3, 3] *= scale
+    return motion @ transform(exp_so3(T_after[:3, :3].T @ [0.0, 0.0, turn]), np.zeros(3))
+
+
+def odometry_covariance(motion):
+    moved_by = np.linalg.norm(motion[:3, 3])
+    return np.diag([(0.1 * moved_by + 2e-4) ** 2] * 3 + [(0.5 * moved_by + 1e-4) ** 2] * 3)
+
+
+def walked(world, scene, frames=101, seed=1):
+    """True, odometry's and registered last pose, and all results, of a walk whose odometry is wrong."""
+    registration = Registration(SMALL, SMALL_SENSOR)
+    truth = world.walk(frames, STEP)
+    rng = np.random.default_rng(seed)
+    T_odometry, T, covariance, results = truth[0], truth[0], TIGHT, []
+    for i in range(frames):
+        if i:
+            motion = odometry_increment(truth[i - 1], truth[i])
+            T_odometry, T = T_odometry @ motion, T @ motion
+            covariance = covariance + odometry_covariance(motion)
+        depth = world.depth_image(truth[i], world.scenes[scene], rng, SMALL, SMALL_SENSOR)
+        results.append(registration.update(depth, i, orthonormal(T), covariance))
+        T, covariance = results[-1].T_world_camera, results[-1].covariance
+    return truth[-1], T_odometry, T, results
+
+
+def planar_error(T, T_truth):
+    """Error in x, y [m] and heading [rad], and in height [m], roll and pitch [rad], of a camera pose."""
+    twist = error_twist(T, T_truth)
+    return twist[[0, 1, 5]], twist[[2, 3, 4]]
+
+
+def test_error_twist_inverts_moved():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
+        twist = rng.normal(scale=0.4, size=6)
+        np.testing.assert_allclose(error_twist(moved(T, twist), T), twist, atol=1e-12)
+
+
+def test_a_direction_is_believed_by_its_information_over_that_of_noise():
+    rng = np.random.default_rng(3)
+    ratios = np.array([0.5, 1.0, 2.0, 3.5, 5.0, 1e4])
+    for _ in range(20):
+        L = np.tril(rng.normal(size=(6, 6))) + 3.0 * np.eye(6)
+        U, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+        H = L @ (U * ratios) @ U.T @ L.T
+        B, unknown = belief(Match(H, np.zeros(6), L @ L.T, 2, 1.0, 1.0, 0.0))
+        share = np.clip((ratios - 2.0) / 3.0, 0.0, 1.0)
+        np.testing.assert_allclose(B @ H, 0.05 * L @ (U * share * ratios) @ U.T @ L.T, rtol=1e-5, atol=1e-5 * np.abs(H).max())
+        assert unknown.shape == (3, 6)
+        np.testing.assert_allclose(np.linalg.norm(unknown, axis=1), 1.0)
+        np.testing.assert_allclose(B @ H @ unknown.T, 0.0, atol=1e-5 * np.abs(H).max())
+
+
+def test_first_frame_is_where_its_prior_says(world):
+    T = world.camera_pose(0.3)
+    result = Registration(world.intrinsics, world.sensor).update(world.depth_image(T), 7, T, WIDE)
+    assert result.ok
+    assert result.stamp_ns == 7
+    np.testing.assert_array_equal(result.T_world_camera, T)
+
+
+def test_a_flat_floor_gives_height_roll_pitch_and_leaves_the_rest_to_the_prior(world):
+    truth, T_odometry, T, results = walked(world, "flat")
+    assert all(r.ok for r in results)
+    odometry_planar, _ = planar_error(T_odometry, truth)
+    planar, vertical = planar_error(T, truth)
+    assert np.abs(odometry_planar).min() > 0.05
+    assert np.abs(planar - odometry_planar).max() < 0.1 * np.abs(odometry_planar).min()
+    assert abs(vertical[0]) < 0.002
+    assert np.degrees(np.abs(vertical[1:])).max() < 0.2
+    # Three directions are open, and they hold no height, and no turn about a horizontal axis.
+    open_directions = results[-1].degenerate
+    assert len(open_directions) == 3
+    floor_constrains = np.abs(open_directions[:, [2]])
+    assert floor_constrains.max() < 0.02
+
+
+@pytest.mark.parametrize(("scene", "allowed_m", "allowed_deg"), [("steps", 0.010, 1.0), ("boxes", 0.030, 3.0)])
+def test_boxes_correct_wrong_odometry(world, scene, allowed_m, allowed_deg):
+    truth, T_odometry, T, results = walked(world, scene)
+    assert all(r.ok for r in results)
+    odometry_planar, _ = planar_error(T_odometry, truth)
+    planar, vertical = planar_error(T, truth)
+    assert np.linalg.norm(odometry_planar[:2]) > 0.1
+    assert np.linalg.norm(planar[:2]) < allowed_m
+    assert np.degrees(abs(planar[2])) < allowed_deg
+    assert abs(vertical[0]) < 0.002
+    assert np.degrees(np.abs(vertical[1:])).max() < 0.2
+
+
+def test_same_input_same_bytes(world):
+    def run():
+        _, _, _, results = walked(world, "boxes", frames=12)
+        return b"".join(r.T_world_camera.tobytes() + r.covariance.tobytes() for r in results)
+
+    assert run() == run()
+
+
+def test_standing_still_does_not_drift(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(2)
+    T = world.camera_pose(0.2)
+    result = registration.update(world.depth_image(T, world.scenes["steps"], rng), 0, T, TIGHT)
+    for i in range(1, 25):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        result = registration.update(depth, i, result.T_world_camera, result.covariance + 1e-8 * np.eye(6))
+    assert len(registration.keyframe_poses) == 1
+    assert np.abs(error_twist(result.T_world_camera, T)).max() < 1e-3
+
+
+@pytest.mark.parametrize("offset", [[0.01, -0.01, 0.005, 0.01, -0.005, 0.01], [-0.015, 0.01, -0.01, 0.0, 0.01, -0.015]])
+def test_a_wrong_prior_is_corrected_as_far_as_the_scene_shows(world, offset):
+    registration = Registration(world.intrinsics, world.sensor)
+    boxes = world.scenes["pillars"]
+    T = world.camera_pose(0.6)
+    registration.update(world.depth_image(T, boxes, np.random.default_rng(3)), 0, T, TIGHT)
+    T_next = world.camera_pose(0.63, 0.004, yaw=0.01)
+    depth = world.depth_image(T_next, boxes, np.random.default_rng(4))
+    result = registration.update(depth, 1, moved(T_next, np.array(offset)), WIDE)
+    assert result.ok
+    assert len(result.degenerate) == 0
+    error = error_twist(result.T_world_camera, T_next)
+    assert np.abs(error[:3]).max() < 0.003
+    assert np.degrees(np.abs(error[3:])).max() < 0.25
+
+
+@pytest.mark.parametrize("scene", ["flat", "boxes", "steps"])
+def test_covariance_is_never_wider_than_the_prior(world, scene):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.3)
+    rng = np.random.default_rng(5)
+    registration.update(world.depth_image(T, world.scenes[scene], rng), 0, T, TIGHT)
+    covariance = registration.update(world.depth_image(T, world.scenes[scene], rng), 1, T, WIDE).covariance
+    np.testing.assert_array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    assert np.linalg.eigvalsh(WIDE - covariance).min() > -1e-9
+    assert covariance[2, 2] < 1e-6  # height is known on any floor
+
+
+def test_failure_gives_the_prior_and_the_reason(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.3)
+    registration.update(world.depth_image(T, world.scenes["steps"]), 0, T, TIGHT)
+    prior = moved(T, np.array([0.001, 0, 0, 0, 0, 0]))
+
+    dark = registration.update(np.zeros((480, 640), np.uint16), 1, prior, WIDE)
+    away = registration.update(world.depth_image(world.camera_pose(2.8)), 2, world.camera_pose(2.8), TIGHT)
+    lifted = world.camera_pose(0.3, z=0.31)
+    jumped = registration.update(world.depth_image(lifted, world.scenes["steps"]), 3, prior, TIGHT)
+
+    assert [r.ok for r in (dark, away, jumped)] == [False, False, False]
+    assert "measured" in dark.reason
+    assert "overlap" in away.reason
+    assert jumped.reason
+    np.testing.assert_array_equal(dark.T_world_camera, prior)
+    np.testing.assert_array_equal(dark.covariance, WIDE)
+    # And it goes on as soon as it can.
+    assert registration.update(world.depth_image(T, world.scenes["steps"]), 4, prior, WIDE).ok
+
+
+def test_a_jump_is_measured_against_the_prior():
+    T = from_xyz_rpy([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    acceptance = Acceptance(jump_distance=0.02, jump_angle=0.02)
+    covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
+    assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
+    assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
+    assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # a floor tells these
+    foot = np.array([-0.1, 0.15, -0.25])  # from the camera: about it the robot tips when another one slips off an edge
+    tipped = np.array([0.0, 0.14, 0.0])
+    assert jump(moved(T, np.concatenate([-np.cross(tipped, foot), tipped])), T, covariance, acceptance) == ""
+    assert "deg in pitch" in jump(moved(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
+    assert "deg in yaw" in jump(moved(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
+
+
+def test_a_lost_map_starts_anew_after_many_failures(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.0)
+    registration.update(world.depth_image(T), 0, T, TIGHT)
+    far = world.camera_pose(3.0)
+    results = [registration.update(world.depth_image(far), i, far, WIDE) for i in range(1, 70)]
+    assert not results[0].ok
+    restarted = next(i for i, r in enumerate(results) if "anew" in r.reason)
+    assert all(r.ok for r in results[restarted + 1 :])
+
+
+def test_a_map_that_starts_anew_may_be_rougher_than_the_one_before(world):
+    registration = Registration(world.intrinsics, world.sensor, Acceptance(patience=3))
+    rng = np.random.default_rng(4)
+    T = world.camera_pose(0.0)
+
+    def picture(bump_mm):
+        depth = world.depth_image(T, world.scenes["steps"], rng).astype(np.int64)
+        bumps = np.kron(rng.choice([-bump_mm, bump_mm], (30, 40)), np.ones((16, 16), dtype=np.int64))
+        return np.where(depth > 0, depth + bumps, 0).astype(np.uint16)
+
+    for i in range(60):
+        assert registration.update(picture(0), i, T, TIGHT).ok
+    rough = [registration.update(picture(12), i, T, TIGHT) for i in range(60, 66)]
+    assert [r.ok for r in rough] == [False] * 3 + [True] * 3
+    assert "anew" in rough[2].reason
+
+
+def test_a_robot_that_was_carried_off_finds_itself_again(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    expected = world.camera_pose(0.55)
+    T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # put down elsewhere: the legs know nothing of it
+    depth = world.depth_image(T, world.scenes["pillars"], rng)
+    for i in range(12):
+        found = registration.update(depth, i, expected, WIDE)
+        expected = found.T_world_camera
+    assert found.ok
+    assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_register(world, monkeypatch):
+    """As a person who walks by suits one place now and another one half a second later."""
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.55)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
+    away = {"x": 0.0}
+
+    def search(self, T_expected):
+        away["x"] += 0.1
+        return _Aligned(moved(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match)
+
+    monkeypatch.setattr(Registration, "_search", search)
+    registration._match = registration._align(T, np.linalg.inv(WIDE)).match
+    for i in range(40):
+        found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
+        assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+@pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
+def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypatch, away, taken):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    keyframes = len(registration.keyframe_poses)
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "find", lambda *_: Found(world.camera_pose(0.55 + away[0], *away[1:]), ""))
+    for i in range(5):
+        found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
+        assert found.ok
+        assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+    assert len(registration.keyframe_poses) == keyframes, "what is in doubt is no part of the map"
+    assert isinstance(registration._search(T), _Aligned) is taken
+
+
+def test_surfaces_further_apart_than_usual_are_refused(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(4)
+    T = world.camera_pose(0.0)
+    for i in range(60):
+        registration.update(world.depth_image(T, world.scenes["steps"], rng), i, T, TIGHT)
+    rough = world.depth_image(T, world.scenes["steps"], rng).astype(np.int64)
+    bumps = np.kron(rng.choice([-9, 9], (30, 40)), np.ones((16, 16), dtype=np.int64))  # [mm] as no surface there has been
+    found = registration.update(np.where(rough > 0, rough + bumps, 0).astype(np.uint16), 60, T, TIGHT)
+    assert not found.ok
+    assert "mm apart" in found.reason
+
+
+@pytest.mark.parametrize("fill", [0, 1, 499, 65535])
+def test_images_without_a_surface_in_range_are_refused_in_words(world, fill):
+    registration = Registration(world.intrinsics, world.sensor)
+    result = registration.update(np.full((480, 640), fill, np.uint16), 0, np.eye(4), WIDE)
+    assert not result.ok
+    assert result.reason
+
+
+def test_noise_images_never_crash(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(8)
+    for i in range(5):
+        result = registration.update(rng.integers(0, 65536, (480, 640), dtype=np.uint16), i, np.eye(4), WIDE)
+        assert np.isfinite(result.T_world_camera).all()
+
+
+@pytest.mark.parametrize("loss", [0.2, 0.6])
+def test_dropped_pixels_do_not_hurt(world, loss):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(9)
+    T = world.camera_pose(0.4)
+    for i in range(2):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        depth[rng.random(depth.shape) < loss] = 0
+        result = registration.update(depth, i, T, WIDE)
+    assert result.ok
+    assert np.abs(error_twist(result.T_world_camera, T)).max() < 0.003
+
+
+def test_where_too_many_pixels_are_missing_that_is_the_reason(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(9)
+    T = world.camera_pose(0.4)
+    for i in range(2):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        depth[rng.random(depth.shape) < 0.85] = 0
+        result = registration.update(depth, i, T, WIDE)
+    assert not result.ok
+    assert "of the pixels of what is in view are missing" in result.reason
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (424, 240), (1282, 722)])
+def test_any_image_size_is_registered(world, width, height):
+    f = width / 1.2
+    intrinsics = Intrinsics(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+    sensor = DepthSensor(baseline=0.075 * 525.0 / f)
+    registration = Registration(intrinsics, sensor)
+    rng = np.random.default_rng(6)
+    T, T_next = world.camera_pose(0.3), world.camera_pose(0.31, 0.002, yaw=0.005)
+    boxes = world.scenes["pillars"]
+    registration.update(world.depth_image(T, boxes, rng, intrinsics, sensor), 0, T, TIGHT)
+    result = registration.update(world.depth_image(T_next, boxes, rng, intrinsics, sensor), 1, T, WIDE)
+    assert result.ok
+    error = error_twist(result.T_world_camera, T_next)
+    assert np.abs(error[:3]).max() < 0.004
+    assert np.degrees(np.abs(error[3:])).max() < 0.3
+
+
+def test_mistakes_are_named(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    depth = np.zeros((480, 640), np.uint16)
+    with pytest.raises(ValueError, match=r"uint16 depth image \(480, 640\)"):
+        registration.update(depth[:100], 0, np.eye(4), WIDE)
+    with pytest.raises(ValueError, match="positive definite"):
+        registration.update(depth, 0, np.eye(4), np.zeros((6, 6)))
+    with pytest.raises(ValueError, match="finite"):
+        registration.update(depth, 0, np.full((4, 4), np.nan), WIDE)
+    with pytest.raises(ValueError, match="active"):
+        Registration(world.intrinsics, world.sensor, active_keyframes=0)
+    with pytest.raises(ValueError, match="8x8"):
+        Registration(Intrinsics(4, 4, 5.0, 5.0, 2.0, 2.0), world.sensor)

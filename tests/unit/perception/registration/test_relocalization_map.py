@@ -1,0 +1,129 @@
+"""The coarse map that tells a frame that lies wrong, and where it lies instead."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from sextant.services.perception.registration.relocalization_map import AnchorMap
+from sextant.shared.geometry import from_xyz_rpy
+
+SIGMA = 0.0016  # [1/m]
+LEVEL = from_xyz_rpy([0.0, 0.0, 0.5], [0.0, 0.0, 0.0])  # points are given in axes like the world's, 0.5 m over the floor
+
+
+def ground(x, y, seed):
+    """Heights [m] of a floor with blocks on it, at points (n,) [m]."""
+    rng = np.random.default_rng(seed)
+    z = np.zeros(len(x))
+    for _ in range(25):
+        cx, cy, height = rng.uniform(-1.2, 1.2), rng.uniform(-1.2, 1.2), rng.uniform(0.05, 0.2)
+        z[(np.abs(x - cx) < 0.1) & (np.abs(y - cy) < 0.1)] = height
+    return z
+
+
+def view(T, heights, half=0.7, step=0.011):
+    """Points (n, 3) [m] of the ground around a pose (4, 4), in its axes, as if all of it were in view."""
+    a, b = (grid.ravel() for grid in np.meshgrid(np.arange(-half, half, step), np.arange(-half, half, step)))
+    world = np.stack([a, b, np.zeros(len(a))], axis=1) @ T[:3, :3].T + T[:3, 3]
+    z = heights(world[:, 0], world[:, 1])
+    return np.column_stack([a, b, z - T[2, 3]])
+
+
+def test_what_has_been_seen_fits():
+    anchor = AnchorMap(SIGMA)
+    points = view(LEVEL, lambda x, y: ground(x, y, 0))
+    assert anchor.misfit(points, LEVEL).share == 0.0  # nothing is known yet
+    anchor.add(points, LEVEL)
+    assert anchor.misfit(points, LEVEL).share == 0.0
+    anchor.clear()
+    assert anchor.misfit(points, from_xyz_rpy([0.3, 0.0, 0.5], [0.0, 0.0, 0.0])).share == 0.0
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    x=st.floats(-0.25, 0.25),
+    y=st.floats(-0.25, 0.25),
+    yaw=st.floats(-0.25, 0.25),
+    z=st.floats(-0.05, 0.05),
+    seed=st.integers(0, 3),
+)
+@example(x=-0.1875, y=-0.125, yaw=0.0, z=0.0, seed=1)  # every sixteenth point of this picture lies in one of eight columns
+def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, seed):
+    anchor = AnchorMap(SIGMA)
+    anchor.add(view(LEVEL, lambda x, y: ground(x, y, seed), half=1.2), LEVEL)
+    T = from_xyz_rpy([x, y, 0.5], [0.0, 0.0, yaw])
+    points = view(T, lambda x, y: ground(x, y, seed))
+    expected = from_xyz_rpy([0.0, 0.0, 0.5 + z], [0.0, 0.0, 0.0])
+    found = anchor.find(points, expected)
+    if np.hypot(x, y) > 0.15 or abs(yaw) > 0.15:
+        assert anchor.misfit(points, expected).share > 0.015
+        assert found.T_world_camera is not None, found.reason
+    if found.T_world_camera is not None:
+        error = np.linalg.inv(T) @ found.T_world_camera
+        assert np.abs(error[:3, 3]).max() < 0.06  # what registration bridges
+        assert abs(np.arctan2(error[1, 0], error[0, 0])) < np.radians(4.0)
+
+
+def test_level_ground_cannot_tell():
+    anchor = AnchorMap(SIGMA)
+
+    def floor(x, _):
+        return np.zeros(len(x))
+
+    anchor.add(view(LEVEL, floor, half=1.2), LEVEL)
+    points = view(LEVEL, floor)
+    moved = from_xyz_rpy([0.2, 0.1, 0.5], [0.0, 0.0, 0.2])
+    assert anchor.misfit(points, moved).share == 0.0
+    found = anchor.find(points, moved)
+    assert found.T_world_camera is None
+    assert "no place nearby fits better" in found.reason
+
+
+@settings(max_examples=10, deadline=None)
+@given(x=st.floats(0.0, 0.3), beyond=st.floats(0.28, 0.42))
+def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
+    """A level floor was seen, then what lies beyond it is looked at: it would fit on that floor, but it need not be there."""
+    anchor = AnchorMap(SIGMA)
+    anchor.add(view(LEVEL, lambda x, _: np.zeros(len(x)), half=0.7), LEVEL)
+    expected = from_xyz_rpy([x, 0.7 + beyond, 0.5], [0.0, 0.0, 0.0])
+    points = view(expected, lambda x, _: np.zeros(len(x)), half=0.3)
+    found = anchor.find(points, expected)
+    assert found.T_world_camera is None
+
+
+def test_ground_never_seen_is_said_to_be():
+    anchor = AnchorMap(SIGMA)
+    points = view(LEVEL, lambda x, y: ground(x, y, 0))
+    anchor.add(points, LEVEL)
+    assert "has been seen before" in anchor.find(points, from_xyz_rpy([3.0, 0.0, 0.5], [0.0, 0.0, 0.0])).reason
+    # So it is where the grid has been used again by cells further on.
+    far = from_xyz_rpy([512 * 0.02, 0.0, 0.5], [0.0, 0.0, 0.0])
+    anchor.add(points, far)
+    assert "has been seen before" in anchor.find(points, LEVEL).reason
+    assert anchor.misfit(points, far).share == 0.0
+
+
+@pytest.mark.parametrize(("height", "doubted"), [(0.1, True), (0.0, False), (-0.1, True)])
+def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
+    camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
+    anchor = AnchorMap(SIGMA)
+    floor = view(LEVEL, lambda x, _: np.zeros(len(x)))
+    in_camera = floor + LEVEL[:3, 3] - camera[:3, 3]
+    anchor.add(in_camera, camera)
+    changed = in_camera.copy()
+    changed[(np.abs(floor[:, 0]) < 0.2) & (np.abs(floor[:, 1]) < 0.2), 2] += height
+    assert (anchor.misfit(changed, camera).share > 0.015) is doubted
+
+
+def test_a_face_that_comes_into_view_is_not_doubted():
+    camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
+    anchor = AnchorMap(SIGMA)
+    y = np.repeat(np.arange(-0.7, 0.7, 0.01), 80)
+    floor = np.column_stack([np.tile(np.arange(-0.4, 0.4, 0.01), 140), y, np.full(len(y), -0.5)])
+    lower = np.column_stack([np.full(len(y), 0.405), y, np.tile(np.linspace(-0.5, -0.45, 80), 140)])
+    upper = lower + np.array([0.0, 0.0, 0.05])
+    beyond = lower + np.array([0.02, 0.0, 0.0])
+    ahead = np.array([1.0, 0.0, 0.0])
+    anchor.add(np.concatenate([floor, lower, beyond])[::3] + ahead, camera)
+    assert anchor.misfit(np.concatenate([floor, upper]) + ahead, camera).share == 0.0

@@ -1,0 +1,120 @@
+"""What is sent follows what the link carries, before scans grow late."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sextant.services.perception.rate_control import LinkCare
+
+MS, SEC = 1_000_000, 1_000_000_000
+FRAME_NS = 66_666_667
+FULL = 56_000  # [bytes] of a scan
+BUFFER = 100_000  # [bytes] that may wait for the link; what comes when it is full is dropped
+
+
+class Link:
+    """A queue in front of a slow link, and a mapper behind it that answers at once; one scan each 1/15 s at most."""
+
+    def __init__(self, bytes_per_s: float, delay_ns: int = 20 * MS):
+        self.care, self.rate, self.delay_ns = LinkCare(), bytes_per_s, delay_ns
+        self.now_ns, self.free_ns = SEC, 0.0
+        self.arrive: deque[tuple[float, int]] = deque()  # when a receipt is back, and of what
+        self.latencies_ms: list[float] = []
+        self.sent = 0
+        self.cut = False
+
+    def run(self, seconds: float) -> None:
+        self.latencies_ms, self.sent = [], 0
+        for _ in range(round(seconds * 15)):
+            self.now_ns += FRAME_NS
+            while self.arrive and self.arrive[0][0] <= self.now_ns:
+                self.care.received(self.arrive.popleft()[1], self.now_ns)
+            self.care.look(self.now_ns)
+            if self.care.wants():
+                self.care.sent(self.now_ns, self.now_ns)
+                self.sent += 1
+                if not self.cut and (self.free_ns - self.now_ns) * 1e-9 * self.rate < BUFFER:
+                    size = FULL * self.care.allowance.points
+                    self.free_ns = max(self.free_ns, self.now_ns) + 1e9 * size / self.rate
+                    self.latencies_ms.append((self.free_ns + self.delay_ns - self.now_ns) * 1e-6)
+                    self.arrive.append((self.free_ns + 2 * self.delay_ns, self.now_ns))
+
+
+def test_a_wide_link_carries_everything() -> None:
+    link = Link(20e6 / 8)
+    link.run(20.0)
+    assert link.sent == 300
+    assert link.care.share == 1.0
+    assert max(link.latencies_ms) < 60.0
+
+
+@pytest.mark.parametrize("mbit", [0.8, 1.0, 2.0, 4.0])
+def test_a_narrow_link_is_filled_and_not_flooded(mbit: float) -> None:
+    link = Link(mbit * 1e6 / 8)
+    link.run(10.0)
+    link.run(30.0)
+    own_ms = FULL * 0.25 / link.rate * 1e3  # that the smallest scan takes by itself
+    assert np.percentile(link.latencies_ms, 95) < 200.0 + 2.0 * own_ms
+    assert link.sent / 30.0 >= 4.0, "a fresh map needs that"
+    used = link.care.share * FULL * 15 / link.rate
+    assert 0.4 < used < 1.5
+
+
+def test_it_takes_what_it_can_once_there_is_more() -> None:
+    link = Link(1e6 / 8)
+    link.run(20.0)
+    assert link.care.share < 0.3
+    link.rate = 20e6 / 8
+    link.run(30.0)
+    assert link.care.share == 1.0
+
+
+def test_a_cut_says_nothing_of_what_the_link_carries() -> None:
+    link = Link(20e6 / 8)
+    link.run(5.0)
+    link.cut = True
+    link.run(10.0)
+    link.cut = False
+    link.run(5.0)
+    assert max(link.latencies_ms) < 60.0
+    link.run(5.0)
+    assert link.care.share == 1.0
+
+
+def test_a_mapper_that_is_busy_for_a_moment_is_no_narrow_link() -> None:
+    care, now_ns = LinkCare(), 0
+    for k in range(300):
+        now_ns += FRAME_NS
+        care.look(now_ns)
+        care.sent(now_ns, now_ns)
+        care.received(now_ns, now_ns + (180 if k % 5 in (3, 4) else 10) * MS)
+    assert care.share == 1.0
+
+
+def test_without_anybody_who_answers_all_is_sent() -> None:
+    care = LinkCare()
+    for k in range(200):
+        care.look(k * FRAME_NS)
+        assert care.wants()
+        care.sent(k, k * FRAME_NS)
+    care.received(-5, SEC)  # of a scan that was never sent
+    assert care.share == 1.0
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 2000)), max_size=200))
+def test_whatever_comes_it_sends_between_a_fresh_map_and_all(words: list[tuple[bool, int]]) -> None:
+    care, now_ns = LinkCare(), 0
+    for answered, wait_ms in words:
+        now_ns += wait_ms * MS
+        care.look(now_ns)
+        care.sent(now_ns, now_ns)
+        if answered:
+            care.received(now_ns, now_ns + wait_ms * MS)
+        allowed = care.allowance
+        assert 0.067 <= care.share <= 1.0
+        assert 4.0 / 15.0 <= allowed.scans <= 1.0
+        assert 0.25 <= allowed.points <= 1.0
+        assert allowed.scans * allowed.points == pytest.approx(care.share, abs=0.002)

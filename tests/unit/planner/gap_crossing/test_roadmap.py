@@ -1,0 +1,266 @@
+"""The roadmap planner on level ground and over pillars: what it plans can be walked, and it says why it cannot."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from sextant.deploy.judging.passage_checker import violations
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, Roadmap, Stance
+from sextant.services.planner.gap_crossing.roadmap_search import nearest_seen
+from sextant.services.planner.gap_crossing.sections import bare
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import UNKNOWN
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.11
+GAP = 0.8
+SETTINGS = PassageSettings(body_height=HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def roadmap() -> Roadmap:
+    return Roadmap(PROFILE, SETTINGS)
+
+
+def level(length: float = 2.0) -> Field:
+    return field_of(np.zeros((round(length / 0.01), 100), dtype=np.float32))
+
+
+def grown(roadmap: Roadmap, field: Field, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6) -> Crossing | NoWay:
+    roadmap.begin(field, stance, goal_x, seed)
+    while (outcome := roadmap.grow(part)) is None:
+        pass
+    return outcome
+
+
+def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
+    found = grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 1.2)
+    assert isinstance(found, Crossing)
+    assert found.complete
+    assert found.steps[-1].body[0] >= 1.2 - 1e-9
+    assert min(step.margin for step in found.steps) >= SETTINGS.margin
+    assert {step.leg for step in found.steps} >= set(range(6))
+    np.testing.assert_array_equal(found.end.body, found.steps[-1].body)
+    assert len(roadmap.edges) >= len(found.steps)
+
+
+def test_the_same_seed_makes_the_same_plan_in_whatever_portions(roadmap: Roadmap) -> None:
+    field, stance = level(), stance_at(PROFILE, START, HEIGHT)
+    first, second = grown(roadmap, field, stance, 0.9, 3), grown(roadmap, field, stance, 0.9, 3, part=7)
+    assert isinstance(first, Crossing)
+    assert isinstance(second, Crossing)
+    assert [(s.leg, *s.touchdown, *s.body, s.clearance) for s in first.steps] == [
+        (s.leg, *s.touchdown, *s.body, s.clearance) for s in second.steps
+    ]
+    other = grown(roadmap, field, stance, 0.9, 4)
+    assert isinstance(other, Crossing)
+    assert [s.leg for s in other.steps] != [s.leg for s in first.steps] or (other.end.feet != first.end.feet).any()
+
+
+@pytest.mark.parametrize("scenario", [1, 2, 3])
+def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) -> None:
+    field = field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
+    for seed in range(4):
+        found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed)
+        if isinstance(found, Crossing):
+            break
+    assert isinstance(found, Crossing)
+    x0, y0 = field.corner
+    for step in found.steps:
+        if step.leg >= 0:
+            i, j = np.rint((step.touchdown[:2] - (x0, y0)) / field.resolution).astype(int)
+            assert field.evaluation[i, j] <= SETTINGS.weakest
+            assert step.touchdown[2] == pytest.approx(field.elevation[i, j] + PROFILE.foot.radius)
+            assert SETTINGS.swing_clear <= step.clearance <= PROFILE.stance.max_lift
+
+
+def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
+    field = field_of(heights([], GAP), HEIGHT)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
+    assert isinstance(found, NoWay)
+    assert "carry none" in found.reason
+    assert not found.unseen
+    assert found.furthest.body[0] < NEAR
+    assert sum(found.fails.values()) > 0
+
+
+def test_without_a_way_it_tells_the_steps_to_the_furthest_stance_and_whose_test_fails(roadmap: Roadmap) -> None:
+    field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
+    found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
+    assert isinstance(found, NoWay)
+    np.testing.assert_array_equal(found.steps[-1].body, found.furthest.body)
+    feet = stance.feet.copy()
+    for step in found.steps:
+        if step.leg >= 0:
+            feet[step.leg] = step.touchdown
+    np.testing.assert_array_equal(feet, found.furthest.feet)
+    assert violations(PROFILE, field, stance, found.steps) == []
+    assert f"{LEGS[found.leg]} leg" in found.reason
+
+
+def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -> None:
+    elevation = np.zeros((200, 100), dtype=np.float32)
+    elevation[110:] = np.nan
+    known = np.isfinite(elevation)
+    F = field_of(np.zeros((200, 100), dtype=np.float32)).evaluation
+    field = Field(elevation, np.where(known, F, np.int8(UNKNOWN)), 0.01, np.eye(4))
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), 1.5)
+    assert isinstance(found, Crossing)
+    assert not found.complete
+    assert "known" in found.reason
+    end = found.steps[-1].body[0]
+    on = grown(roadmap, field, found.end, 1.5)
+    assert isinstance(on, Crossing), "no section ends where nothing leads on"
+    assert on.end.body[0] > end
+    assert max(step.touchdown[0] for step in found.steps if step.leg >= 0) < 1.10
+
+
+@pytest.mark.parametrize("far_side_seen", [True, False])
+def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadmap, far_side_seen: bool) -> None:
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
+    evaluation = plain.evaluation.copy()
+    evaluation[from_:to] = evaluation[from_:to] if far_side_seen else UNKNOWN
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
+    assert isinstance(found, Crossing) is far_side_seen
+    if isinstance(found, NoWay):
+        assert found.unseen
+        assert "cells ahead are unknown" in found.reason
+
+
+def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Roadmap) -> None:
+    """A sample on the floor stands for the pillar beside it, seen or not."""
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    floor = plain.evaluation > 1
+    unseen = replace(plain, evaluation=np.where(floor, np.int8(UNKNOWN), plain.evaluation))
+    expanded = []
+    for field in (plain, unseen):
+        found = [grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed) for seed in range(1, 6)]
+        assert all(isinstance(way, Crossing) and way.complete for way in found)
+        expanded.append(sum(way.expanded for way in found))
+    assert expanded[1] < 3 * expanded[0], "nor does it take much longer"
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_the_cell_that_is_seen_and_nearest(seen: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    evaluation = np.full((9, 13), UNKNOWN, dtype=np.int8)
+    evaluation.ravel()[rng.choice(evaluation.size, seen, replace=False)] = -1
+    nearest = np.full(evaluation.shape, -1, dtype=np.int32)
+    nearest_seen(evaluation, nearest)
+    places = np.argwhere(evaluation != UNKNOWN)
+    for i, j in np.ndindex(*evaluation.shape):
+        c, d = divmod(int(nearest[i, j]), evaluation.shape[1])
+        assert evaluation[c, d] != UNKNOWN
+        assert abs(c - i) + abs(d - j) == np.abs(places - (i, j)).sum(axis=1).min()
+    nearest_seen(np.full((3, 3), UNKNOWN, dtype=np.int8), nearest[:3, :3])
+    assert (nearest[:3, :3] == -1).all()
+
+
+def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: Roadmap) -> None:
+    """A foot on the last bare rows of the near side is no foot among the pillars."""
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
+    evaluation = plain.evaluation.copy()
+    evaluation[from_:to] = UNKNOWN
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    near = round(START / field.resolution)
+    verge = (near + int(np.argmax(bare(field)[near:])) + 1) * field.resolution
+    level = stance_at(PROFILE, START, HEIGHT)
+    ahead = np.array([verge - level.feet[:, 0].max(), 0.0, 0.0])
+    stance = Stance(level.body + ahead, level.feet + ahead)
+    ways = [grown(roadmap, field, stance, NEAR + GAP + BEYOND, seed) for seed in range(1, 7)]
+    assert all(isinstance(way, NoWay) and way.closer is None for way in ways)
+    assert any(isinstance(way, NoWay) and way.unseen for way in ways), "or it would not go closer in any case"
+
+
+def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
+    stance = stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their axes
+    found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
+    assert isinstance(found, Crossing)
+    assert found.steps[0].leg == -1
+    assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.repair + 1e-9
+
+
+def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
+    stance = stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[0, 0] += 0.2
+    feet[3, 1] -= 0.2
+    found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
+    assert isinstance(found, NoWay)
+    assert "left front leg: out of reach" in found.reason
+    assert "right rear leg: out of reach" in found.reason
+    assert (found.leg, found.steps) == (0, ())
+    np.testing.assert_array_equal(found.furthest.feet, feet)
+
+
+def test_nonsense_is_refused(roadmap: Roadmap) -> None:
+    with pytest.raises(ValueError, match="finite feet"):
+        roadmap.begin(level(), Stance(np.zeros(3), np.full((6, 3), np.nan)), 1.0, 0)
+    with pytest.raises(ValueError, match="begun"):
+        Roadmap(PROFILE, PassageSettings(nodes=100)).grow(1)
+    with pytest.raises(ValueError, match="body_moves"):
+        PassageSettings(body_moves=0)
+
+
+def test_blocks_stand_where_they_are_said_to() -> None:
+    h = heights([Block(0.2, 0.1)], GAP)
+    at = round((NEAR + 0.2) / 0.01), round((0.6 + 0.1) / 0.01)
+    assert h[at] == 0.0
+    assert (h[at[0] - 5 : at[0] + 5, at[1] - 5 : at[1] + 5] == 0.0).all()
+    assert (h[70:150] == 0.0).sum() == 100
+
+
+def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadmap: Roadmap) -> None:
+    """A message's cannot be written and may lie anywhere; what gave way under a foot makes others of them."""
+    grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 0.7)
+    compiled = len(roadmap_search.grow.signatures)  # type: ignore[attr-defined]
+    field = level()
+    raw = np.frombuffer(b"x" + field.elevation.tobytes(), dtype=np.uint8)[1:].view(np.float32).reshape(field.elevation.shape)
+    evaluation = field.evaluation.copy()
+    evaluation.setflags(write=False)
+    grown(roadmap, Field(raw, evaluation, field.resolution, np.eye(4)), stance_at(PROFILE, START, HEIGHT), 0.7)
+    assert len(roadmap_search.grow.signatures) == compiled  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("sunk", [False, True])
+def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Roadmap, sunk: bool) -> None:
+    plain, stance = level(), stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[0, 0] += 0.05
+    i, j = np.rint((feet[0, :2] - plain.corner) / plain.resolution).astype(int)
+    evaluation = plain.evaluation.copy()
+    evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # nothing beside it and ahead of it
+    if not sunk:
+        evaluation[i - 2 : i + 3, j - 2 : j + 3] = -5  # but where it stands
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    grown(roadmap, field, Stance(stance.body, feet), 1.9, part=2000)
+    reached = roadmap.sampled(np.random.default_rng(0), 4000)
+    back = min(float(s.feet[0, 0]) for s in reached)
+    assert bool(back < feet[0, 0] - 0.03) is sunk
+
+
+def test_where_it_ends_is_said_in_the_world_and_by_how_much_the_gap_is_too_wide(roadmap: Roadmap) -> None:
+    elevation = heights([], 0.8)
+    plain = field_of(elevation, HEIGHT)
+    elsewhere = from_xyz_rpy((5.0, 2.0, 0.0), np.zeros(3))
+    field = Field(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.8 + BEYOND)
+    assert isinstance(found, NoWay)
+    assert re.match(r"at \(5\.\d\d, (1\.9|2\.0)\d\) m ", found.reason), found.reason
+    assert re.search(r"carry none, \d+ cm more than the \d+ cm that its leg goes", found.reason), found.reason

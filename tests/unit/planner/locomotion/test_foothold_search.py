@@ -1,0 +1,214 @@
+"""The search for a foothold against brute force, and the words when there is none."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.shared.geometry import Array
+
+Flags = NDArray[np.bool_]
+
+RADIUS, RESOLUTION = 0.06, 0.01
+OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
+NOBODY = np.zeros((0, 2))
+Maker = Callable[..., Terrain]
+
+
+def everywhere(points: Array) -> Flags:
+    return np.ones(len(points), dtype=bool)
+
+
+def nowhere(points: Array) -> Flags:
+    return np.zeros(len(points), dtype=bool)
+
+
+def patchy(seed: int, bad: float) -> Terrain:
+    """Level ground of which a share is no foothold, and a tenth unknown."""
+    ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.3)
+    rng = np.random.default_rng(seed)
+    score, elevation = ground.map.score, ground.map.elevation
+    score[rng.random(score.shape) < bad] = 2.0 * ACCEPTABLE
+    unknown = rng.random(score.shape) < 0.1
+    score[unknown], elevation[unknown] = np.nan, np.nan
+    return ground
+
+
+def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
+    assert (OFFSETS[0] == 0).all()
+    distance = np.linalg.norm(OFFSETS, axis=1)
+    assert (np.diff(distance) >= -1e-12).all()
+    cells = np.rint(OFFSETS / RESOLUTION).astype(int)
+    n = round(RADIUS / RESOLUTION)
+    expected = {(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if i * i + j * j <= n * n}
+    assert {(int(i), int(j)) for i, j in cells} == expected
+    assert len(cells) == len(expected)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+@example(7, 0.3, 0.005, -0.015)  # on the border of cells
+@settings(max_examples=60)
+def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
+    seed: int, bad: float, x: float, y: float
+) -> None:
+    ground, nominal = patchy(seed, bad), np.array([x, y])
+    others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
+    found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.0301)
+    map_ = ground.map
+    best = dict.fromkeys(range(9), np.inf)  # the distance of the nearest one with so many places that carry around it
+    i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
+    for i in range(map_.score.shape[0]):
+        for j in range(map_.score.shape[1]):
+            if (i - i0) ** 2 + (j - j0) ** 2 > (RADIUS / RESOLUTION) ** 2 or not map_.score[i, j] <= ACCEPTABLE:
+                continue
+            places = [map_.origin + map_.resolution * np.array([i, j])]
+            around = map_.score[i - 1 : i + 2, j - 1 : j + 2]
+            room = int((around <= ACCEPTABLE).sum()) - 1
+            if (i, j) == (i0, j0) and room == 8:
+                places.append(nominal)
+            for place in places:
+                if np.linalg.norm(others - place, axis=1).min() >= 0.04 and place[0] > x - 0.0301:
+                    best[room] = min(best[room], float(np.linalg.norm(place - nominal)))
+    if np.isinf(min(best.values())):
+        assert isinstance(found, NoFoothold)
+    else:
+        assert isinstance(found, Foothold)
+        most = max(room for room, distance in best.items() if np.isfinite(distance))
+        assert found.moved == pytest.approx(best[most], abs=1e-9)
+        assert np.linalg.norm(found.p_world[:2] - nominal) == pytest.approx(found.moved)
+
+
+def test_on_good_ground_the_foot_lands_where_the_gait_wants_it() -> None:
+    nominal = np.array([0.1234, -0.0567])
+    found = nearest_foothold(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS, NOBODY, 0.06, everywhere)
+    assert isinstance(found, Foothold)
+    np.testing.assert_allclose(found.p_world, [*nominal, 0.07], atol=1e-7)
+    assert found.moved == 0.0
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_the_words_count_every_cell_once(seed: int) -> None:
+    ground = patchy(seed, 0.7)
+    others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 2))
+    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.05, nowhere)
+    assert isinstance(found, NoFoothold)
+    total = int(re.search(r"of (\d+) cells", found.reason)[1])  # type: ignore[index]
+    tests = {what: int(n) for n, what in re.findall(r"(\d+) (not seen|too steep|too near another|out of)", found.reason)}
+    assert total == len(OFFSETS) == sum(tests.values())
+    scores = ground.scores(ground.centres(OFFSETS))
+    assert tests.get("not seen", 0) == int(np.isnan(scores).sum())
+    assert tests.get("too steep", 0) == int((scores > ACCEPTABLE).sum())
+    assert f"within {RADIUS * 100:.0f} cm" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("score", "others", "reachable", "words"),
+    [
+        (np.nan, NOBODY, everywhere, "not seen"),
+        (5.0, NOBODY, everywhere, "too steep or too near an edge"),
+        (0.0, np.zeros((1, 2)), everywhere, "too near another foot"),
+        (0.0, NOBODY, nowhere, "out of reach"),
+    ],
+)
+def test_each_test_has_its_words(
+    make_terrain: Maker, score: float, others: Array, reachable: Callable[[Array], Flags], words: str
+) -> None:
+    ground = make_terrain(score=lambda x, y: np.full_like(x, score))
+    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.2, reachable)
+    assert isinstance(found, NoFoothold)
+    assert f"of {len(OFFSETS)} cells {len(OFFSETS)} {words}" in found.reason
+
+
+def test_outside_the_map_nothing_carries() -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.2)
+    assert isinstance(nearest_foothold(ground, np.array([5.0, 0.0]), OFFSETS, NOBODY, 0.0, everywhere), NoFoothold)
+
+
+def test_a_score_at_the_limit_carries(make_terrain: Maker) -> None:
+    ground = make_terrain(score=lambda x, y: np.full_like(x, ACCEPTABLE))
+    assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NOBODY, 0.0, everywhere), Foothold)
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "water"), (2, "loose ground")])
+def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0)
+    shape = ground.map.elevation.shape
+    score = np.full(shape, 3.0, dtype=np.float32)
+    score[:100] = 5.0  # too steep besides
+    hazard = np.full(shape, number, dtype=np.uint8)
+    hazard[:100] = 0
+    wet = Terrain(replace(ground.map, score=score, hazard=hazard))
+    offsets = offsets_by_distance(0.06, 0.01)
+    found = nearest_foothold(wet, np.zeros(2), offsets, np.zeros((0, 2)), 0.06, lambda p: np.ones(len(p), dtype=bool))
+    assert isinstance(found, NoFoothold)
+    assert f" {words}" in found.reason
+    assert "too steep" in found.reason
+
+
+# ---- on Masri's evaluation function
+
+
+def block(half: int, bound: int = 5) -> Callable[[Array, Array], Array]:
+    """The evaluation function of a square of (2 * half + 1) cells around the origin."""
+
+    def F(x: Array, y: Array) -> Array:
+        i, j = np.abs(np.rint(x / RESOLUTION)), np.abs(np.rint(y / RESOLUTION))
+        outside = np.maximum(i - half, 0) + np.maximum(j - half, 0)
+        return np.asarray(np.where(outside > 0, outside, -np.minimum(np.minimum(half + 1 - i, half + 1 - j), bound)))
+
+    return F
+
+
+def on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = everywhere) -> Foothold | NoFoothold:
+    return nearest_foothold(replace(ground, layer="evaluation"), nominal, OFFSETS, NOBODY, 0.06, reachable)
+
+
+def test_a_strongly_negative_place_stays_and_one_near_the_border_moves_inwards(make_terrain: Maker) -> None:
+    ground = make_terrain(evaluation=block(10), score=lambda x, y: np.full_like(x, 9.0))  # the score has no say
+    inside = on(ground, np.array([0.03, -0.07]))
+    assert isinstance(inside, Foothold)
+    assert inside.moved == 0.0
+    border = on(ground, np.array([0.10, 0.0]))
+    assert isinstance(border, Foothold)
+    assert border.p_world[0] == pytest.approx(0.08)  # 3 cm from the border
+
+
+@pytest.mark.parametrize("half", [1, 2, 3])
+def test_on_small_ground_the_local_minimum_is_taken(make_terrain: Maker, half: int) -> None:
+    ground = make_terrain(evaluation=block(half))
+    for nominal in ((0.01 * half, 0.0), (0.01 * (half + 1), 0.01)):
+        found = on(ground, np.array(nominal))
+        assert isinstance(found, Foothold)
+        assert ground.map.evaluation[tuple(ground.cells(found.p_world[None, :2])[0][0])] == -min(half + 1, 3)
+
+
+def test_a_poor_place_is_better_than_none(make_terrain: Maker) -> None:
+    ground = make_terrain(evaluation=block(10))
+    found = on(ground, np.array([0.10, 0.0]), lambda points: points[:, 0] > 0.095)
+    assert isinstance(found, Foothold)
+    assert found.p_world[0] == pytest.approx(0.10)
+
+
+def test_the_refusal_has_the_same_words(make_terrain: Maker) -> None:
+    none = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 4.0)), np.zeros(2))
+    assert isinstance(none, NoFoothold)
+    assert f"{len(OFFSETS)} too steep or too near an edge" in none.reason
+    unseen = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 127.0)), np.zeros(2))
+    assert isinstance(unseen, NoFoothold)
+    assert f"{len(OFFSETS)} not seen" in unseen.reason
+
+
+def test_level_ground_without_a_map_is_good_on_either_layer() -> None:
+    flat = flat_terrain(0, np.zeros(2), 0.0)
+    for ground in (flat, replace(flat, layer="evaluation")):
+        found = nearest_foothold(ground, np.array([0.123, -0.2]), OFFSETS, NOBODY, 0.06, everywhere)
+        assert isinstance(found, Foothold)
+        assert found.moved == 0.0

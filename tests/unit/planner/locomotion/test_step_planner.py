@@ -1,0 +1,569 @@
+"""One step: it can be walked, it is as long as the ground allows, and otherwise it says why there is none."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.leg_clearance import clearance_to_sink
+from sextant.services.planner.locomotion.step_planner import SHARES, Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.stability import support_margin
+from sextant.shared.wire.messages import GaitName, VelocityCommand
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+SETTINGS = Settings()
+PLANNER = StridePlanner(PROFILE, SETTINGS)
+HEIGHT = 0.11
+TRIPOD = np.arange(6) % 2 == 0
+FLAT = flat_terrain(0, np.zeros(2), 0.0)
+UP = np.array([0.0, 0.0, PROFILE.foot.radius])
+Maker = Callable[..., Terrain]
+
+
+def command(
+    vx: float = 0.05, vy: float = 0.0, yaw_rate: float = 0.0, height: float = HEIGHT, lift: float = 0.04
+) -> VelocityCommand:
+    return VelocityCommand(0, np.array([vx, vy]), yaw_rate, height, lift)
+
+
+def standing(
+    asked: VelocityCommand | None = None, swing: Flags = TRIPOD, T: Array | None = None, feet: Array | None = None
+) -> Situation:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)) if T is None else T
+    return Situation(body, apply(body, PROFILE.rest_feet(HEIGHT)) if feet is None else feet, swing, asked or command())
+
+
+def stride(at: Situation, terrain: Terrain = FLAT) -> Stride:
+    found = PLANNER.plan(at, terrain)
+    assert isinstance(found, Stride), found
+    return found
+
+
+def walkable(found: Stride, at: Situation) -> None:
+    """What every step promises."""
+    feet = apply(inverse(found.body_goal), found.touchdown)
+    assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
+    above = apply(inverse(found.body_goal), found.touchdown + np.array([0.0, 0.0, 0.03]))
+    from_above = within_limits(PROFILE, body_inverse(PROFILE, above))
+    assert from_above[at.swing].all()  # nor does a foot come down from the side
+    np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
+    for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):
+        assert support_margin(found.touchdown[legs][:, :2], body[:2, 3]) >= PROFILE.stance.support_margin
+    apart = np.linalg.norm(found.touchdown[:, None, :2] - found.touchdown[None, :, :2], axis=2) + np.eye(6)
+    assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= PROFILE.stance.foot_distance
+    assert (found.clearance >= 0).all()
+    # Nor does the body climb, sink or tilt faster than it may.
+    assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= PROFILE.stance.max_climb + 1e-9
+    tilt = rpy_from_rotation(found.body_goal[:3, :3])[:2] - rpy_from_rotation(at.T_world_body[:3, :3])[:2]
+    assert np.degrees(np.abs(tilt)).max() <= SETTINGS.max_tilt_deg + 1e-6
+
+
+@given(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-0.2, 0.2), st.booleans())
+@settings(max_examples=40)
+def test_on_level_ground_it_does_what_is_commanded(vx: float, vy: float, yaw_rate: float, even: bool) -> None:
+    at = standing(command(vx, vy, yaw_rate), TRIPOD if even else ~TRIPOD)
+    found = stride(at)
+    walkable(found, at)
+    turn = (
+        float(np.clip(yaw_rate * PROFILE.stance.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg])))
+        * found.share
+    )
+    travel = np.array([vx, vy]) * PROFILE.stance.step_s
+    travel *= found.share * min(1.0, PROFILE.stance.stride / max(float(np.linalg.norm(travel)), 1e-9))
+    assert rpy_from_rotation(found.body_goal[:3, :3])[2] == pytest.approx(turn, abs=0.01)
+    assert np.linalg.norm(found.body_goal[:2, 3]) == pytest.approx(np.linalg.norm(travel), abs=1e-9)
+    assert found.body_goal[2, 3] == pytest.approx(HEIGHT)
+    np.testing.assert_allclose(found.touchdown[at.swing, 2], PROFILE.foot.radius, atol=1e-6)
+
+
+def test_moderate_commands_are_walked_whole() -> None:
+    assert stride(standing()).share == 1.0
+    assert stride(standing()).moved == 0
+
+
+def test_a_step_is_never_longer_than_allowed() -> None:
+    found = stride(standing(command(5.0, 0.0, 9.0)))
+    assert np.linalg.norm(found.body_goal[:2, 3]) <= PROFILE.stance.stride + 1e-9
+    assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.max_turn_deg) + 1e-9
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0)
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * ACCEPTABLE
+    at = standing()
+    found = PLANNER.plan(at, ground)
+    if isinstance(found, Blocked):
+        assert found.reason
+        return
+    walkable(found, at)
+    landed = found.touchdown[at.swing, :2]
+    assert (ground.scores(landed) <= ACCEPTABLE).all()
+    assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= PROFILE.stance.search_radius + 0.01
+
+
+def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
+    """An abyss ahead: the nearer it is the shorter the steps, until there is none."""
+    shares = []
+    for edge in np.arange(0.34, 0.10, -0.01):
+        ground = make_terrain(score=lambda x, y, edge=edge: np.where(x > edge, 9.0, 0.0))
+        found = PLANNER.plan(standing(command(0.06)), ground)
+        shares.append(found.share if isinstance(found, Stride) else 0.0)
+    assert shares[0] == 1.0
+    assert shares[-1] == 0.0
+    assert shares == sorted(shares, reverse=True)
+    assert len(set(shares)) > 2
+
+
+def test_the_words_are_those_of_the_whole_stride(make_terrain: Maker) -> None:
+    nothing = make_terrain(score=lambda x, y: np.full_like(x, np.nan))
+    found = PLANNER.plan(standing(), nothing)
+    assert isinstance(found, Blocked)
+    assert found.leg in np.flatnonzero(TRIPOD)
+    assert found.reason.startswith("left front leg: no foothold")
+    assert "not seen" in found.reason
+
+
+def test_a_body_off_its_feet_is_named() -> None:
+    feet = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))
+    away = from_xyz_rpy((0.11, 0.0, HEIGHT), np.zeros(3))
+    found = PLANNER.plan(standing(command(0.01), T=away, feet=feet), FLAT)
+    assert isinstance(found, Blocked)
+    assert "inside its three feet" in found.reason or "stretched" in found.reason
+
+
+@pytest.mark.parametrize("rise", [0.02, 0.04, -0.03])
+def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, rise: float) -> None:
+    ground = make_terrain(lambda x, y: np.full_like(x, rise))
+    found = stride(standing(command(0.02)), ground)
+    allowed = np.clip(rise, -PROFILE.stance.max_climb, PROFILE.stance.max_climb)
+    assert abs(found.body_goal[2, 3] - HEIGHT) <= PROFILE.stance.max_climb + 1e-9
+    # The floor is the mean of the three highest: going up the swinging tripod's, going down the standing one's.
+    assert found.body_goal[2, 3] - HEIGHT == pytest.approx(max(allowed, 0.0), abs=1e-6)
+    np.testing.assert_allclose(found.touchdown[TRIPOD, 2], rise + PROFILE.foot.radius, atol=1e-6)
+
+
+def staircase(make_terrain: Maker, riser: float, tread: float) -> Terrain:
+    """Stairs from x = 0.3 m on, no foothold within 3 cm of an edge."""
+
+    def steps(x: Array) -> Array:
+        return np.maximum(np.floor((x - 0.3) / tread) + 1.0, 0.0)
+
+    def near_edge(x: Array, y: Array) -> Array:
+        return np.where(steps(x - 0.03) != steps(x + 0.03), 9.0, 0.0)
+
+    return make_terrain(lambda x, y: riser * steps(x), near_edge, half=2.0)
+
+
+def climbs(planner: StridePlanner, ground: Terrain) -> list[Stride]:
+    """Steps from level ground to 1.4 m on, or as far as they go."""
+    at, strides = standing(command(0.10)), []
+    while at.T_world_body[0, 3] < 1.4:
+        found = planner.plan(at, ground)
+        if isinstance(found, Blocked):
+            break
+        walkable(found, at)
+        strides.append(found)
+        at = Situation(found.body_goal, found.touchdown, ~at.swing, at.command)
+    return strides
+
+
+def lean_deg(found: Stride) -> float:
+    return float(np.degrees(np.arccos(min(found.body_goal[2, 2], 1.0))))
+
+
+@pytest.mark.parametrize("riser", [-0.05, -0.03, 0.03, 0.05])
+@pytest.mark.parametrize("tread", [0.25, 0.325, 0.40])
+def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tread: float) -> None:
+    strides = climbs(PLANNER, staircase(make_terrain, riser, tread))
+    assert strides[-1].body_goal[0, 3] >= 1.4
+    assert max(map(lean_deg, strides)) <= min(SETTINGS.max_lean_deg, np.degrees(np.arctan(abs(riser) / tread)) + 5.0)
+    assert lean_deg(strides[0]) == 0.0
+
+
+def test_high_stairs_need_a_body_that_leans(make_terrain: Maker) -> None:
+    ground = staircase(make_terrain, 0.06, 0.25)
+    level = climbs(StridePlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
+    assert level[-1].body_goal[0, 3] < 1.0
+    assert max(map(lean_deg, climbs(PLANNER, ground))) > 3.0
+
+
+def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    feet = apply(body, PROFILE.rest_feet(HEIGHT))
+    heights = []
+    for low in np.arange(0.0, 0.12, 0.01):
+        feet[3:5, 2] = PROFILE.foot.radius - low
+        at = standing(command(0.01), T=body, feet=feet.copy())
+        found = PLANNER.plan(at, FLAT)
+        if isinstance(found, Stride):
+            walkable(found, at)
+            heights.append(found.body_goal[2, 3])
+    assert heights[0] == pytest.approx(HEIGHT)
+    assert heights == sorted(heights, reverse=True)
+    assert heights[-1] < HEIGHT - 0.004
+    assert heights[-1] >= PROFILE.stance.body_height_range[0]
+
+
+def test_legs_that_must_reach_down_make_it_stoop_too(make_terrain: Maker) -> None:
+    high = 0.12
+    down = make_terrain(lambda x, y: np.where(x > 0.17, -0.09, 0.0), lambda x, y: np.where(np.abs(x - 0.17) < 0.03, 9.0, 0.0))
+    T = from_xyz_rpy((0.0, 0.0, high), np.zeros(3))
+    at = standing(command(0.10, height=high), T=T, feet=apply(T, PROFILE.rest_feet(high)))
+    found = stride(at, down)
+    walkable(found, at)
+    assert found.touchdown[0, 2] < -0.05
+    assert found.body_goal[2, 3] < high or rpy_from_rotation(found.body_goal[:3, :3])[1] > 0.0
+
+
+@pytest.mark.parametrize(("asked", "why"), [(command(height=0.25), "body height"), (command(lift=0.2), "lift of")])
+def test_commands_that_no_ground_allows_are_named(asked: VelocityCommand, why: str) -> None:
+    assert why in PLANNER.objection(asked)
+    assert PLANNER.objection(command()) == ""
+
+
+def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> None:
+    """The one good place lies between the cells of a coarser map."""
+    fine = flat_terrain(0, np.zeros(2), 0.0, half_size=0.6, resolution=0.005)
+    wanted = stride(standing(), fine).touchdown[0, :2]
+    fine.map.score[:] = 9.0
+    cell = fine.cells(wanted[None])[0][0] + (3, -5)
+    fine.map.score[tuple(cell)] = 0.0
+    other = [leg for leg in (2, 4) if TRIPOD[leg]]
+    for leg in other:
+        ij = fine.cells(stride(standing()).touchdown[leg : leg + 1, :2])[0][0]
+        fine.map.score[ij[0] - 3 : ij[0] + 4, ij[1] - 3 : ij[1] + 4] = 0.0
+    found = stride(standing(), fine)
+    np.testing.assert_allclose(found.touchdown[0, :2], fine.map.origin + 0.005 * cell, atol=1e-9)
+    assert stride(standing()).moved == 0  # and a coarser map again
+
+
+def test_commanded_height_is_approached() -> None:
+    found = stride(standing(command(0.0, height=HEIGHT + 0.02)))
+    assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, PROFILE.stance.max_climb))
+
+
+def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None:
+    at = standing(command(0.1))
+    plain = stride(at)
+    middle = (at.feet[0, :2] + plain.touchdown[0, :2]) / 2
+    ridge = make_terrain(lambda x, y: np.where(np.hypot(x - middle[0], y - middle[1]) < 0.012, 0.06, 0.0))
+    found = stride(at, ridge)
+    assert plain.clearance[0] == pytest.approx(at.command.lift)
+    assert found.clearance[0] >= 0.06 + SETTINGS.path_margin - 0.01
+    assert found.clearance[2] == pytest.approx(at.command.lift)
+
+
+def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
+    at = standing(command(0.05))
+    foot = at.feet[0, :2]
+    # A wall around the foot, so near that no step is short enough to end before it, and feet are kept off it.
+    ring = make_terrain(
+        lambda x, y: np.where(np.abs(np.hypot(x - foot[0], y - foot[1]) - 0.03) < 0.012, 0.2, 0.0),
+        lambda x, y: np.where(np.hypot(x - foot[0], y - foot[1]) < 0.05, 9.0, 0.0),
+    )
+    found = PLANNER.plan(at, ring)
+    assert isinstance(found, Blocked)
+    assert found.leg == 0
+    assert "left front leg: something on its way asks for" in found.reason
+    assert "cm of lift" in found.reason
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_the_body_goes_no_further_than_its_legs_have_room(make_terrain: Maker, even: bool) -> None:
+    """Posts beside the front feet, where a femur would come with the body: nothing that a foot would notice."""
+    post = make_terrain(lambda x, y: np.where((x > 0.20) & (x < 0.23) & (np.abs(y) > 0.075) & (np.abs(y) < 0.13), 0.125, 0.0))
+    at = standing(command(0.06), TRIPOD if even else ~TRIPOD)
+    assert stride(at).share == 1.0
+    assert stride(at, post).share < 1.0
+
+
+@pytest.mark.parametrize("heading", np.radians([30.0, 90.0, -135.0]))
+def test_plans_do_not_depend_on_where_and_which_way_the_world_lies(heading: float) -> None:
+    """Level ground turned and moved: the same step, seen from the body."""
+    T = from_xyz_rpy((0.31, -0.17, HEIGHT), (0.0, 0.0, heading))
+    here, there = stride(standing(command(0.06, 0.02, 0.1))), stride(standing(command(0.06, 0.02, 0.1), T=T))
+    T_start = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    for a, b in ((here.touchdown, there.touchdown),):
+        np.testing.assert_allclose(apply(inverse(T), b), apply(inverse(T_start), a), atol=1e-6)
+    np.testing.assert_allclose(inverse(T) @ there.body_goal, inverse(T_start) @ here.body_goal, atol=1e-9)
+
+
+def test_retargeting_on_the_same_map_changes_nothing() -> None:
+    found = stride(standing())
+    np.testing.assert_allclose(PLANNER.retarget(found, FLAT).touchdown, found.touchdown, atol=1e-9)
+
+
+def test_retargeting_moves_only_the_foot_whose_ground_turned_out_bad(make_terrain: Maker) -> None:
+    found = stride(standing())
+    bad = found.touchdown[2, :2]
+    newer = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0))
+    moved = PLANNER.retarget(found, newer)
+    changed = np.abs(moved.touchdown - found.touchdown).max(axis=1) > 1e-6
+    np.testing.assert_array_equal(np.flatnonzero(changed), [2])
+    assert newer.scores(moved.touchdown[2:3, :2])[0] <= ACCEPTABLE
+    np.testing.assert_array_equal(moved.body_goal, found.body_goal)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_retargeted_feet_stay_in_reach_until_they_are_to_leave(seed: int) -> None:
+    found, ground = stride(standing(command(0.1))), flat_terrain(0, np.zeros(2), 0.0)
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.9] = 2.0 * ACCEPTABLE
+    moved = PLANNER.retarget(found, ground)
+    for body in (found.body_goal, found.body_after):
+        within = within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(body), moved.touchdown)))
+        assert within[found.swing].all()
+
+
+def test_retargeting_follows_the_height(make_terrain: Maker) -> None:
+    found = stride(standing())
+    moved = PLANNER.retarget(found, make_terrain(lambda x, y: np.full_like(x, 0.012)))
+    np.testing.assert_allclose(moved.touchdown[TRIPOD, 2] - found.touchdown[TRIPOD, 2], 0.012, atol=1e-6)
+
+
+def test_retargeting_keeps_its_foothold_when_the_map_has_nothing_better(make_terrain: Maker) -> None:
+    found = stride(standing())
+    nothing = make_terrain(score=lambda x, y: np.full_like(x, 9.0))
+    np.testing.assert_array_equal(PLANNER.retarget(found, nothing).touchdown, found.touchdown)
+
+
+def test_retargeting_takes_no_way_that_asks_for_more_lift(make_terrain: Maker) -> None:
+    at = standing(command(0.1))
+    found = stride(at)
+    middle, bad = (at.feet[0, :2] + found.touchdown[0, :2]) / 2, found.touchdown[0, :2]
+
+    def spoilt(x: Array, y: Array) -> Array:
+        return np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)
+
+    bump = make_terrain(lambda x, y: np.where(np.hypot(x - middle[0], y - middle[1]) < 0.025, 0.07, 0.0), spoilt)
+    np.testing.assert_array_equal(PLANNER.retarget(found, bump).touchdown[0], found.touchdown[0])
+    assert np.abs(PLANNER.retarget(found, make_terrain(score=spoilt)).touchdown[0] - found.touchdown[0]).max() > 0.01
+
+
+def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
+    found, T = stride(standing(command(0.06, 0.01, 0.1))), from_xyz_rpy((0.02, -0.01, 0.004), (0.0, 0.0, 0.03))
+    moved = found.moved_by(T)
+    for name in ("touchdown", "start"):
+        was, now = getattr(found, name), getattr(moved, name)
+        np.testing.assert_allclose(apply(inverse(moved.body_goal), now), apply(inverse(found.body_goal), was), atol=1e-12)
+    was, now = (inverse(one.body_goal) @ one.body_after for one in (found, moved))
+    np.testing.assert_allclose(now, was, atol=1e-12)
+    np.testing.assert_allclose(moved.nominal, apply(T, np.column_stack([found.nominal, np.zeros(6)]))[:, :2], atol=1e-9)
+
+
+# ---- gaits
+
+
+@pytest.mark.parametrize("gait", GAITS)
+@pytest.mark.parametrize(
+    ("velocity", "yaw_rate"),
+    [((1.0, 0.0), 0.0), ((-1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.7, -0.7), 0.0), ((0.0, 0.0), 0.15), ((0.8, 0.0), -0.1)],
+)
+def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
+    gait: GaitName, velocity: tuple[float, float], yaw_rate: float
+) -> None:
+    """Step upon step on level ground: each stands on enough legs before, while and after, and the body goes where it shall."""
+    rhythm = GAITS[gait]
+    speed = 0.06 / rhythm.stances / rhythm.pace / PROFILE.stance.step_s  # [m/s] at which a foot moves by 6 cm while it stands
+    asked = replace(command(speed * velocity[0], speed * velocity[1], yaw_rate / rhythm.stances, lift=0.025), gait=gait)
+    rest = PROFILE.rest_feet(HEIGHT)
+    along = directions(asked.velocity, asked.yaw_rate, rest)
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    feet, shares = apply(body, rest), []
+    for _ in range(4 * len(rhythm.groups)):
+        swing = swing_order(rhythm, along, apply(inverse(body), feet), rest)[0]
+        found = stride(Situation(body, feet, swing, asked))
+        for T in (body, found.body_goal):
+            assert support_margin(feet[~swing][:, :2], T[:2, 3]) >= PROFILE.stance.support_margin
+        assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(found.body_goal), found.touchdown))).all()
+        assert found.duration >= PLANNER.duration(asked)
+        body, feet = found.body_goal, found.touchdown
+        shares.append(found.share)
+    assert np.mean(shares) > 0.9
+    way = PLANNER.duration(asked) * np.sum(shares)
+    turned = asked.yaw_rate * way
+    assert rpy_from_rotation(body[:3, :3])[2] == pytest.approx(turned, abs=1e-6)
+    assert np.linalg.norm(body[:2, 3]) <= np.linalg.norm(asked.velocity) * way + 1e-9
+
+
+def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
+    slow = command(0.05)
+    assert PLANNER.short_of(slow, stride(standing(slow))) == ""
+    fast = replace(command(0.10), gait="wave")
+    words = PLANNER.short_of(fast, stride(standing(fast, np.arange(6) == 3)))
+    assert re.fullmatch(r", \d\.\d of 10\.0 cm/s: no more by reach and speed of the legs in the wave gait", words)
+
+
+def test_who_asks_for_more_speed_never_gets_less() -> None:
+    speeds = []
+    for asked in (command(v, height=PROFILE.stance.body_height, lift=0.025) for v in (0.08, 0.1, PROFILE.stance.max_speed)):
+        body = from_xyz_rpy((0.0, 0.0, asked.body_height), np.zeros(3))
+        rest = PROFILE.rest_feet(asked.body_height)
+        feet, along = apply(body, rest), directions(asked.velocity, 0.0, rest)
+        for _ in range(8):
+            order = swing_order(GAITS["tripod"], along, apply(inverse(body), feet), rest)
+            found, _ = PLANNER.choose([Situation(body, feet, swing, asked) for swing in order], wide_flat(body))
+            assert isinstance(found, Stride)
+            speed = float(found.body_goal[0, 3] - body[0, 3]) / found.duration
+            body, feet = found.body_goal, found.touchdown
+        speeds.append(speed)
+    assert speeds == sorted(speeds)
+
+
+def wide_flat(body: Array) -> Terrain:
+    return flat_terrain(0, body[:2, 3], 0.0)
+
+
+def test_legs_that_step_instead_of_others_say_why() -> None:
+    due, others = standing(command(0.05)), standing(command(0.05), ~TRIPOD)
+    bad = stride(due).touchdown[0, :2]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    score = np.where(np.hypot(x - bad[0], y - bad[1]) < 0.12, 9.0, 0.0).astype(np.float32)
+    found, way = PLANNER.choose([due, others], Terrain(replace(FLAT.map, score=score)))
+    assert isinstance(found, Stride)
+    assert way >= len(SHARES)
+    assert found.instead.startswith("left front leg: no foothold")
+    assert PLANNER.choose([others, due], FLAT)[0].instead == ""  # type: ignore[union-attr]
+
+
+def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherwise() -> None:
+    """Of either group one leg stands amid ground that carries no foot, a little further than the nearer search goes."""
+    situations = [standing(command(0.005), swing) for swing in (TRIPOD, ~TRIPOD)]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    score = np.zeros((200, 200), dtype=np.float32)
+    for leg, at in enumerate(situations):
+        bad = PLANNER.plan(at, FLAT).nominal[leg]  # type: ignore[union-attr]
+        score[np.hypot(x - bad[0], y - bad[1]) < PROFILE.stance.search_radius + 0.015] = 9.0
+    ditch = Terrain(replace(FLAT.map, score=score))
+    assert all(isinstance(PLANNER.plan(at, ditch), Blocked) for at in situations)
+    found, _ = PLANNER.choose(situations, ditch)
+    assert isinstance(found, Stride)
+    far = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[found.swing], axis=1)
+    assert PROFILE.stance.search_radius < far.max() < 1.6 * PROFILE.stance.search_radius
+
+
+@given(st.sets(st.integers(0, 2 * len(SHARES) - 1)))
+def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set[int]) -> None:
+    situations = [standing(command(0.05), swing) for swing in (TRIPOD, ~TRIPOD)]
+    found, way = PLANNER.choose(situations, FLAT, refused)
+    left = [k for k in range(2 * len(SHARES)) if k not in refused]
+    if not left:
+        assert isinstance(found, Blocked)
+    else:
+        assert way == left[0]  # on level ground every way can be taken
+        assert isinstance(found, Stride)
+        np.testing.assert_array_equal(found.swing, situations[way // len(SHARES)].swing)
+        assert found.share == SHARES[way % len(SHARES)]
+
+
+def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[Situation]:
+    along = directions(asked.velocity, asked.yaw_rate, PROFILE.rest_feet(HEIGHT))
+    order = swing_order(GAITS[asked.gait], along, apply(inverse(body), feet), PROFILE.rest_feet(HEIGHT))
+    return [Situation(body, feet, swing, asked) for swing in order]
+
+
+def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> None:
+    """As short steps of always the same legs leave it, where the ground that the others were to step on is unseen."""
+    asked, body = command(0.11), from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    behind = 1e-3 * np.array([[-47, 16], [-66, 0], [11, 1], [-38, 2], [12, 1], [-41, -1]])
+    feet = apply(body, PROFILE.rest_feet(HEIGHT)) + np.column_stack([behind, np.zeros(6)])
+    at = situations_of(body, feet, asked)
+    blocked, _ = PLANNER.choose(at, FLAT)
+    assert isinstance(blocked, Blocked)
+    assert "stretched" in blocked.reason
+    found, way = PLANNER.gather(at, FLAT)
+    assert isinstance(found, Stride)
+    assert way >= len(at) * len(SHARES), "no way of `choose` has its number"
+    walkable(found, next(one for one in at if (one.swing == found.swing).all()))
+    np.testing.assert_allclose(found.body_goal[:2, 3], body[:2, 3])
+    other, _ = PLANNER.gather(at, FLAT, {way})
+    assert isinstance(other, Blocked) or (other.swing != found.swing).all(), "what was refused is not tried again"
+    assert isinstance(PLANNER.choose(situations_of(found.body_goal, found.touchdown, asked), FLAT)[0], Stride)
+
+
+@given(st.lists(st.floats(-0.02, 0.02), min_size=12, max_size=12))
+@settings(max_examples=25)
+def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[float]) -> None:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    rest = apply(body, PROFILE.rest_feet(HEIGHT))
+    feet = rest + np.column_stack([np.reshape(off, (6, 2)), np.zeros(6)])
+    for _ in range(4):
+        found, _ = PLANNER.gather(situations_of(body, feet, command()), FLAT)
+        if isinstance(found, Blocked):
+            break
+        body, feet = found.body_goal, found.touchdown
+    assert isinstance(found, Blocked)
+    for legs in (TRIPOD, ~TRIPOD):
+        assert np.linalg.norm((feet - rest)[legs], axis=1).sum() <= 0.03
+
+
+@given(st.floats(0.0, 0.12), st.floats(0.02, 0.06), st.floats(-0.01, 0.01))
+@settings(max_examples=25)
+def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
+    height: float, before: float, aside: float
+) -> None:
+    """Where that asks for more lift than a leg has, there is no such step."""
+    at = standing(command(0.1))
+    x0, y0 = stride(at).touchdown[2, :2] - [before, aside]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    block = np.hypot(x - x0, y - y0) < 0.012
+    ground = Terrain(replace(FLAT.map, elevation=np.where(block, height, 0.0).astype(np.float32)))
+    found = PLANNER.plan(at, ground)
+    if isinstance(found, Stride):
+        swing = found.swing
+        along = ground.ground_along(found.start[:, :2], found.touchdown[:, :2])
+        needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.sink_margin)
+        assert (found.clearance[swing] >= needed[swing] - 1e-9).all()
+        assert found.clearance[swing].max() <= PROFILE.stance.max_lift
+
+
+def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> None:
+    low, high = (stride(standing(command(0.05, lift=lift))) for lift in (0.02, 0.08))
+    assert low.duration == PROFILE.stance.step_s
+    assert high.duration > low.duration
+    way = np.linalg.norm((high.touchdown - high.start)[high.swing], axis=1).max() + 4 * 0.08
+    assert way / (high.duration - SETTINGS.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
+
+
+@pytest.mark.parametrize("off", [0.03, 0.04])
+def test_the_body_makes_room_for_a_folded_leg_before_its_foot_is_pushed_against_what_stands_there(
+    make_terrain: Maker, off: float
+) -> None:
+    """The left front foot stands near its coxa and right before a riser; the other legs' step is refused by the actuator."""
+    feet = standing().feet.copy()
+    feet[0, :2] -= [0.04, 0.03]
+    riser = float(feet[0, 0]) + off
+    block = make_terrain(
+        lambda x, y: np.where((x > riser) & (x < riser + 0.25) & (y > -0.05), 0.035, 0.0),
+        lambda x, y: np.where((np.abs(x - riser) < 0.02) & (y > -0.05), 9.0, 0.0),
+    )
+    situations = [standing(swing=legs, feet=feet) for legs in (TRIPOD, ~TRIPOD)]
+    others = frozenset(range(len(SHARES), 2 * len(SHARES)))
+    shift, way = PLANNER.choose(situations, block, others)
+    assert isinstance(shift, Stride)
+    assert not shift.swing.any()
+    assert "left front leg: its foot would be pushed against the ground" in shift.instead
+    assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(shift.body_goal), feet))).all()
+    assert support_margin(feet[:, :2], shift.body_goal[:2, 3]) >= PROFILE.stance.support_margin
+    after, _ = PLANNER.choose([replace(at, T_world_body=shift.body_goal) for at in situations], block, others)
+    assert isinstance(after, Stride)
+    np.testing.assert_array_equal(after.swing, TRIPOD)
+    assert not after.instead, "nothing stands in the way of the legs that are due"
+    pushed, _ = PLANNER.choose(situations, block, others | {way})
+    assert isinstance(pushed, Stride)
+    assert pushed.swing[0], "the last resort, once the actuator refuses the shift as well"

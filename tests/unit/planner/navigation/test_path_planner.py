@@ -1,0 +1,240 @@
+"""Ways over cells: the cheapest there is, never over what is closed, and words where there is none."""
+
+import tracemalloc
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.planner.navigation.path_planner import NoWay, Way, cheapest_cells, cost_of, find_way, straightened, widest
+from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, OPEN, STEP, WORDS, Crossing
+from sextant.shared.geometry import Array
+
+EDGE = 0.05
+HALF = 0.25  # [m] of the robot's width
+
+
+def crossing(cost: Array, stops: Array | None = None) -> Crossing:
+    """Ground of which only the costs are told, closed cells being steps."""
+    closed = np.isinf(cost)
+    kinds = np.where(closed, STEP, OPEN) if stops is None else stops
+    cells = np.argwhere(closed)
+    grid = np.indices(cost.shape).transpose(1, 2, 0)
+    far = np.full(cost.shape, 9.0)
+    room = np.min([far, *(np.linalg.norm(grid - cell, axis=2) for cell in cells)], axis=0) * EDGE
+    nothing = np.zeros(cost.shape)
+    needs = np.full(cost.shape, HALF)
+    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, kinds.astype(np.int8), nothing > 0, nothing)
+
+
+def reference(cost: Array, start: tuple[int, int]) -> Array:
+    """What it costs to come to each cell, by going over all of them until nothing gets cheaper."""
+    best = np.full(cost.shape, np.inf)
+    best[start] = 0.0
+    n, m = cost.shape
+    for _ in range(n * m):
+        before = best.copy()
+        for i, j in np.ndindex(n, m):
+            for di, dj in [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]:
+                a, b = i + di, j + dj
+                if not (0 <= a < n and 0 <= b < m) or np.isinf([cost[i, j], cost[a, b], cost[a, j], cost[i, b]]).any():
+                    continue
+                best[a, b] = min(best[a, b], best[i, j] + np.hypot(di, dj) * (cost[i, j] + cost[a, b]) / 2)
+        if np.array_equal(best, before):
+            break
+    return best
+
+
+def price(cost: Array, cells: Array) -> float:
+    return sum(
+        float(np.hypot(*(b - a)) * (cost[tuple(a)] + cost[tuple(b)]) / 2) for a, b in pairwise(np.asarray(cells, dtype=int))
+    )
+
+
+@st.composite
+def grounds(draw: st.DrawFn) -> Array:
+    """Small grounds with walls, their ends open."""
+    n, m = draw(st.integers(2, 7)), draw(st.integers(2, 7))
+    values = st.sampled_from([1.0, 1.5, 4.0, np.inf])
+    cost = np.array(draw(st.lists(values, min_size=n * m, max_size=n * m))).reshape(n, m)
+    cost[0, 0], cost[-1, -1] = 1.0, 1.0
+    return cost
+
+
+@settings(max_examples=80, deadline=None)
+@given(grounds())
+def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) -> None:
+    ground, end = crossing(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
+    best = reference(cost, (0, 0))
+    cells, reached = cheapest_cells(ground.cost, ground.room, (0, 0), end)
+    if cells is None:
+        assert np.isinf(best[end])
+        np.testing.assert_array_equal(reached, np.isfinite(best))
+        return
+    assert np.isfinite(cost[tuple(cells.T)]).all()
+    assert tuple(cells[0]) == (0, 0)
+    assert tuple(cells[-1]) == end
+    assert price(cost, cells) == pytest.approx(best[end])
+    for a, b in pairwise(cells):
+        assert np.abs(b - a).max() == 1
+        assert np.isfinite([cost[a[0], b[1]], cost[b[0], a[1]]]).all(), "no corner is cut"
+
+
+@settings(max_examples=40, deadline=None)
+@given(grounds())
+def test_the_way_back_costs_the_same(cost: Array) -> None:
+    ground, end = crossing(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
+    there, _ = cheapest_cells(ground.cost, ground.room, (0, 0), end)
+    back, _ = cheapest_cells(ground.cost, ground.room, end, (0, 0))
+    assert (there is None) == (back is None)
+    if there is not None and back is not None:
+        assert price(cost, there) == pytest.approx(price(cost, back))
+
+
+@settings(max_examples=80, deadline=None)
+@given(grounds())
+def test_straightened_it_is_no_dearer_and_crosses_nothing_closed(cost: Array) -> None:
+    ground = crossing(cost)
+    cells, _ = cheapest_cells(ground.cost, ground.room, (0, 0), (cost.shape[0] - 1, cost.shape[1] - 1))
+    if cells is None:
+        return
+    points = ground.centres(cells)
+    corners = straightened(ground, points)
+    assert cost_of(ground, corners) <= cost_of(ground, points) * (1.0 + 1e-6)
+    np.testing.assert_array_equal(corners[[0, -1]], points[[0, -1]])
+    for a, b in pairwise(corners):
+        line = a + np.linspace(0.0, 1.0, 50)[:, None] * (b - a)
+        assert np.isfinite(ground.at(ground.cost, line)).mean() > 0.9
+
+
+def test_over_open_ground_it_is_straight_and_ends_at_the_goal() -> None:
+    start, goal = np.array([0.11, 0.12]), np.array([1.83, 0.77])
+    way = find_way(crossing(np.ones((40, 20))), start, goal, 0.03)
+    assert isinstance(way, Way)
+    np.testing.assert_array_equal(way.corners, [start, goal])
+    assert way.cost == pytest.approx(float(np.linalg.norm(goal - start)))
+
+
+def test_within_a_cell_it_is_straight_too() -> None:
+    start, goal = np.array([0.11, 0.12]), np.array([0.14, 0.12])
+    way = find_way(crossing(np.ones((40, 20))), start, goal, 0.03)
+    assert isinstance(way, Way)
+    np.testing.assert_array_equal(way.corners, [start, goal])
+
+
+def test_what_is_dear_is_gone_around_if_that_is_cheaper() -> None:
+    cost = np.ones((40, 40))
+    cost[18:22, 5:35] = 30.0
+    way = find_way(crossing(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
+    assert isinstance(way, Way)
+    assert np.ptp(way.corners[:, 1]) > 0.7
+    cost[18:22] = 30.0
+    way = find_way(crossing(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
+    assert isinstance(way, Way)
+    assert np.ptp(way.corners[:, 1]) < 0.1, "there is no cheaper one"
+
+
+@pytest.mark.parametrize("kind", [STEP, BARE, HOLE])
+def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int) -> None:
+    cost = np.ones((40, 20))
+    cost[27:29] = np.inf
+    stops = np.where(np.isinf(cost), kind, OPEN)
+    found = find_way(crossing(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
+    assert found == NoWay(f"no way to (1.8, 0.5): {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no gap")
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_widest_way_is_the_one_that_is_left_when_all_narrower_cells_are_closed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = np.where(rng.random((8, 9)) < 0.3, 0.0, rng.random((8, 9)))
+    start, end = (0, 0), (7, 8)
+    least, cell = widest(room, start, end)
+
+    def reached(above: float) -> bool:
+        open_ = room > above
+        open_[start] = open_[end] = True
+        seen = np.zeros(room.shape, dtype=bool)
+        seen[start] = True
+        for _ in range(room.size):
+            wide = np.pad(seen, 1)
+            seen |= open_ & (wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:])
+        return bool(seen[end])
+
+    assert reached(0.0) == (cell is not None)
+    if cell is not None:
+        assert room[cell] == least
+        assert reached(np.nextafter(least, 0.0))
+        assert not reached(least)
+
+
+@pytest.mark.parametrize("open_cells", [1, 3, 7])
+def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -> None:
+    cost, first = np.ones((40, 20)), 6
+    cost[27:29] = np.inf
+    cost[27:29, first : first + open_cells] = 1.0
+    ground = crossing(cost)
+    ground.cost[ground.room < HALF] = np.inf
+    found = find_way(ground, np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
+    assert isinstance(found, NoWay)
+    room = (open_cells // 2 + 1) * EDGE
+    at = f"(1.4, {(first + open_cells / 2) * EDGE:.1f})"
+    assert found.reason.endswith(
+        f"; the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {HALF:.2f} m"
+    )
+
+
+def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_do() -> None:
+    cost = np.ones((40, 20))
+    cost[28:30] = np.inf
+    start, goal = np.array([0.5, 0.5]), np.array([1.43, 0.5])
+    found = find_way(crossing(cost), start, goal, 0.03)
+    assert isinstance(found, NoWay)
+    assert found.reason.startswith(f"no way to (1.4, 0.5): {WORDS[STEP]} at (1.4, 0.5)")
+    way = find_way(crossing(cost), start, goal, 0.2)
+    assert isinstance(way, Way)
+    assert way.corners[-1][0] < 1.4
+
+
+def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_not_through_the_wall() -> None:
+    cost = np.ones((40, 20))
+    cost[20] = np.inf
+    stops = np.where(np.isinf(cost), STEP, OPEN)
+    room = np.abs(np.arange(40) - 20)[:, None] * EDGE * np.ones((1, 20))
+    cost[room < 0.25] = np.inf  # the robot is as wide
+    nothing = np.zeros(cost.shape)
+    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, stops.astype(np.int8), nothing > 0, nothing, 0.25)
+    out = find_way(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)
+    assert isinstance(out, Way)
+    assert out.corners[:, 0].max() == 0.93
+    assert isinstance(find_way(ground, np.array([0.93, 0.5]), np.array([1.8, 0.5]), 0.03), NoWay)
+
+
+def test_a_goal_beyond_the_cells_is_walked_towards() -> None:
+    way = find_way(crossing(np.ones((40, 20))), np.array([0.5, 0.5]), np.array([9.0, 0.5]), 0.03)
+    assert isinstance(way, Way)
+    assert 1.9 < way.corners[-1][0] <= 2.0
+
+
+def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
+    cost = np.ones((40, 60))
+    cost[18:22, 10:50] = np.inf
+    start, goal = np.array([0.5, 1.5]), np.array([1.5, 1.5])
+    ground = crossing(cost)
+    assert isinstance(find_way(ground, start, goal, 0.03), Way)
+    near = ground.beside(start, goal, 0.9)
+    found = find_way(near, start, goal, 0.03)
+    assert isinstance(found, NoWay)
+    assert WORDS[FAR] in found.reason
+
+
+def test_the_cost_of_a_way_to_a_place_far_away_takes_no_memory() -> None:
+    ground = crossing(np.ones((4, 4)))
+    tracemalloc.start()
+    cost = cost_of(ground, np.array([[0.1, 0.1], [1e6, 0.1]]))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert cost == pytest.approx(1e6)
+    assert most < 10e6

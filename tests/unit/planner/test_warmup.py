@@ -1,0 +1,54 @@
+"""After the rehearsal nothing is compiled while a passage is planned."""
+
+import sys
+
+import numpy as np
+
+from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
+from sextant.services.planner.config import Settings
+from sextant.services.planner.gap_crossing.roadmap import Roadmap
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.warmup import rehearse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire import codec
+from sextant.shared.wire.messages import PassageMap
+
+PROFILE = load_profile("phantomx_mk2")
+
+
+def compiled() -> int:
+    """How many signatures of functions of the passage planner have been compiled or loaded."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.gap_crossing.")]
+    found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
+    return sum(len(f.signatures) for f in found.values())
+
+
+def as_told(field: Field) -> Field:
+    """The same ground as the planner comes by it, from a message."""
+    shape, origin = field.elevation.shape, np.array(field.corner)
+    nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
+    normals = np.zeros((*shape, 3), dtype=np.int16)
+    layers = (field.elevation, normals, nothing, none, field.evaluation)
+    told = PassageMap(0, field.resolution, origin, 0.0, *layers, 0.0, "", np.eye(4), none)
+    return Field.of(codec.decode(codec.encode(told), PassageMap)[0])
+
+
+def test_a_passage_is_planned_without_compiling_anything() -> None:
+    rehearse(PROFILE, Settings())
+    before = compiled()
+    assert before > 0
+    field = as_told(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
+    roadmap = Roadmap(PROFILE, PassageSettings(body_height=0.105))
+    roadmap.begin(field, stance_at(PROFILE, START, 0.105), NEAR + 0.8 + BEYOND, seed=1)
+    assert roadmap.grow(30_000) is not None
+    assert compiled() == before
+
+
+def test_what_is_told_is_the_same_ground() -> None:
+    field = field_of(heights(thesis_blocks(2, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
+    told = as_told(field)
+    np.testing.assert_array_equal(told.elevation, field.elevation)
+    np.testing.assert_array_equal(told.evaluation, field.evaluation)
+    np.testing.assert_allclose(told.T_world_strip, field.T_world_strip, atol=1e-12)
+    assert not told.elevation.flags.writeable

@@ -1,0 +1,155 @@
+import errno
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sextant.shared.files.whole_files import WriteError
+from sextant.shared.recording.live import LiveRecorder
+from sextant.shared.recording.reader import is_whole, read
+from sextant.shared.recording.rotation import NoRoomError, Rotation
+from sextant.shared.recording.writer import Recorder, Unwritable
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import codec, topics
+from tests.support.recorded import frames, some_messages
+
+ABOUT = {"scenario": "steps"}
+
+
+def recorder(path: Path) -> Recorder:
+    return Recorder(path, ABOUT)
+
+
+def feed(live: LiveRecorder, n: int = 40) -> None:
+    for topic, frame, at_ns in frames(some_messages(n=n)):
+        live.take(topic, frame, at_ns)
+
+
+def test_all_that_fits_the_queue_is_kept(tmp_path: Path) -> None:
+    with LiveRecorder(recorder(tmp_path / "r")) as live:
+        feed(live)
+    assert live.finished
+    assert (live.taken, live.dropped, live.problem) == (80, 0, "")
+    assert [at for _, _, at in read(tmp_path / "r")] == [at for _, _, at in some_messages()]
+    assert live.size == (tmp_path / "r").stat().st_size
+
+
+@pytest.mark.parametrize("limit", ["_QUEUE_FRAMES", "_QUEUE_BYTES"])
+def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = frames(some_messages(n=10))
+    most = {"_QUEUE_FRAMES": 10, "_QUEUE_BYTES": sum(len(frame) for _, frame, _ in messages[:10])}[limit]
+    monkeypatch.setattr(f"sextant.shared.recording.live.{limit}", most)
+    live = LiveRecorder(recorder(tmp_path / "r"))
+    for topic, frame, at_ns in messages:  # nobody writes yet
+        live.take(topic, frame, at_ns)
+    assert live.taken + live.dropped == 20
+    assert live.taken in (10, 11), "a small one may still have fitted"
+    with live:
+        pass
+    assert len(list(read(tmp_path / "r"))) == live.taken
+
+
+class FullDisk(Recorder):
+    """Its disk is full."""
+
+    def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        raise WriteError(self.path, OSError(errno.ENOSPC, "No space left on device"))
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None:
+    live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
+    with live:
+        feed(live)
+    assert "the disk is full; make room" in live.problem
+    assert str(tmp_path / "r") in live.problem
+    feed(live)  # nobody is held up, and nothing piles up
+    assert live.taken == 80
+
+
+def test_a_device_that_takes_nothing_is_said_where_it_is_opened(tmp_path: Path) -> None:
+    with pytest.raises(WriteError, match=r"/dev/full cannot be written: the disk is full; make room$"):
+        recorder(Path("/dev/full"))
+
+
+def test_a_disk_that_fills_up_leaves_whole_files(tmp_path: Path) -> None:
+    free = [10**9]
+
+    def make(path: Path) -> Recorder:
+        return recorder(path)
+
+    rotation = Rotation(tmp_path, make, free_bytes=lambda _: free[0])
+    with LiveRecorder(rotation) as live:
+        feed(live)
+        free[0] = 1 << 20
+        feed(live)
+    assert "1 MB are free" in live.problem
+    assert "record to another disk" in live.problem
+    (file,) = tmp_path.iterdir()
+    found = list(read(file))
+    assert 0 < len(found) < 160
+    with pytest.raises(NoRoomError):
+        Rotation(tmp_path, make, free_bytes=lambda _: 0)
+
+
+class Link:
+    """Hands frames over while somebody listens."""
+
+    def __init__(self) -> None:
+        self.listeners: dict[str, Callable[[AnyTopic, bytes], None]] = {}
+
+    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> Callable[[], None]:
+        self.listeners[topic.key] = receive
+        return lambda: self.listeners.pop(topic.key) and None
+
+    def send(self, topic: AnyTopic, frame: bytes) -> None:
+        raise AssertionError("a recorder says nothing")
+
+    def wanted(self, topic: AnyTopic) -> bool:
+        return True
+
+
+def test_everything_but_pictures_is_listened_to_until_the_end(tmp_path: Path) -> None:
+    link: Any = Link()
+    with LiveRecorder(recorder(tmp_path / "r")) as live:
+        live.listen(link, lambda: 7)
+        assert sorted(link.listeners) == sorted(t.key for t in topics.TOPICS if t not in (topics.DEPTH, topics.COLOR))
+        topic, message, _ = some_messages()[0]
+        link.listeners[topic.key](topic, codec.encode(message))
+    assert not link.listeners
+    assert [(t, at) for t, _, at in read(tmp_path / "r")] == [(topic, 7)]
+
+
+def test_what_came_is_handed_to_the_system_while_the_recording_goes_on(tmp_path: Path) -> None:
+    """A process that is killed loses what came since: no more than a second of it."""
+    flushed = threading.Event()
+
+    class Watched(Recorder):
+        def sync(self) -> None:
+            super().sync()
+            if self.size > 1000:
+                flushed.set()
+
+    with LiveRecorder(Watched(tmp_path / "r", ABOUT)) as live:
+        topic, frame, at_ns = frames(some_messages())[0]
+        live.take(topic, frame, at_ns)
+        assert flushed.wait(10.0)
+        assert len(list(read(tmp_path / "r"))) == 1, "it can be read without having been finished"
+
+
+def test_a_recording_that_cannot_begin_says_why_and_takes_nothing(tmp_path: Path) -> None:
+    error = WriteError(tmp_path / "r.mcap", OSError(errno.EROFS, "Read-only file system"))
+    live = LiveRecorder(Unwritable(tmp_path / "r.mcap", error))
+    with live:
+        feed(live)
+    assert "r.mcap cannot be written: the disk is read-only" in live.problem
+
+
+def test_a_disk_that_is_nearly_full_ends_a_recording_with_a_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sextant.shared.recording.writer.RESERVE_BYTES", 1 << 60)
+    live = LiveRecorder(recorder(tmp_path / "r.mcap"))
+    with live:
+        feed(live)
+    assert "of the disk are free, which the report needs; make room" in live.problem
+    assert is_whole(tmp_path / "r.mcap")

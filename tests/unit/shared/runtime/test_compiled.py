@@ -1,0 +1,37 @@
+"""Compiled functions stand alone: their cache is told by their own file's date, and by nothing else."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[4]
+OURS = ("services", "shared", "deploy")
+COMPILED = ("compiled", "written_into")
+
+
+def borrowed(source: str) -> Iterator[str]:
+    """Names from other files of ours that compiled functions of one use."""
+    module = ast.parse(source)
+    imported = {
+        alias.asname or alias.name
+        for node in ast.walk(module)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sextant.")
+        for alias in node.names
+    }
+    for function in module.body:
+        if isinstance(function, ast.FunctionDef) and any(ast.unparse(d) in COMPILED for d in function.decorator_list):
+            names = {node.id for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)}
+            yield from (f"{function.name} uses {name}" for name in sorted(names & imported))
+
+
+def test_borrowed_names_are_found() -> None:
+    source = "from sextant.shared.a import B, c\nD = 1\n@compiled\ndef f(x):\n    return c(x) + B + D\ndef g():\n    return B\n"
+    assert list(borrowed(source)) == ["f uses B", "f uses c"]
+    assert list(borrowed(source.replace("@compiled", "@written_into"))) == ["f uses B", "f uses c"]
+
+
+def test_no_compiled_function_uses_what_another_file_may_change() -> None:
+    files = [file for folder in OURS for file in (ROOT / folder).rglob("*.py")]
+    assert sum("@compiled" in file.read_text() for file in files) > 10
+    found = {str(file.relative_to(ROOT)): list(borrowed(file.read_text())) for file in files}
+    assert not {file: names for file, names in found.items() if names}

@@ -1,0 +1,237 @@
+"""Services in one process on simulated time."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from sextant.shared.runtime.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Message, ModeCommand, PlannerStatus, Tick
+from tests.support.scripted_service import Scripted, order, status, velocity
+
+MS = 1_000_000
+VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_STATUS, topics.HEALTH
+
+
+@dataclass
+class Recorder:
+    """Every frame as it was sent, the timing inside health reports apart."""
+
+    frames: list[tuple[str, bytes, int]] = field(default_factory=list)
+
+    def __call__(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic is not HEALTH:
+            self.frames.append((topic.key, frame, at_ns))
+
+
+def operator(period_ns: int = 10 * MS) -> Scripted:
+    sequence = iter(range(10**6))
+
+    def act(tick: Tick, _: Inbox) -> Iterator[Message]:
+        yield velocity(tick.stamp_ns)
+        yield ModeCommand(tick.stamp_ns, "walk", next(sequence))
+
+    return Scripted("console", Every(period_ns), writes=(VELOCITY, MODE), act=act)
+
+
+def planner() -> Scripted:
+    return Scripted(
+        "planner", VELOCITY, reads=(MODE,), writes=(STATUS,), act=lambda v, box: [status(len(box.drain(MODE)) + v.stamp_ns)]
+    )
+
+
+def system(**options: Any) -> tuple[Lockstep, Recorder]:
+    tap = Recorder()
+    return Lockstep({"console": operator, "planner": planner}, tap, **options), tap
+
+
+def seen(run: Lockstep, name: str = "planner") -> list[tuple[int, Any]]:
+    service = run.service(name)
+    assert isinstance(service, Scripted)
+    return service.seen
+
+
+def test_a_message_takes_its_latency() -> None:
+    run, _ = system()
+    run.run(100 * MS)
+    latency_ns = round(1e9 * VELOCITY.latency_s)
+    assert [(at, v.stamp_ns) for at, v in seen(run)] == [(10 * MS * n + latency_ns, 10 * MS * n) for n in range(10)]
+
+
+def test_what_several_read_is_decoded_once_and_none_of_them_can_change_it() -> None:
+    run = Lockstep({"console": operator, "planner": planner, "mapper": lambda: Scripted("mapper", VELOCITY)})
+    run.run(50 * MS)
+    pairs = zip(seen(run), seen(run, "mapper"), strict=True)
+    for (_, at_planner), (_, at_mapper) in pairs:
+        assert at_planner is at_mapper
+        with pytest.raises(ValueError, match="read-only"):
+            at_planner.velocity[0] = 1.0
+
+
+def test_a_latency_may_be_another() -> None:
+    run, _ = system(latency_s={VELOCITY.key: 0.025})
+    run.run(50 * MS)
+    assert [at for at, _ in seen(run)] == [25 * MS, 35 * MS, 45 * MS]
+
+
+def test_time_passes_to_the_instant_and_not_beyond() -> None:
+    run, _ = system()
+    run.run(20 * MS)
+    assert run.now_ns == 20 * MS
+    assert [at for at, _ in seen(run, "console")] == [0, 10 * MS, 20 * MS]
+    run.run(25 * MS)
+    run.run(25 * MS)
+    assert run.now_ns == 25 * MS
+    assert len(seen(run, "console")) == 3
+    run.run(30 * MS)
+    assert len(seen(run, "console")) == 4
+
+
+def test_at_one_instant_deliveries_come_before_beats_and_beats_in_order() -> None:
+    happened: list[str] = []
+
+    def note(name: str) -> Callable[[Any, Inbox], Iterable[Message]]:
+        def act(_message: Any, box: Inbox) -> Iterable[Message]:
+            happened.append(f"{name} {box.now_ns // MS} " + ("fresh" if box.waiting(MODE) else "-"))
+            return [order(1)] if name == "b" else []
+
+        return act
+
+    makers = {name: (lambda name=name: Scripted(name, Every(10 * MS), (MODE,), (MODE,), note(name))) for name in ("b", "a")}
+    Lockstep(makers, latency_s={MODE.key: 0.010}).run(10 * MS)
+    assert happened == ["b 0 -", "a 0 -", "b 10 fresh", "a 10 fresh"]
+
+
+def test_a_message_that_takes_no_time_still_comes_in_its_turn() -> None:
+    run, _ = system(latency_s={VELOCITY.key: 0.0, MODE.key: 0.0})
+    run.run(30 * MS)
+    assert [at for at, _ in seen(run)] == [0, 10 * MS, 20 * MS, 30 * MS]
+
+
+def test_two_runs_are_the_same_to_the_byte() -> None:
+    outages = (Outage("planner", 200 * MS, 400 * MS, kill=True), Outage("console", 500 * MS, 600 * MS, kill=False))
+    runs = [system(outages=outages) for _ in range(2)]
+    for run, _ in runs:
+        run.run(1000 * MS)
+    assert runs[0][1].frames == runs[1][1].frames
+    assert len(runs[0][1].frames) > 200
+
+
+def test_pausing_changes_nothing() -> None:
+    (whole, tap), (parts, parts_tap) = system(), system()
+    whole.run(300 * MS)
+    for n in range(0, 301, 7):
+        parts.run(n * MS)
+    parts.run(300 * MS)
+    assert tap.frames == parts_tap.frames
+
+
+def test_a_killed_service_comes_back_as_a_new_object_that_knows_nothing() -> None:
+    run, _ = system(outages=[Outage("planner", 100 * MS, 200 * MS, kill=True)])
+    run.run(99 * MS)
+    first = run.service("planner")
+    run.run(199 * MS)
+    assert run.service("planner") is first
+    assert seen(run)[-1][0] < 100 * MS  # it does nothing while it is away
+    run.run(300 * MS)
+    assert run.service("planner") is not first
+    assert seen(run)[0][0] == 200 * MS + round(1e9 * VELOCITY.latency_s)
+    missed = seen(run)[0][1].stamp_ns
+    assert missed == 200 * MS  # what came in the meantime is lost
+    assert len(seen(run, "console")) == 31  # the others go on
+
+
+def test_a_hung_service_goes_on_where_it_was() -> None:
+    run, tap = system(outages=[Outage("planner", 100 * MS, 200 * MS, kill=False)])
+    run.run(150 * MS)
+    first = run.service("planner")
+    assert seen(run)[-1][0] < 100 * MS
+    run.run(300 * MS)
+    assert run.service("planner") is first
+    times = [at for at, _ in seen(run)]
+    assert not [at for at in times if 100 * MS <= at < 200 * MS]
+    assert [at for at in times if at >= 200 * MS]
+    counts = [codec.decode(f, PlannerStatus)[0].step for key, f, _ in tap.frames if key == STATUS.key]
+    stamps = [v.stamp_ns for _, v in seen(run)]
+    waited = [count - stamp for count, stamp in zip(counts, stamps, strict=True)]
+    assert max(waited) >= 10  # orders that came while it hung were waiting for it, as they would in its queue
+
+
+def test_a_service_that_hangs_misses_its_beats() -> None:
+    run, _ = system(outages=[Outage("console", 20 * MS, 50 * MS, kill=False)])
+    run.run(60 * MS)
+    assert [at // MS for at, _ in seen(run, "console")] == [0, 10, 50, 60]
+
+
+@pytest.mark.parametrize("kill", [True, False])
+def test_an_outage_of_nobody_is_refused(kill: bool) -> None:
+    with pytest.raises(ValueError, match="console, planner expected, found pilot"):
+        system(outages=[Outage("pilot", 0, MS, kill)])
+
+
+def test_a_latency_of_no_topic_is_refused() -> None:
+    with pytest.raises(ValueError, match="keys of the topic table expected, found operator/speed"):
+        system(latency_s={"operator/speed": 0.1})
+
+
+def test_only_what_somebody_reads_is_wanted() -> None:
+    wanted: dict[str, bool] = {}
+
+    def act(_tick: Any, box: Inbox) -> Iterable[Message]:
+        wanted.update({t.key: box.wanted(t) for t in (VELOCITY, MODE, STATUS)})
+        return ()
+
+    Lockstep({"asks": lambda: Scripted("asks", Every(MS), act=act), "planner": planner}).run(0)
+    assert wanted == {VELOCITY.key: True, MODE.key: True, STATUS.key: False}
+
+
+def test_the_tap_sees_what_nobody_reads() -> None:
+    run, tap = system()
+    run.run(0)
+    run.run(10 * MS)
+    assert STATUS.key in {key for key, _, _ in tap.frames}
+
+
+def test_in_lockstep_the_measured_latency_is_the_configured_one() -> None:
+    run, _ = system()
+    run.run(200 * MS)
+    expected_ms = VELOCITY.latency_s * 1e3
+    assert run.service("planner").stages.percentiles()[f"latency {VELOCITY.key}"] == pytest.approx((expected_ms,) * 2)
+
+
+def failing(name: str, trigger: Any) -> Scripted:
+    def act(_message: Any, _box: Inbox) -> Iterable[Message]:
+        yield velocity(1)
+        raise IndexError("index 5 is out of bounds")
+
+    return Scripted(name, trigger, writes=(VELOCITY,), act=act)
+
+
+@pytest.mark.parametrize("trigger", [Every(10 * MS), MODE], ids=["clock", "topic"])
+def test_an_exception_of_a_service_names_it_and_the_line(trigger: Any) -> None:
+    tap = Recorder()
+    run = Lockstep({"console": operator, "planner": lambda: failing("planner", trigger)}, tap)
+    with pytest.raises(ServiceFailedError, match=r"planner failed: IndexError: index 5 .* \(test_lockstep\.py:\d+\)") as caught:
+        run.run(50 * MS)
+    assert isinstance(caught.value.__cause__, IndexError)
+    assert tap.frames[-1][0] == VELOCITY.key, "what it had sent before was seen"
+
+
+def test_an_exception_of_the_tap_is_not_a_services() -> None:
+    def full(_topic: AnyTopic, _frame: bytes, _at_ns: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    run = Lockstep({"console": operator}, full)
+    with pytest.raises(OSError, match="No space left"):
+        run.run(50 * MS)
+
+
+def test_a_service_that_cannot_be_started_again_has_failed() -> None:
+    starts = iter([operator()])
+    makers = {"console": lambda: next(starts)}
+    run = Lockstep(makers, outages=[Outage("console", 20 * MS, 40 * MS, kill=True)])
+    with pytest.raises(ServiceFailedError, match="console failed: StopIteration"):
+        run.run(100 * MS)

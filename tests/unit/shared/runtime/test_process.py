@@ -1,0 +1,333 @@
+"""The process around a service: its settings, its arguments, its exit status, its end."""
+
+import ctypes
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sextant.shared.files.config import ConfigError
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime import process, shutdown
+from sextant.shared.runtime.service import Every, Inbox, Stages
+from sextant.shared.wire.messages import Message
+from sextant.shared.wire.transport import Endpoints, TransportError
+
+PATIENCE_S = 180.0  # for what a busy machine may take long to do
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """A nested table."""
+
+    method: str = "projective"
+    iterations: int = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Every kind of setting a service may have."""
+
+    port: int = 7000
+    host: str = "localhost"
+    blind: bool = False
+    scale: float = 1.0
+    gait: Literal["tripod", "wave"] = "tripod"
+    pair: tuple[float, float] = (0.0, 1.0)
+    registration: Registration = field(default_factory=Registration)
+    limit: float | None = None
+
+
+# ------------------------------------------------------------------------------------------------- settings
+
+
+def test_nothing_said_is_the_defaults() -> None:
+    assert process.load_settings(Settings, None, []) == Settings()
+    assert process.assignments(Settings()) == []
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        ("port=1", Settings(port=1)),
+        ("port = 1", Settings(port=1)),
+        ("blind=true", Settings(blind=True)),
+        ("scale=2", Settings(scale=2.0)),
+        ("scale=1e-3", Settings(scale=0.001)),
+        ('host="a b"', Settings(host="a b")),
+        ("host=robot.local", Settings(host="robot.local")),  # a bare word is a text
+        ("host=tcp/127.0.0.1:7447", Settings(host="tcp/127.0.0.1:7447")),
+        ("host=", Settings(host="")),
+        ("pair=[1, 2.5]", Settings(pair=(1.0, 2.5))),
+        ('registration.method="kiss-icp"', Settings(registration=Registration("kiss-icp"))),
+        ("registration.method=kiss-icp", Settings(registration=Registration("kiss-icp"))),
+        ("registration.iterations=3", Settings(registration=Registration(iterations=3))),
+    ],
+)
+def test_one_assignment(assignment: str, expected: Settings) -> None:
+    assert process.load_settings(Settings, None, [assignment]) == expected
+
+
+def test_later_assignments_win_and_all_go_over_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text('port = 5\nhost = "file"\n[registration]\nmethod = "kiss-icp"\niterations = 7\n')
+    assert process.load_settings(Settings, str(path), []) == Settings(5, "file", registration=Registration("kiss-icp", 7))
+    found = process.load_settings(Settings, str(path), ["port=6", "port=8", "registration.iterations=9"])
+    assert found == Settings(8, "file", registration=Registration("kiss-icp", 9))  # one value of the nested table, not all
+
+
+@pytest.mark.parametrize(
+    ("assignments", "words"),
+    [
+        (["prot=1"], "prot: unknown key; did you mean 'port'?"),
+        (["port=high"], "port: a whole number expected, found 'high'"),
+        (["port"], "--set: key=value expected, found 'port'"),
+        ([""], "--set: key=value expected, found ''"),
+        (["=1"], "--set: key=value expected"),
+        (["# comment=1"], "--set: key=value expected"),
+        (["po rt=1"], "--set: key=value expected"),
+        (["port.number=1"], "port"),
+        (["gait=trot"], "gait: one of 'tripod', 'wave' expected"),
+        (["prot=1", "blind=2"], "blind: true or false expected, found 2"),
+        (["registration.method.name=1"], "registration.method"),
+    ],
+)
+def test_what_is_wrong_is_named(assignments: list[str], words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        process.load_settings(Settings, None, assignments)
+    assert words in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        process.load_settings(Settings, str(tmp_path / "none.toml"), [])
+
+
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+awkward = st.sampled_from(
+    ["1", "true", "1.5", "", " ", "a=b", '"', "\\", "'", "#", "\n", "[1]", "2024-01-01", "nan", "\x7f", "\x00"]
+)
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.builds(
+        Settings,
+        port=st.integers(-(10**9), 10**9),
+        host=texts | awkward,
+        blind=st.booleans(),
+        scale=numbers,
+        gait=st.sampled_from(["tripod", "wave"]),
+        pair=st.tuples(numbers, numbers),
+        registration=st.builds(Registration, texts | awkward, st.integers(0, 9)),
+        limit=st.none() | numbers,
+    )
+)
+def test_assignments_make_the_settings_again(settings: Settings) -> None:
+    arguments = process.assignments(settings)
+    assert set(arguments[::2]) <= {"--set"}
+    assert process.load_settings(Settings, None, arguments[1::2]) == settings
+
+
+def test_defaults_are_left_out() -> None:
+    assert process.assignments(Settings(port=1)) == ["--set", "port=1"]
+
+
+# ----------------------------------------------------------------------------------------------------- running
+
+
+class NoLink:
+    """Stands in for the network."""
+
+    opened: list[Endpoints]
+    closed: int
+    astray, last_astray = 0, ""
+
+    def __init__(self, endpoints: Endpoints) -> None:
+        NoLink.opened.append(endpoints)
+
+    def __enter__(self) -> "NoLink":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        NoLink.closed += 1
+
+    def send(self, topic: Any, frame: bytes) -> None: ...
+
+    def subscribe(self, topic: Any, receive: Any) -> Any: ...
+
+    def wanted(self, topic: Any) -> bool:
+        return True
+
+
+@dataclass
+class Beating:
+    """A service that does what a test says at each beat."""
+
+    act: Callable[[], None]
+    name: str = "beating"
+    paced_by: Every = field(default_factory=lambda: Every.hz(500))
+    reads: tuple[Any, ...] = ()
+    writes: tuple[Any, ...] = ()
+    stages: Stages = field(default_factory=Stages)
+    open: bool = False
+
+    def __enter__(self) -> "Beating":
+        self.open = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.open = False
+
+    def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
+        assert self.open
+        self.act()
+        return ()
+
+    def doing(self) -> str:
+        return "beating"
+
+
+@pytest.fixture(autouse=True)
+def fake_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    NoLink.opened, NoLink.closed = [], 0
+    monkeypatch.setattr(process, "ZenohLink", NoLink)
+    monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # it is the process of all tests that would end
+    switching_s = sys.getswitchinterval()
+    yield
+    sys.setswitchinterval(switching_s)
+
+
+def end_self() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+CONNECT = ["--connect", "tcp/127.0.0.1:1"]
+
+
+def run(make: Any, argv: list[str], rehearse: Any = None) -> int:
+    with shutdown.ToldToEnd() as told:
+        return process.run("planner", Settings, make, told, argv, rehearse)
+
+
+def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
+    made: list[Any] = []
+
+    def make(profile: RobotProfile, settings: Settings) -> Beating:
+        made.append((profile.name, settings))
+        service = Beating(end_self)
+        made.append(service)
+        return service
+
+    assert run(make, [*CONNECT, "--set", "port=3", "--namespace", "here"]) == 0
+    assert made[0] == ("phantomx_mk2", Settings(port=3))
+    assert not made[1].open
+    assert NoLink.opened == [Endpoints(("tcp/127.0.0.1:1",), namespace="here")]
+    assert NoLink.closed == 1
+
+
+def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() -> None:
+    heard: list[Any] = []
+
+    def rehearse(profile: RobotProfile, settings: Settings) -> None:
+        heard.append((profile.name, settings, list(NoLink.opened)))
+
+    assert run(lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], rehearse) == 0
+    assert heard == [("phantomx_mk2", Settings(port=3), [])]
+    assert len(NoLink.opened) == 1
+
+
+def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is being compiled cannot be told to end, and a minute is more patience than whoever started it has."""
+    left: list[int] = []
+    ended = threading.Event()
+
+    def leave(status: int) -> None:
+        left.append(status)
+        ended.set()
+
+    def compile_(*_: object) -> None:
+        end_self()
+        assert ended.wait(PATIENCE_S), "another thread ends the process"
+        raise ValueError("the rest is what a process that has ended does not do")
+
+    monkeypatch.setattr(shutdown.os, "_exit", leave)
+    run(lambda *_: Beating(end_self), CONNECT, compile_)
+    assert left == [0]
+    assert not NoLink.opened
+
+
+def test_a_rehearsal_that_takes_long_says_why(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    monkeypatch.setattr(process, "_PATIENCE_S", 0.0)
+    told = threading.Event()
+    monkeypatch.setattr(process.logging, "info", lambda words: (logging.getLogger().info(words), told.set()))
+    assert run(lambda *_: Beating(end_self), CONNECT, lambda *_: told.wait(PATIENCE_S)) == 0
+    assert "compiling the inner loops takes about a minute, the first time only" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([*CONNECT, "--set", "prot=1"], "did you mean 'port'?"),
+        ([*CONNECT, "--robot", "phantom"], "no profile 'phantom'"),
+        ([*CONNECT, "--config", "/nowhere.toml"], "no such file"),
+        ([], "an endpoint to connect to is needed"),
+    ],
+)
+def test_what_the_caller_got_wrong_is_said_with_status_2(
+    arguments: list[str], words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.ERROR):
+        assert run(lambda *_: Beating(end_self), arguments) == 2
+    assert words in caplog.text
+
+
+def test_no_network_is_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    def fail(_: object) -> None:
+        raise TransportError("could not open Zenoh")
+
+    monkeypatch.setattr(process, "ZenohLink", fail)
+    assert run(lambda *_: Beating(end_self), CONNECT) == 2
+    assert "could not open Zenoh" in caplog.text
+
+
+def test_a_device_that_is_not_there_is_status_1_in_words(caplog: pytest.LogCaptureFixture) -> None:
+    def fail(*_: object) -> Beating:
+        raise ConnectionError("cannot open servo port /dev/ttyUSB0")
+
+    assert run(fail, CONNECT) == 1
+    assert "cannot open servo port" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
+def test_a_bug_in_a_step_ends_in_a_traceback() -> None:
+    def bug() -> None:
+        raise ValueError("shapes do not match")
+
+    with pytest.raises(ValueError, match="shapes do not match"):
+        run(lambda *_: Beating(bug), CONNECT)
+    assert NoLink.closed == 1
+
+
+def test_an_unknown_argument_ends_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run(lambda *_: Beating(end_self), ["--conect", "x"])
+    assert caught.value.code == 2
+    assert "--conect" in capsys.readouterr().err
+
+
+def test_a_process_whose_parent_is_gone_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: type("libc", (), {"prctl": staticmethod(lambda *_: 0)}))
+    with pytest.raises(SystemExit) as caught:
+        run(lambda *_: Beating(end_self), [*CONNECT, "--parent", str(os.getppid() + 1)])
+    assert caught.value.code == 1

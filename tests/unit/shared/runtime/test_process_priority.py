@@ -1,0 +1,74 @@
+"""What a process asks of its host."""
+
+import gc
+import os
+import resource
+import sys
+import weakref
+from collections.abc import Iterator
+
+import pytest
+
+from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS
+from sextant.shared.runtime.process_priority import allow_many_files, go_first, spare_collector, switch_often
+
+
+@pytest.fixture(autouse=True)
+def collector_as_before() -> Iterator[None]:
+    before = gc.get_threshold()
+    yield
+    gc.set_threshold(*before)
+    gc.unfreeze()
+
+
+class Run:
+    """Something that refers to itself, as runs do."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_what_an_earlier_run_left_behind_goes_when_the_next_one_begins() -> None:
+    run = Run()
+    left = weakref.ref(run)
+    spare_collector()
+    del run
+    assert left() is not None
+    spare_collector()
+    assert left() is None
+
+
+def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, policy, way: asked.append((pid, policy, way.sched_priority)))
+    assert go_first() == ""
+    assert asked == [(0, os.SCHED_RR, 10)]
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert "ulimit -r" in go_first()
+
+
+def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> None:
+    """Its answer is taken by a thread beside one that computes; measured with Python's usual 5 ms, some came too late."""
+    usual_s = sys.getswitchinterval()
+    try:
+        switch_often()
+        assert 10 * sys.getswitchinterval() < REPLY_TIMEOUT_NS * 1e-9 < 2 * usual_s
+    finally:
+        sys.setswitchinterval(usual_s)
+
+
+def test_a_process_may_open_many_files_as_far_as_the_user_may() -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
+        allow_many_files()
+        assert 256 < resource.getrlimit(resource.RLIMIT_NOFILE)[0] <= before[1]
+        raised = resource.getrlimit(resource.RLIMIT_NOFILE)
+        allow_many_files()
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == raised
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)

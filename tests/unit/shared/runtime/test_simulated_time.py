@@ -1,0 +1,169 @@
+"""Simulated time: never back, never faster than real time, and it waits for what is late."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sextant.shared.runtime import clock
+from sextant.shared.runtime.simulated_time import SPAN_NS, SimulatedTime, hold
+
+MS = 1_000_000
+SEC = 1000 * MS
+
+
+class Machine:
+    """A monotonic clock that a test moves."""
+
+    def __init__(self, now_ns: int = 5 * SEC):
+        self.now_ns = now_ns
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+@pytest.fixture
+def machine() -> Machine:
+    return Machine()
+
+
+@pytest.fixture
+def time_(tmp_path: Path, machine: Machine) -> SimulatedTime:
+    return SimulatedTime.create(tmp_path / "time", ["mapper", "planner"], machine)
+
+
+def let_run(time_: SimulatedTime, machine: Machine, real_ns: int, step_ns: int = 4 * MS) -> int:
+    """Grant as a simulator does for a while; what time it is then."""
+    for _ in range(real_ns // step_ns):
+        machine.now_ns += step_ns
+        time_.grant()
+    return time_()
+
+
+def test_it_stands_until_it_is_granted_and_then_keeps_up_with_real_time(time_: SimulatedTime, machine: Machine) -> None:
+    begun = time_()
+    machine.now_ns += 7 * SEC
+    assert time_() == begun == 5 * SEC
+    time_.grant()
+    assert let_run(time_, machine, SEC) == begun + SEC
+
+
+def test_it_stands_where_the_simulator_does_not_run(time_: SimulatedTime, machine: Machine) -> None:
+    time_.grant()
+    before = let_run(time_, machine, 100 * MS)
+    machine.now_ns += 3 * SEC
+    assert time_() == before + SPAN_NS
+
+
+def test_it_waits_for_a_service_that_is_late_and_says_for_whom(time_: SimulatedTime, machine: Machine) -> None:
+    time_.grant()
+    limit = time_() + 50 * MS
+    time_.hold("mapper", limit)
+    assert let_run(time_, machine, 600 * MS) == limit
+    waited_s = time_.waited_s()
+    assert waited_s["mapper"] == pytest.approx(0.55, abs=0.01)
+    assert waited_s["planner"] == 0.0
+    time_.hold("mapper", limit + 20 * MS)
+    assert let_run(time_, machine, 600 * MS) == limit + 20 * MS
+    time_.hold("mapper", None)
+    assert let_run(time_, machine, 600 * MS) == pytest.approx(limit + 620 * MS, abs=5 * MS)
+
+
+def test_it_goes_on_without_a_service_that_has_ended_or_hangs(time_: SimulatedTime, machine: Machine) -> None:
+    time_.grant()
+    limit = time_() + 50 * MS
+    time_.hold("mapper", limit)
+    assert let_run(time_, machine, 5 * SEC) == pytest.approx(limit + 3950 * MS, abs=50 * MS)
+    time_.hold("mapper", limit + 1 * MS)  # it is back, and late: that is waited for again
+    assert let_run(time_, machine, 500 * MS) <= limit + 4 * SEC
+    assert let_run(time_, machine, 5 * SEC) > limit + 7 * SEC
+
+
+def test_processes_that_map_the_file_share_the_time(time_: SimulatedTime, machine: Machine, tmp_path: Path) -> None:
+    other = SimulatedTime(tmp_path / "time", machine)
+    assert other.names == ("mapper", "planner")
+    time_.grant()
+    let_run(time_, machine, SEC)
+    assert other() == time_()
+    other.hold("planner", time_() + 10 * MS)
+    limit = time_() + 10 * MS
+    assert let_run(time_, machine, 500 * MS) == other() == limit
+    other.hold("operator", 0)  # who is not named has no limit
+    other.hold("planner", None)
+    assert let_run(time_, machine, 500 * MS) > limit
+
+
+@given(
+    steps=st.lists(
+        st.tuples(
+            st.integers(0, 300 * MS),
+            st.sampled_from(["grant", "read", "mapper", "planner"]),
+            st.integers(-SEC, SEC) | st.none(),
+        ),
+        max_size=80,
+    )
+)
+def test_it_never_goes_back_and_is_never_faster_than_real_time(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[int, str, int | None]]
+) -> None:
+    machine = Machine()
+    time_ = SimulatedTime.create(tmp_path_factory.mktemp("law") / "time", ["mapper", "planner"], machine)
+    before, begun = time_(), machine.now_ns
+    for passed_ns, act, limit_ns in steps:
+        machine.now_ns += passed_ns
+        if act == "grant":
+            time_.grant()
+        elif act != "read":
+            time_.hold(act, None if limit_ns is None else time_() + limit_ns)
+        now = time_()
+        assert before <= now <= before + passed_ns
+        assert now - begun <= machine.now_ns - begun
+        before = now
+
+
+def test_a_reader_sees_whole_records_while_they_are_written(tmp_path: Path) -> None:
+    writer = SimulatedTime.create(tmp_path / "time", ["mapper"])
+    reader = SimulatedTime(tmp_path / "time")
+    told: list[int] = []
+
+    def read() -> None:
+        told.extend(reader() for _ in range(20_000))
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    while thread.is_alive():
+        writer.grant()
+    thread.join()
+    assert told == sorted(told)
+
+
+def test_a_file_that_is_none_of_simulated_time_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"cannot map simulated time in .*nowhere"):
+        SimulatedTime(tmp_path / "nowhere")
+    for content in (b"", b"eight by"):
+        (tmp_path / "wrong").write_bytes(content)
+        with pytest.raises(ValueError, match="simulated time"):
+            SimulatedTime(tmp_path / "wrong")
+    with pytest.raises(ValueError, match="at most 16 names"):
+        SimulatedTime.create(tmp_path / "many", [str(k) for k in range(17)])
+
+
+@pytest.fixture
+def going_by(time_: SimulatedTime) -> Iterator[SimulatedTime]:
+    with clock.going_by(time_):
+        yield time_
+
+
+def test_a_process_states_limits_only_where_it_goes_by_simulated_time(going_by: SimulatedTime, machine: Machine) -> None:
+    going_by.grant()
+    assert clock.now_ns() == going_by()
+    limit = going_by() + 10 * MS
+    hold("mapper", limit)
+    assert let_run(going_by, machine, 400 * MS) == limit
+    with clock.going_by(lambda: 42):
+        assert clock.now_ns() == 42
+        hold("mapper", None)  # real time waits for no service, and no file is written
+    assert let_run(going_by, machine, 100 * MS) == limit

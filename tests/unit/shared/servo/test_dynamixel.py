@@ -1,0 +1,219 @@
+"""The bytes of Protocol 1.0: vectors of the manuals, round trips, and any garbage between good packets."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import Access, Dropped, Instruction, PacketParser, ServoError
+
+WILD = settings(deadline=None, derandomize=True)
+
+PACKETS = st.tuples(st.integers(0, 0xFE), st.integers(0, 255), st.binary(max_size=60))
+
+
+def hexed(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+@pytest.mark.parametrize(
+    ("packet", "expected"),
+    [
+        (dxl.ping(1), "FF FF 01 02 01 FB"),
+        (dxl.status(1, 0), "FF FF 01 02 00 FC"),
+        (dxl.write(1, 12, bytes((100, 170))), "FF FF 01 05 03 0C 64 AA DC"),
+        (
+            dxl.sync_write(30, 4, [(0, hexed("10 00 50 01")), (1, hexed("20 02 60 03"))]),
+            "FF FF FE 0E 83 1E 04 00 10 00 50 01 01 20 02 60 03 67",
+        ),
+        (dxl.write(0, 14, hexed("FF 01")), "FF FF 00 05 03 0E FF 01 E9"),  # AX-12 manual, example 13
+        (dxl.status(0, 0), "FF FF 00 02 00 FD"),
+        (dxl.write(0, 16, b"\x00"), "FF FF 00 04 03 10 00 E8"),  # example 14
+        (dxl.write(0, 17, b"\x04\x04"), "FF FF 00 05 03 11 04 04 DE"),  # example 15
+    ],
+)
+def test_byte_vectors_of_the_manuals(packet: bytes, expected: str) -> None:
+    assert packet == hexed(expected)
+    (parsed,) = PacketParser().feed(packet)
+    assert parsed.end == len(packet)
+    assert dxl.encode(parsed.servo_id, parsed.code, parsed.parameters) == packet
+
+
+def test_every_instruction_has_its_code() -> None:
+    packets = {
+        Instruction.PING: dxl.ping(3),
+        Instruction.READ: dxl.read(3, 36, 8),
+        Instruction.WRITE: dxl.write(3, 24, b"\x01"),
+        Instruction.REG_WRITE: dxl.reg_write(3, 24, b"\x01"),
+        Instruction.ACTION: dxl.action(),
+        Instruction.RESET: dxl.reset(3),
+        Instruction.SYNC_WRITE: dxl.sync_write(24, 1, [(3, b"\x01")]),
+    }
+    assert packets.keys() == set(Instruction)
+    for instruction, packet in packets.items():
+        assert packet[4] == instruction
+
+
+@pytest.mark.parametrize(("servo_id", "size"), [(255, 0), (-1, 0), (1, 254)])
+def test_what_no_packet_can_hold_is_refused(servo_id: int, size: int) -> None:
+    with pytest.raises(ValueError, match=r"expected|fit"):
+        dxl.encode(servo_id, 1, bytes(size))
+
+
+def test_sync_write_refuses_rows_of_another_size() -> None:
+    with pytest.raises(ValueError, match="servo 7: 4 bytes expected, found 3"):
+        dxl.sync_write(30, 4, [(7, bytes(3))])
+
+
+@WILD
+@given(st.lists(PACKETS, max_size=8), st.lists(st.integers(1, 20), max_size=200))
+def test_packets_survive_the_stream_however_it_is_cut(packets: list[tuple[int, int, bytes]], cuts: list[int]) -> None:
+    stream = b"".join(dxl.encode(*packet) for packet in packets)
+    parser, found, rest = PacketParser(), [], stream
+    for cut in cuts:
+        found += parser.feed(rest[:cut])
+        rest = rest[cut:]
+    found += parser.feed(rest)
+    assert [(p.servo_id, p.code, p.parameters) for p in found] == packets
+    assert not parser.dropped
+    assert parser.pending == 0
+
+
+GARBAGE = st.one_of(
+    st.binary(max_size=40),
+    st.lists(st.sampled_from([0xFF, 0xFF, 0, 1, 2, 4, 200]), max_size=40).map(bytes),  # headers that lie
+)
+
+
+@WILD
+@given(st.lists(st.tuples(GARBAGE, PACKETS), min_size=1, max_size=6), GARBAGE)
+def test_good_packets_are_found_between_garbage(pairs: list[tuple[bytes, tuple[int, int, bytes]]], tail: bytes) -> None:
+    parser, stream, ends = PacketParser(), bytearray(), {}
+    for noise, packet in pairs:
+        stream += noise + dxl.encode(*packet)
+        ends[len(stream)] = packet
+    stream += tail
+    found = parser.feed(bytes(stream)) + parser.flush()
+    assert parser.pending == 0
+    for p in found:  # nothing is made up: each is on the wire where it says
+        raw = dxl.encode(p.servo_id, p.code, p.parameters)
+        assert stream[p.end - len(raw) : p.end] == raw
+    spans = [(p.end - len(p.parameters) - dxl.OVERHEAD, p.end) for p in found]
+    assert all(a[1] <= b[0] for a, b in pairwise(spans))
+    for end, packet in ends.items():
+        start = end - len(packet[2]) - dxl.OVERHEAD
+        # Only garbage that is itself an intact packet with the good one's first bytes can hide it.
+        assert (start, end) in spans or any(a < end and start < b for a, b in spans)
+
+
+@WILD
+@given(st.binary(max_size=300))
+def test_a_broken_packet_never_counts_as_intact(data: bytes) -> None:
+    parser = PacketParser(keep_broken=True)
+    for packet in parser.feed(data):
+        raw = dxl.encode(packet.servo_id, packet.code, packet.parameters) if packet.servo_id <= 0xFE else b""
+        assert packet.intact == (data[packet.end - len(raw) : packet.end] == raw)
+
+
+def test_drops_are_counted_by_reason() -> None:
+    parser = PacketParser(max_length=20)
+    good, broken = dxl.ping(9), bytearray(dxl.ping(9))
+    broken[-1] ^= 1
+    assert [p.servo_id for p in parser.feed(b"abc" + good)] == [9]
+    assert parser.dropped == {Dropped.NOISE: 3}
+    assert parser.feed(bytes(broken)) == []
+    assert parser.dropped[Dropped.CHECKSUM] == 1
+    parser.feed(hexed("FF FF 09 01 00 00"))
+    parser.feed(hexed("FF FF 09 C8 00 00"))
+    assert parser.dropped[Dropped.LENGTH] == 2
+    assert parser.feed(hexed("FF FF 09 0A 00") + good) == []  # announces more than comes
+    assert [p.servo_id for p in parser.flush()] == [9]
+    assert parser.dropped[Dropped.TRUNCATED] == 1
+
+
+def test_a_run_of_ff_is_a_header_by_its_last_two() -> None:
+    assert [p.servo_id for p in PacketParser().feed(b"\xff" * 5 + dxl.ping(4)[2:])] == [4]
+
+
+def test_the_register_table_has_no_overlap_and_names_each_once() -> None:
+    assert len({r.name for r in dxl.REGISTERS}) == len(dxl.REGISTERS) == 32
+    end = 0
+    for register in dxl.REGISTERS:
+        assert register.address >= end
+        end = register.address + register.size
+        assert register.min <= register.default <= register.max
+        assert register.eeprom == (register.address < 24)
+        assert register.size == 1 or register.address % 2 == 0
+    assert end == dxl.TABLE_SIZE
+    read_only = {r.address for r in dxl.REGISTERS if r.access is Access.READ}
+    assert read_only == {0, 2, 36, 38, 40, 42, 43, 44, 46}
+
+
+def test_models_differ_where_the_manual_says() -> None:
+    ax, rx = dxl.AX_12A.factory_table(), dxl.RX_64.factory_table()
+    assert {i: (a, b) for i, (a, b) in enumerate(zip(ax, rx, strict=True)) if a != b} == {
+        0: (12, 64),
+        4: (1, 34),
+        11: (70, 80),
+        13: (140, 190),
+    }
+    assert dxl.baud_rate(ax[4]) == 1_000_000
+    assert dxl.baud_rate(rx[4]) == 57_143
+
+
+@WILD
+@given(st.integers(0, 1023))
+def test_angles_and_ticks_are_inverse(ticks: int) -> None:
+    angle = dxl.angle_from_ticks(ticks)
+    assert dxl.ticks_from_angle(angle) == ticks
+    assert math.degrees(angle) == pytest.approx((ticks - 512) * 300 / 1023)
+
+
+def test_angle_zero_is_the_centre_and_a_degree_3_41_ticks() -> None:
+    assert dxl.angle_from_ticks(512) == 0.0
+    assert dxl.ticks_from_angle(math.radians(100)) - 512 == pytest.approx(341, abs=0.5)
+
+
+@WILD
+@given(st.integers(-1023, 1023))
+def test_signed_registers_are_inverse(value: int) -> None:
+    raw = dxl.direction_magnitude(value)
+    assert dxl.signed_magnitude(raw) == value
+    assert bool(raw & 1 << 10) == (value < 0)
+    assert dxl.register_from_speed(dxl.speed_from_register(raw)) == raw
+    assert dxl.register_from_load(dxl.load_from_register(raw)) == raw
+
+
+def test_units_of_the_manual() -> None:
+    assert dxl.speed_from_register(300) == pytest.approx(33.3 * 2 * math.pi / 60)
+    assert dxl.load_from_register(512) == pytest.approx(0.512)
+    assert dxl.load_from_register(1024 + 512) == pytest.approx(-0.512)
+    assert dxl.signed_magnitude(1024) == 0
+
+
+@WILD
+@given(st.floats(1e-6, 100.0))
+def test_a_wanted_speed_is_never_the_code_for_uncontrolled(speed: float) -> None:
+    assert 1 <= dxl.moving_speed_from(speed) <= 1023
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
+def test_a_moving_speed_must_be_positive(speed: float) -> None:
+    with pytest.raises(ValueError, match="greater than 0"):
+        dxl.moving_speed_from(speed)
+
+
+def test_error_bits_have_words() -> None:
+    assert dxl.error_words(0) == ""
+    assert dxl.error_words(0x24) == "overheating, overload"
+    assert all(dxl.error_words(bit) for bit in ServoError)
+    assert sorted(ServoError) == [1, 2, 4, 8, 16, 32, 64]
+
+
+def test_register_encode_checks_the_range() -> None:
+    assert dxl.GOAL_POSITION.encode(0x0210) == b"\x10\x02"
+    with pytest.raises(ValueError, match="goal position takes 0 to 1023, found 1024"):
+        dxl.GOAL_POSITION.encode(1024)

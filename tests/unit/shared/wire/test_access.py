@@ -1,0 +1,245 @@
+"""What each role may put and read is what its processes write and read, and no more."""
+
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from sextant.deploy import access_page
+from sextant.deploy.keys_page import _service
+from sextant.deploy.network.authority import Authority, held
+from sextant.deploy.process_table import TABLE, rows
+from sextant.shared.recording.writer import LEFT_OUT
+from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.wire import access, topics
+from sextant.shared.wire.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
+from sextant.shared.wire.topics import TOPICS
+
+HEARD_OF = ("robot", "base", "console", "site")  # on other machines
+LOCAL: set[AnyTopic] = {topics.HEALTH_OF["viewer"], topics.PRESENCE_OF["viewer"]}
+OF_THE_SIMULATOR = {topic for topic in TOPICS if topic.key.startswith("simulator/")}
+
+
+def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[AnyTopic]]:
+    """Of processes of the table on a machine of a role, its health and presence included."""
+    written: set[AnyTopic] = {topics.HEALTH_OF[role], topics.PRESENCE_OF[role]}
+    read: set[AnyTopic] = {topics.PRESENCE_OF[name] for name in HEARD_OF}
+    for process in TABLE:
+        if process.name in names:
+            service = _service(process.module)
+            pace = getattr(service, "paced_by", None)
+            written |= set(service.writes)
+            reads = {*service.reads} - {topics.HEALTH_OF["viewer"]}  # which crosses no router
+            read |= {*reads, *([pace] if isinstance(pace, topics.Topic) else [])}
+    return written, read
+
+
+@pytest.mark.parametrize(
+    ("role", "processes"),
+    [
+        ("robot", {process.name for process in rows("onboard", simulated=False)}),
+        ("base", {process.name for process in rows("offboard", simulated=False, page=True)}),
+        ("console", {"console"}),
+    ],
+)
+def test_a_role_puts_what_its_processes_write_and_reads_what_they_read(role: str, processes: set[str]) -> None:
+    written, read = written_and_read(processes, role)
+    held = ROLE_NAMED[role]
+    assert set(held.puts) == written
+    assert set(held.reads) >= read
+
+
+def test_the_robot_is_told_nothing_but_what_its_processes_read() -> None:
+    _, read = written_and_read({process.name for process in rows("onboard", simulated=False)}, "robot")
+    assert set(ROLE_NAMED["robot"].reads) == read
+
+
+def test_a_recorder_at_the_base_hears_all_that_is_recorded() -> None:
+    heard = {*ROLE_NAMED["base"].reads, *ROLE_NAMED["base"].puts}
+    assert heard >= set(TOPICS) - LEFT_OUT - OF_THE_SIMULATOR - LOCAL
+
+
+@pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
+def test_nobody_meets_the_simulator_from_another_machine_and_servos_have_no_keys(role: Role) -> None:
+    assert not {*role.puts, *role.reads} & OF_THE_SIMULATOR
+    assert not [topic.key for topic in TOPICS if "servo" in topic.key or "bus" in topic.key]
+
+
+def test_plans_come_from_where_the_planner_is_and_from_nowhere_else() -> None:
+    assert [role.name for role in ROLES if topics.STEP_PLAN in role.puts] == ["base", SITE], "a site passes on"
+    assert [role.name for role in ROLES if topics.MODE in role.puts] == ["base", "console", SITE]
+
+
+OF_ROLES = {**{t: r for r, t in topics.HEALTH_OF.items()}, **{t: r for r, t in topics.PRESENCE_OF.items()}}
+
+
+@pytest.mark.parametrize("role", [role for role in ROLES if role.name != SITE], ids=lambda role: role.name)
+def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role) -> None:
+    """A console is no actuator's health, and no robot's presence; nor does anything but a robot tell its time."""
+    assert {OF_ROLES[topic] for topic in role.puts if topic in OF_ROLES} <= {role.name}
+    assert (topics.ACTUATOR_STATE in role.puts) == (role.name == "robot"), "whose clock other machines follow"
+    assert {OF_ROLES[topic] for topic in role.relays} <= {"base", "console"}
+    assert not role.relays or role.name == "robot", "whose router is between machines"
+    assert not LOCAL & {*role.puts, *role.reads, *role.relays}
+
+
+def test_a_router_that_refuses_is_believed_under_the_key_of_a_role_that_no_other_machine_can_use() -> None:
+    order = [topics.MODE]
+    assert "this certificate (viewer: " in access.refusal_here(["viewer", "robot"], order)
+    assert access.refusal_here(["robot", "base", "console", "site"], order) == ""
+    assert access.refusal_here(["viewer"], [topics.STOP]) == ""
+
+
+def test_a_site_passes_on_what_others_say_to_each_other() -> None:
+    site, ends = ROLE_NAMED[SITE], [role for role in ROLES if role.name != SITE]
+    own = {topics.HEALTH_OF[SITE], topics.PRESENCE_OF[SITE]}
+    assert set(site.puts) == {topic for role in ends for topic in role.puts} | own
+    assert set(site.reads) == {topic for role in ends for topic in role.reads}
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    authority = Authority(days=30)
+    for role in ROLES:
+        authority.issue(folder / role.name, role.name)
+    return folder
+
+
+def rules(keys: Path, role: str) -> Iterator[tuple[str, str, str]]:
+    """(message, flow, key) of all that a role is allowed."""
+    control = Keys.load(keys / "robot").hosting("here")["access_control"]
+    (subject,) = (s for s in control["subjects"] if s.get("cert_common_names") == [role])
+    allowed = {rule for policy in control["policies"] if subject["id"] in policy["subjects"] for rule in policy["rules"]}
+    for rule in control["rules"]:
+        if rule["id"] in allowed:
+            assert rule["permission"] == "allow"
+            for message in rule["messages"]:
+                for flow in rule["flows"]:
+                    for key in rule["key_exprs"]:
+                        yield message, flow, key
+
+
+@pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
+def test_what_is_allowed_is_a_list_of_keys_without_wildcards(role: Role, keys: Path) -> None:
+    allowed = set(rules(keys, role.name))
+    assert {key for _, _, key in allowed if "*" in key} == set()
+    assert {key for message, flow, key in allowed if (message, flow) == ("put", "ingress")} == {
+        f"here/{topic.key}" for topic in role.puts + role.relays
+    }
+    assert {key for message, flow, key in allowed if (message, flow) == ("put", "egress")} == {
+        f"here/{topic.key}" for topic in role.reads
+    }
+    assert {message for message, _, _ in allowed} == {"put", "declare_subscriber"}
+
+
+def test_who_has_no_certificate_is_on_loopback_and_the_rest_is_denied(keys: Path) -> None:
+    control = Keys.load(keys / "robot").hosting("here")["access_control"]
+    assert control["default_permission"] == "deny"
+    (own,) = (subject for subject in control["subjects"] if "cert_common_names" not in subject)
+    assert own == {"id": "own", "link_protocols": ["tcp"], "interfaces": ["lo"]}
+
+
+def test_every_key_is_limited_in_rate_and_size(keys: Path) -> None:
+    listening = Keys.load(keys / "robot").hosting("here")
+    rates = {rule["key_expr"]: rule["freq"] for rule in listening["downsampling"][0]["rules"]}
+    sizes = {key: one["size_limit"] for one in listening["low_pass_filter"] for key in one["key_exprs"]}
+    assert rates.keys() == sizes.keys() == {f"here/{topic.key}" for topic in TOPICS}
+    for topic in TOPICS:
+        assert 10.0 * topic.rate_hz <= rates[f"here/{topic.key}"] <= 1000.0
+        assert sizes[f"here/{topic.key}"] == topic.max_bytes + len(f"here/{topic.key}"), "a frame and its address"
+    assert listening["transport"]["link"]["rx"]["max_message_size"] < 10_000_000
+
+
+def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
+    viewer, console = Keys.load(keys / "viewer"), Keys.load(keys / "console")
+    assert "this certificate (viewer: somebody's computer" in viewer.refusal([topics.MODE])
+    assert "may not send operator/mode" in viewer.refusal([topics.MODE])
+    assert "keys of another role: base, console" in viewer.refusal([topics.MODE])
+    assert console.refusal([topics.MODE, topics.GOAL]) == ""
+    assert "may not send planner/step" in console.refusal([topics.MODE, topics.STEP_PLAN])
+
+
+@pytest.mark.parametrize(
+    ("broken", "hint"),
+    [
+        (lambda folder: (folder / access.KEY).unlink(), "key.pem expected, not found; `sextant keys new DIR` makes keys"),
+        (
+            lambda folder: (folder / access.ROLE).write_text('role = "king"\nends = 2100-01-01'),
+            "a role of robot, base",
+        ),
+        (lambda folder: (folder / access.ROLE).write_text("role = "), "role.toml: TOML expected"),
+        (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "a role of robot, base"),
+    ],
+)
+def test_keys_that_cannot_be_used_say_why(broken: Callable[[Path], object], hint: str, tmp_path: Path) -> None:
+    Authority(days=30).issue(tmp_path / "base", "base")
+    broken(tmp_path / "base")
+    with pytest.raises(AccessError, match=hint):
+        Keys.load(tmp_path / "base")
+
+
+def test_the_folder_of_all_roles_is_none_of_a_machine(keys: Path) -> None:
+    with pytest.raises(AccessError, match="it has a folder for each role: name one of them"):
+        Keys.load(keys)
+
+
+def test_a_certificate_that_has_ended_is_refused_by_who_holds_it(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    Authority(days=30).issue(tmp_path / "base", "base", ends=now - timedelta(days=3))
+    with pytest.raises(AccessError, match="ended 3 days ago"):
+        Keys.load(tmp_path / "base")
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "plain"),
+    [
+        ("tcp/127.0.0.1:7447", False),
+        ("tcp/localhost:7447", False),
+        ("tcp/[::1]:7447", False),
+        ("tls/0.0.0.0:7448", False),
+        ("tcp/0.0.0.0:7447", True),
+        ("tcp/[::]:7447", True),
+        ("udp/192.168.1.20:7447", True),
+        ("quic/127.0.0.1.evil.example:7447", True),
+        ("tcp/localhost.evil.example:7447", True),
+    ],
+)
+def test_plain_is_for_loopback(endpoint: str, plain: bool) -> None:
+    assert access.plain_elsewhere([endpoint]) == ((endpoint,) if plain else ())
+
+
+def test_where_anybody_is_let_in_limits_hold_and_the_simulator_is_out_of_reach() -> None:
+    opened = access.opened("here", ["eth0", "wlan0"])
+    (limit,) = opened["downsampling"]
+    assert limit["interfaces"] == ["eth0", "wlan0"]
+    said = str([rule for rule in opened["access_control"]["rules"] if rule["id"] != "everything"])
+    assert "here/operator/mode" in said
+    assert "simulator" not in said
+
+
+def test_the_tables_of_the_page_are_the_rules() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "access.md").read_text(encoding="utf-8")
+    for table in (access_page.roles(), access_page.keys()):
+        assert "\n".join(table) in page, "made anew: the lines of deploy/access_page.py"
+
+
+@pytest.mark.parametrize("name", [access.CERTIFICATE, access.AUTHORITY, access.KEY])
+@pytest.mark.parametrize("data", [b"", b"none", b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", None])
+def test_a_folder_of_broken_certificates_says_which(name: str, data: bytes | None, tmp_path: Path) -> None:
+    Authority(days=30).write(tmp_path / "ca")
+    Authority(days=30).issue(tmp_path / "base", "base")
+    for folder in ("ca", "base"):
+        file = tmp_path / folder / name
+        file.unlink(missing_ok=True)
+        if data is None:
+            file.mkdir()
+        else:
+            file.write_bytes(data)
+    if name == access.CERTIFICATE:
+        with pytest.raises(AccessError, match=name if data is not None else "no certificate.pem in"):
+            list(held(tmp_path / "base"))
+    else:
+        with pytest.raises(AccessError, match=name):
+            Authority.load(tmp_path / "ca")

@@ -1,0 +1,106 @@
+"""Endpoints, and the sentence for each reason why one cannot be reached or listened on."""
+
+import errno
+import socket
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sextant.shared.wire import endpoint
+from sextant.shared.wire.endpoint import cannot_connect, cannot_listen, fault, obstacle, occupied, place, unknown_host
+
+AT = "tcp/robot.local:7447"
+
+
+def test_a_place_is_host_and_port() -> None:
+    assert place("tls/robot.local:7448") == ("robot.local", 7448)
+    assert place("tcp/[fe80::1]:7447?prio=1-3#so_sndbuf=1") == ("fe80::1", 7447)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tcp/robot.local", "the port is missing: usually 7447 for tcp, 7448 for tls"),
+        ("tls/10.0.0.7:", "the port is missing"),
+        ("robot.local:7447", "PROTOCOL/HOST:PORT expected"),
+        ("tcp/:7447", "PROTOCOL/HOST:PORT expected"),
+        ("tcp/robot.local:74470", "PROTOCOL/HOST:PORT expected"),
+        ("nonsense", "found 'nonsense'"),
+        ("", "found ''"),
+        ("tpc/robot.local:7447", "begins with 'tpc': tcp, or tls with certificates, expected"),
+    ],
+)
+def test_what_is_no_endpoint_is_named(text: str, words: str) -> None:
+    assert words in fault([AT, text])
+    assert fault([AT]) == ""
+
+
+@given(st.text())
+def test_no_text_is_too_strange(text: str) -> None:
+    if not fault([text]):
+        host, port = place(text)
+        assert host
+        assert 0 <= port < 1 << 16
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            socket.gaierror(socket.EAI_NONAME, "x"),
+            "the host 'robot.local' is not known; check its name, or give its IP address",
+        ),
+        (ConnectionRefusedError(), "nothing listens on port 7447 of robot.local; is the robot up (`sextant up`)"),
+        (TimeoutError(), "robot.local does not answer; is the robot on, on this network"),
+        (OSError(errno.EHOSTUNREACH, "x"), "robot.local does not answer"),
+        (OSError(errno.EPERM, "Operation not permitted"), "Operation not permitted; is the robot up"),
+    ],
+)
+def test_each_way_of_not_being_reached_has_its_sentence(error: OSError, words: str) -> None:
+    assert f"{AT} cannot be reached: {words}" in cannot_connect(AT, error)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.EADDRINUSE, "x"), "another program has port 7447, perhaps another `sextant up`; end it"),
+        (OSError(errno.EADDRNOTAVAIL, "x"), "this computer has no address robot.local"),
+        (OSError(errno.EACCES, "x"), "ports below 1024 are for the administrator"),
+        (OSError(errno.EPERM, "Operation not permitted"), "Operation not permitted; give another endpoint"),
+        (socket.gaierror(socket.EAI_NONAME, "x"), "the host 'robot.local' is not known"),
+    ],
+)
+def test_each_way_of_not_listening_has_its_sentence(error: OSError, words: str) -> None:
+    assert f"cannot listen on {AT}: {words}" in cannot_listen(AT, error)
+
+
+def test_what_can_be_reached_and_listened_on_has_no_obstacle() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        here = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert obstacle(here) == unknown_host(here) == ""
+        assert "another program has port" in occupied(here)
+    assert occupied(here) == ""
+    assert "nothing listens on port" in obstacle(here)
+
+
+def test_a_name_that_no_host_can_have_is_an_unknown_one() -> None:
+    for host in ("a..b", "x" * 64):
+        assert "is not known" in unknown_host(f"tcp/{host}:7447")
+        assert "is not known" in obstacle(f"tcp/{host}:7447")
+        assert "is not known" in occupied(f"tcp/{host}:7447")
+
+
+def test_a_host_that_does_not_answer_is_no_program_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoint, "_CONNECT_S", 0.05)
+    with socket.socket() as full:  # whose backlog is taken, so that a new connection gets no answer
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        here = f"tls/127.0.0.1:{full.getsockname()[1]}"
+        waiting = [socket.socket() for _ in range(4)]
+        for one in waiting:
+            one.setblocking(False)
+            one.connect_ex(full.getsockname())
+        assert "does not answer" in obstacle(here)
+        for one in waiting:
+            one.close()

@@ -1,0 +1,368 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.simulator.physics.solids import Boxes, HeightField
+from sextant.services.simulator.physics.terrain import Terrain, build_terrain
+from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, World
+from sextant.services.simulator.sensors.imu import Imu, ImuNoise
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.stability import centre_of_mass
+from sextant.shared.scenario.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
+
+NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+FLAT = Terrain(NO_BOXES, plane=0.0)
+ABYSS = Terrain(NO_BOXES)
+PROFILE = load_profile("phantomx_mk2")
+RIGID, STRONG = 18.0, PROFILE.servo.stall_torque
+
+
+def leg_points(profile: RobotProfile, q: Array) -> Array:
+    """Coxa, femur and tibia axes and the foot's centre (6, 4, 3) [m] {body}, by trigonometry from the profile alone."""
+    links, points = profile.links, np.zeros((6, 4, 3))
+    for i, leg in enumerate(profile.legs):
+        yaw = np.radians(leg.neutral_yaw_deg) + q[i, 0]
+        reach, height = [0.0, links.coxa], [0.0, 0.0]
+        for length, angle in ((links.femur, q[i, 1]), (links.tibia, q[i, 1] + q[i, 2])):
+            reach.append(reach[-1] + length * np.cos(angle))
+            height.append(height[-1] + length * np.sin(angle))
+        points[i] = leg.mount_xyz + np.outer(reach, [np.cos(yaw), np.sin(yaw), 0.0]) + np.outer(height, [0.0, 0.0, 1.0])
+    return points
+
+
+def standing_angles(profile: RobotProfile) -> Array:
+    """Joint angles (6, 3) of the resting stance, by the law of cosines."""
+    links = profile.links
+    reach = profile.foot_radii - links.coxa
+    drop = profile.foot.radius - profile.stance.body_height
+    d = np.hypot(reach, drop)
+    knee = np.arccos((links.femur**2 + links.tibia**2 - d**2) / (2 * links.femur * links.tibia))
+    hip = np.arccos((links.femur**2 + d**2 - links.tibia**2) / (2 * links.femur * d))
+    return np.column_stack([np.zeros(6), np.arctan2(drop, reach) + hip, knee - np.pi])
+
+
+def random_angles(rng: np.random.Generator) -> Array:
+    limits = PROFILE.joint_limits
+    return rng.uniform(limits[..., 0], limits[..., 1])
+
+
+def tilt(world: World) -> float:
+    return float(np.arccos(np.clip(world.T_world_body[2, 2], -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.03, -0.02, 0.05)])
+def test_the_model_has_the_centre_of_mass_of_the_profile(centre: tuple[float, float, float]) -> None:
+    profile = replace(PROFILE, body=replace(PROFILE.body, centre_of_mass=centre))
+    rng, world = np.random.default_rng(1), World(profile, ABYSS)
+    assert world.model.body_subtreemass[0] == pytest.approx(profile.body.total_mass)
+    for _ in range(10):
+        q, T = random_angles(rng), from_xyz_rpy(rng.normal(size=3), rng.uniform(-1, 1, 3))
+        world.place(q, T)
+        np.testing.assert_allclose(world.data.subtree_com[0], apply(T, centre_of_mass(profile, q)), atol=2e-3)
+
+
+def test_the_model_has_the_kinematics_of_the_profile() -> None:
+    rng = np.random.default_rng(0)
+    world = World(PROFILE, ABYSS)
+    for _ in range(20):
+        q, T = random_angles(rng), from_xyz_rpy(rng.normal(size=3), rng.uniform(-1, 1, 3))
+        world.place(q, T)
+        points = apply(T, leg_points(PROFILE, q))
+        np.testing.assert_allclose(world.q, q, atol=1e-12)
+        np.testing.assert_allclose(world.T_world_body, T, atol=1e-12)
+        np.testing.assert_allclose(world.p_world_foot, points[:, 3], atol=1e-12)
+        trunk, capsules = world.robot_solids()
+        np.testing.assert_allclose(trunk.centre[0], T[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(2 * trunk.half[0], PROFILE.body.size)
+        np.testing.assert_allclose(capsules.start[:18], points[:, :3].reshape(18, 3), atol=1e-12)
+        links = capsules.end[:18].reshape(6, 3, 3)
+        np.testing.assert_allclose(links[:, :2], points[:, 1:3], atol=1e-12)
+        # The shank ends inside the foot's sphere, so that only the sphere meets the ground.
+        np.testing.assert_allclose(np.linalg.norm(links[:, 2] - points[:, 3], axis=1), PROFILE.foot.radius, atol=1e-12)
+        np.testing.assert_allclose(capsules.start[18:], points[:, 3], atol=1e-12)
+
+
+def test_the_model_weighs_what_the_profile_says() -> None:
+    world = World(PROFILE, FLAT)
+    assert world.model.body_mass.sum() == pytest.approx(PROFILE.body.total_mass)
+    assert np.all(world.model.body_inertia[1:] > 0)
+
+
+def test_standing_is_still_level_and_carried_by_six_feet() -> None:
+    q = standing_angles(PROFILE)
+    world = World(PROFILE, FLAT)
+    T = world.stand(q, (0.4, -0.2), 0.7)
+    assert T[2, 3] == pytest.approx(PROFILE.stance.body_height)
+    feet = world.p_world_foot
+    for _ in range(1000):
+        world.step(q, RIGID, STRONG)
+        assert tilt(world) < np.radians(0.5)
+    assert world.time_ns == 1000 * TIME_STEP_NS
+    np.testing.assert_allclose(world.T_world_body[:2, 3], [0.4, -0.2], atol=1e-4)
+    np.testing.assert_allclose(world.p_world_foot, feet, atol=1e-3)
+    assert np.all(world.foot_contact)
+    assert np.all(world.leg_contact)
+    assert world.foot_force.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=1e-3)
+    np.testing.assert_allclose(world.body_twist, 0.0, atol=1e-3)
+    assert world.T_world_body[2, 3] > PROFILE.stance.body_height - 0.005  # servos sag a little
+
+
+def test_a_robot_is_stood_on_whatever_lies_below_its_feet() -> None:
+    terrain = build_terrain(load_scenario("steps"), np.random.default_rng(3))
+    world = World(PROFILE, terrain)
+    world.stand(standing_angles(PROFILE), (1.4, 0.0))
+    gaps = world.p_world_foot[:, 2] - PROFILE.foot.radius - terrain.height_at(world.p_world_foot[:, :2])
+    assert gaps.min() == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(ValueError, match="ground below every foot expected, found none below left front, right front"):
+        World(PROFILE, ABYSS).stand(standing_angles(PROFILE))
+
+
+def test_without_torque_it_falls() -> None:
+    q = standing_angles(PROFILE)
+    world = World(PROFILE, FLAT)
+    world.stand(q)
+    for _ in range(2000):
+        world.step(q, RIGID, 0.0)
+        np.testing.assert_array_equal(world.torque, 0.0)
+    assert world.T_world_body[2, 3] < 0.7 * PROFILE.stance.body_height
+
+
+def test_one_limp_joint_leaves_the_others_in_force() -> None:
+    q = standing_angles(PROFILE)
+    world = World(PROFILE, FLAT)
+    world.stand(q)
+    limit = np.full((6, 3), STRONG)
+    limit[2, 1] = 0.0
+    for _ in range(200):
+        world.step(q, np.full((6, 3), RIGID), limit)
+    assert world.torque[2, 1] == 0.0
+    assert np.all(np.abs(world.torque[[0, 1, 3, 4, 5], 1]) > 0.01)
+
+
+def test_a_servo_is_no_stronger_and_no_faster_than_its_data_sheet() -> None:
+    world = World(PROFILE, ABYSS)
+    low, high = PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1]
+    world.place(0.5 * (low + high), from_xyz_rpy((0, 0, 5), (0, 0, 0)))
+    fastest = 0.0
+    for step in range(600):
+        world.step(high if step // 100 % 2 == 0 else low, 50.0, STRONG)
+        assert np.abs(world.torque).max() <= STRONG + 1e-12
+        fastest = max(fastest, float(np.abs(world.qd[:, 0]).max()))
+    assert 0.6 * PROFILE.servo.no_load_speed < fastest < 1.1 * PROFILE.servo.no_load_speed
+
+
+def test_joints_turn_the_way_the_profile_counts() -> None:
+    world = World(PROFILE, ABYSS)
+    for leg in range(6):
+        for joint in range(3):
+            world.place(np.zeros((6, 3)), from_xyz_rpy((0, 0, 2), (0, 0, 0)))
+            target = np.zeros((6, 3))
+            target[leg, joint] = 0.2
+            for _ in range(150):
+                world.step(target, RIGID, STRONG)
+            assert world.q[leg, joint] == pytest.approx(0.2, abs=0.03)
+
+
+def test_two_worlds_agree_bit_for_bit() -> None:
+    terrain = build_terrain(load_scenario("steps"), np.random.default_rng(1))
+    worlds = []
+    for _ in range(2):
+        rng = np.random.default_rng(5)
+        world = World(PROFILE, terrain, Factors.draw(Variation(), rng))
+        q = standing_angles(PROFILE)
+        world.stand(q, (1.2, 0.0))
+        for _ in range(300):
+            world.step(q + rng.normal(0.0, 0.1, (6, 3)), RIGID, STRONG)
+        worlds.append(world)
+    one, two = worlds
+    assert one.data.qpos.tobytes() == two.data.qpos.tobytes()
+    assert one.data.qvel.tobytes() == two.data.qvel.tobytes()
+
+
+def test_a_robot_placed_again_starts_anew_but_time_goes_on() -> None:
+    q = standing_angles(PROFILE)
+    fresh, used = World(PROFILE, FLAT), World(PROFILE, FLAT)
+    fresh.stand(q)
+    used.stand(q + 0.1)
+    for _ in range(50):
+        used.step(q, RIGID, STRONG)
+    used.stand(q)
+    for world in (fresh, used):
+        for _ in range(50):
+            world.step(q, RIGID, STRONG)
+    np.testing.assert_array_equal(fresh.data.qpos, used.data.qpos)
+    assert used.time_ns == 100 * TIME_STEP_NS
+
+
+def test_variation_stays_within_its_bounds_and_reaches_the_model() -> None:
+    rng = np.random.default_rng(2)
+    factors = Factors.draw(Variation(armature=2.0, friction=1.2), rng)
+    assert factors.armature.min() >= 0.5
+    assert factors.armature.max() <= 2.0
+    assert factors.joint_friction.min() >= 1 / 1.2
+    assert factors.joint_friction.max() <= 1.2
+    world = World(PROFILE, FLAT, factors)
+    np.testing.assert_allclose(world.model.dof_armature[6:].reshape(6, 3), PROFILE.servo.armature * factors.armature)
+    np.testing.assert_allclose(world.model.dof_frictionloss[6:].reshape(6, 3), PROFILE.servo.friction * factors.joint_friction)
+    foot = world.model.geom("foot left front")
+    assert foot.friction[0] == pytest.approx(0.8 * factors.ground_friction)
+    with pytest.raises(ValueError, match="at least 1"):
+        Factors.draw(Variation(friction=0.9), rng)
+
+
+def test_body_twist_is_in_the_body_frame() -> None:
+    world = World(PROFILE, ABYSS)
+    world.place(np.zeros((6, 3)), from_xyz_rpy((0, 0, 3), (0, 0.3, 1.2)))
+    for _ in range(100):
+        world.step(np.zeros((6, 3)), RIGID, STRONG)
+    T0, twist = world.T_world_body, world.body_twist
+    world.step(np.zeros((6, 3)), RIGID, STRONG)
+    moved = (world.T_world_body[:3, 3] - T0[:3, 3]) / (TIME_STEP_NS / 1e9)
+    np.testing.assert_allclose(T0[:3, :3] @ twist[:3], moved, atol=0.03)
+    assert twist[0] > 0.2
+    assert abs(twist[1]) < 0.05
+
+
+def test_at_rest_the_inertial_sensor_feels_gravity_upward() -> None:
+    q = standing_angles(PROFILE)
+    world = World(PROFILE, FLAT, imu=True)
+    world.stand(q)
+    for _ in range(1000):
+        world.step(q, RIGID, STRONG)
+    rate, force = world.imu
+    np.testing.assert_allclose(rate, 0.0, atol=2e-3)
+    np.testing.assert_allclose(force, [0.0, 0.0, 9.81], atol=0.03)
+    with pytest.raises(ValueError, match="imu=True"):
+        _ = World(PROFILE, FLAT).imu
+
+
+def test_inertial_noise_has_its_bias_and_its_density() -> None:
+    noise = ImuNoise(gyro_walk=0.0, force_walk=0.0)
+    imu, dt = Imu(noise, np.random.default_rng(0)), 0.01
+    readings = [imu.update(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.81]), dt) for _ in range(4000)]
+    gyro, force = (np.array(column) for column in zip(*readings, strict=True))
+    for values, truth, density, bias in (
+        (gyro, [0.1, 0.2, 0.3], noise.gyro_density, noise.gyro_bias),
+        (force, [0.0, 0.0, 9.81], noise.force_density, noise.force_bias),
+    ):
+        np.testing.assert_allclose(values.std(axis=0), density / np.sqrt(dt), rtol=0.05)
+        offset = np.abs(values.mean(axis=0) - truth)
+        assert np.all(offset < 4 * bias)
+        assert np.any(offset > 0.1 * bias)
+    with pytest.raises(ValueError, match="positive interval"):
+        imu.update(np.zeros(3), np.zeros(3), 0.0)
+
+
+def test_nonsense_is_refused() -> None:
+    world = World(PROFILE, FLAT)
+    with pytest.raises(ValueError, match=r"joint angles \(6, 3\) expected, found \(18,\)"):
+        world.place(np.zeros(18), np.eye(4))
+    with pytest.raises(ValueError, match="bad values"):
+        world.place(np.full((6, 3), np.nan), np.eye(4))
+    with pytest.raises(ValueError, match="body pose"):
+        world.place(np.zeros((6, 3)), np.eye(3))
+    world.stand(standing_angles(PROFILE))
+    with pytest.raises(ValueError, match="finite setpoints"):
+        world.step(np.full((6, 3), np.nan), RIGID, STRONG)
+    world.stand(standing_angles(PROFILE))
+    world.data.qvel[:] = 1e4
+    with pytest.raises(FloatingPointError, match="diverged"):
+        world.step(standing_angles(PROFILE), RIGID, STRONG)
+
+
+def rolling() -> Terrain:
+    x = 0.04 * np.arange(41)
+    waves = 0.02 * np.sin(5 * x)[:, None] * np.cos(4 * x)
+    return Terrain(NO_BOXES, HeightField(waves, 0.04, (-0.8, -0.8)))
+
+
+@pytest.mark.parametrize(
+    "terrain",
+    [
+        rolling(),
+        build_terrain(Scenario("slope", (Slope((-1.0, 0.0), 12.0, 2.0, 2.0),), Goal(1.0)), np.random.default_rng(0)),
+        build_terrain(
+            Scenario("rubble", (Plane(), Rubble((-0.4, 0.4), (-0.4, 0.4), 12, (0.1, 0.2), (0.01, 0.04))), Goal(1.0)),
+            np.random.default_rng(0),
+        ),
+    ],
+    ids=["height field", "slope", "rubble"],
+)
+def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
+    q = standing_angles(PROFILE)
+    world = World(PROFILE, terrain)
+    world.stand(q)
+    for _ in range(500):
+        world.step(q, RIGID, STRONG)
+    settled = world.p_world_foot
+    ground = terrain.height_at(settled[:, :2])
+    carried = np.zeros(6)
+    for _ in range(500):
+        world.step(q, RIGID, STRONG)
+        carried += world.foot_force / 500
+    assert np.linalg.norm(world.p_world_foot - settled, axis=1).max() < 2e-4
+    standing = world.foot_contact
+    assert standing.sum() >= 3
+    # A foot touches ground that slopes beside its lowest point, so its centre is at least a radius above that below it.
+    assert np.all(settled[:, 2] - ground > PROFILE.foot.radius - 1e-3)
+    # Normal forces lean where the ground does, so they add up to a little more or less than the weight.
+    assert carried.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=0.1)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(leg: int) -> None:
+    q, T = standing_angles(PROFILE), from_xyz_rpy((0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
+    q[leg, 2] += np.radians(50.0)  # the shank slants outwards
+    knee, foot = apply(T, leg_points(PROFILE, q)[leg, 2:])
+    middle = 0.5 * (knee + foot)
+    half = np.array([0.005, 0.005, (middle[2] - 0.005) / 2])  # the top is a little within the shank
+    block = Boxes(np.array([[*middle[:2], half[2]]]), half[None], np.eye(3)[None])
+    world = World(PROFILE, Terrain(block))
+    world.place(q, T)
+    world.step(q, RIGID, STRONG)
+    np.testing.assert_array_equal(world.leg_contact, np.arange(6) == leg)
+    assert not world.foot_contact.any()
+
+
+def under_the_feet(bears: float) -> Terrain:
+    """A pillar under each foot of the resting stance, one of them weak."""
+    world = World(PROFILE, FLAT)
+    world.stand(standing_angles(PROFILE))
+    xy = tuple((float(x), float(y)) for x, y, _ in world.p_world_foot)
+    pillars = Pillars(xy, 0.08, 0.0, weak=1, bears=bears, sinks=0.05)
+    return build_terrain(Scenario("pillars", (pillars,), Goal(1.0)), np.random.default_rng(0))
+
+
+def test_a_weak_pillar_sinks_once_it_is_pressed_and_stays_down() -> None:
+    q, world = standing_angles(PROFILE), World(PROFILE, under_the_feet(2.0))
+    (leg,) = world.terrain.weak.box
+    world.stand(q)
+    assert world.sunk == 0.0
+    for _ in range(150):
+        world.step(q, RIGID, STRONG, steps=2)
+    assert world.sunk == pytest.approx(0.05)
+    assert not world.foot_contact[leg]
+    assert world.foot_contact.sum() >= 4
+    assert tilt(world) < 0.1
+    assert world.terrain.sink_at(world.p_world_foot[:, :2]) == pytest.approx(np.where(np.arange(6) == leg, 0.05, 0.0))
+    raised = q.copy()
+    raised[leg, 1] += 0.5  # nothing presses on it now
+    for _ in range(50):
+        world.step(raised, RIGID, STRONG, steps=2)
+    assert world.sunk == pytest.approx(0.05)
+
+
+def test_a_pillar_that_bears_a_foot_stands_as_any_other() -> None:
+    q, world, firm = standing_angles(PROFILE), World(PROFILE, under_the_feet(20.0)), under_the_feet(20.0)
+    world.stand(q)
+    other = World(PROFILE, Terrain(firm.boxes))
+    other.stand(q)
+    for _ in range(100):
+        world.step(q, RIGID, STRONG, steps=2)
+        other.step(q, RIGID, STRONG, steps=2)
+    assert world.sunk == 0.0
+    assert world.foot_contact.all()
+    np.testing.assert_allclose(world.p_world_foot, other.p_world_foot, atol=1e-6)

@@ -1,0 +1,121 @@
+"""Servos on a workbench: plugged in and out, bent by hand, and moving as the host's time passes."""
+
+import numpy as np
+import pytest
+
+from sextant.services.simulator.servo_bus import servos
+from sextant.services.simulator.servo_bus.bench_emulator import HORNS_DEG, Workbench
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.dynamixel import PacketParser
+
+PROFILE = load_profile("phantomx_mk2")
+MS = 1_000_000
+
+
+def bench(*, fresh: bool = False, rate: int | None = None, seed: int = 2) -> Workbench:
+    return Workbench(PROFILE, np.random.default_rng(seed), fresh=fresh, rate=rate)
+
+
+def answers(made: Workbench, packet: bytes, now_ns: int) -> list[dxl.Packet]:
+    return PacketParser().feed(b"".join(reply.data for reply in made.receive(packet, now_ns)))
+
+
+def test_a_servo_goes_to_its_goal_at_its_speed_while_the_host_talks() -> None:
+    made, row = bench(), 4
+    start = dxl.ticks_from_angle(made._q[row])
+    servo_id = list(PROFILE.servo_names)[row]
+    for register, value in ((dxl.MOVING_SPEED, 30), (dxl.TORQUE_ENABLE, 1), (dxl.GOAL_POSITION, start + 30)):
+        made.receive(dxl.write(servo_id, register.address, register.encode(value)), 0)
+    speed = 30 * dxl.SPEED_RAD_S
+    for now_ms in range(0, 300, 20):
+        made.receive(b"", now_ms * MS)
+        assert made._q[row] - dxl.angle_from_ticks(start) <= speed * now_ms * 1e-3 + dxl.TICK_RAD
+    made.receive(b"", 2_000 * MS)
+    assert made._q[row] == pytest.approx(dxl.angle_from_ticks(start + 30), abs=2 * dxl.TICK_RAD)
+    others = np.delete(np.arange(18), row)
+    np.testing.assert_array_equal(made._q[others], bench()._q[others])
+
+
+def test_a_limp_leg_stays_where_it_is_bent_and_one_with_torque_goes_back() -> None:
+    made = bench()
+    made.obey("bend left front 0 30 -20")
+    made.receive(b"", 500 * MS)
+    q = made.robot.joint_angles(made._q.reshape(6, 3))
+    np.testing.assert_allclose(np.degrees(q[0]), [0.0, 30.0, -20.0], atol=1e-9)
+    made.receive(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\x01"), 500 * MS)
+    made.receive(b"", 600 * MS)
+    made.obey("bend left front 0 0 0")
+    made.receive(b"", 2_500 * MS)
+    q = made.robot.joint_angles(made._q.reshape(6, 3))
+    np.testing.assert_allclose(np.degrees(q[0]), [0.0, 30.0, -20.0], atol=0.6)
+
+
+def test_horns_sit_wrong_by_the_seed() -> None:
+    trims = [np.degrees(bench(seed=seed).robot.trims) for seed in (2, 2, 3)]
+    np.testing.assert_array_equal(trims[0], trims[1])
+    assert (trims[0] != trims[2]).any()
+    assert 0.0 < np.abs(trims).max() <= HORNS_DEG
+
+
+def test_new_servos_are_plugged_in_one_by_one() -> None:
+    made = bench(fresh=True)
+    assert answers(made, dxl.ping(1), 0) == []
+    assert made.obey("plug") == "1 servos are plugged in: 1; 17 are not"
+    assert len(answers(made, dxl.ping(1), 10 * MS)) == 1
+    made.receive(dxl.write(1, dxl.ID.address, b"\x05"), 20 * MS)
+    assert made.obey("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 are not"
+    assert made.obey("unplug 1") == "1 servos are plugged in: 5; 17 are not"
+    assert made.obey("unplug") == "0 servos are plugged in: none; 18 are not"
+    assert answers(made, dxl.ping(5), 30 * MS) == []
+
+
+def test_power_that_goes_takes_torque_and_lock_along_and_leaves_the_id() -> None:
+    made = bench()
+    for register in (dxl.TORQUE_ENABLE, dxl.LOCK):
+        made.receive(dxl.write(3, register.address, b"\x01"), 0)
+    made.receive(b"", 10 * MS)
+    (row,) = made._with_id(3)
+    assert made._servos.tables[row, [dxl.TORQUE_ENABLE.address, dxl.LOCK.address]].tolist() == [1, 1]
+    made.unplug([row])
+    made.plug([row])
+    table = made._servos.tables[row]
+    assert table[[dxl.ID.address, dxl.TORQUE_ENABLE.address, dxl.LOCK.address]].tolist() == [3, 0, 0]
+
+
+def test_a_host_at_another_rate_is_not_heard() -> None:
+    made = bench(rate=1_000_000)
+    assert len(answers(made, dxl.ping(1), 0)) == 1
+    made.tune(57_143)
+    assert answers(made, dxl.ping(1), 10 * MS) == []
+    made.tune(None)
+    assert len(answers(made, dxl.ping(1), 20 * MS)) == 1
+
+
+@pytest.mark.parametrize(
+    "line", ["", "plug x", "plug 1 2", "bend left knee 0 0 0", "bend left front 0 1.2.3 0", "bend left front 0 0", "jump"]
+)
+def test_what_is_no_order_is_told(line: str) -> None:
+    with pytest.raises(ValueError, match=r"one of plug \[N\], .* expected, found"):
+        bench().obey(line)
+
+
+@pytest.mark.parametrize("line", ["unplug 99", "bend left front 0 999 0"])
+def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
+    made = bench()
+    before = made.obey("list")
+    with pytest.raises(ValueError, match=rf"expected, found '{line}'"):
+        made.obey(line)
+    assert made.obey("list") == before
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_all_that_is_compiled_is_compiled_before_the_first_question(fresh: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling takes seconds on a machine that never ran it, and who answers so late is taken for a cable that is loose."""
+    loops = ("_age", "_measure", "_pull")
+    called = []
+    for name in loops:
+        loop = getattr(servos, name)
+        monkeypatch.setattr(servos, name, lambda *words, name=name, loop=loop: (called.append(name), loop(*words))[1])
+    bench(fresh=fresh)
+    assert set(called) == set(loops)

@@ -1,0 +1,280 @@
+"""The reference firmware as a state machine: bytes and times in, bytes out, and a recorder on the servos' wire as the judge."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bridge_firmware import CYCLE_NS, GREETING_NS, Firmware
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.shared.servo import bridge_protocol
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bridge_protocol import Message, Mode, Receiver, Refusal, Result
+from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser
+
+WILD = settings(deadline=None, derandomize=True, max_examples=100)
+MS = 1_000_000
+IDS = bytes([1, 2, 3])
+HERE = (512, 512, 512)
+
+
+class Recorded(ServoBusEmulator):
+    """A servo bus that keeps what went over it."""
+
+    def __init__(self, bank: ServoBank) -> None:
+        super().__init__(bank, BusTiming(usb_transaction_ns=0))
+        self.heard: list[Packet] = []
+        self._listener = PacketParser()
+
+    def receive(self, data: bytes, now_ns: int) -> list[Reply]:
+        self.heard += self._listener.feed(data)
+        return super().receive(data, now_ns)
+
+
+class Bench:
+    """A board with servos, and a host's hands."""
+
+    def __init__(self, torque: bool = False) -> None:
+        self.bank = ServoBank(tuple(IDS))
+        self.bank.tables[:, dxl.TORQUE_ENABLE.address] = torque
+        self.bus = Recorded(self.bank)
+        self.board = Board(self.bus, BusTiming(usb_transaction_ns=0))
+        self.receiver = Receiver(bridge_protocol.TO_HOST)
+        self.now_ns = 0
+        self.sequence = 0
+
+    def pass_time(self, ns: int, *sent: Message | bytes) -> list[Message]:
+        """Send, let time pass, and return what was said meanwhile."""
+        said: list[Message] = []
+        for message in sent:
+            data = message if isinstance(message, bytes) else bridge_protocol.encode(message)
+            said += self._heard(self.board.receive(data, self.now_ns))
+        while ns > 0:
+            beat = min(ns, CYCLE_NS)
+            self.now_ns, ns = self.now_ns + beat, ns - beat
+            said += self._heard(self.board.speak(self.now_ns))
+            self.board.advance(self.now_ns)
+            self.bank.step(np.zeros(3), np.zeros(3), np.zeros(3), 1e-3)
+        return said
+
+    def _heard(self, replies: Iterable[Reply]) -> list[Message]:
+        return [message for reply in replies for message in self.receiver.feed(reply.data)]
+
+    def head(self, session: int = 7, late_us: int = 0) -> tuple[int, int, int]:
+        self.sequence += 1
+        return session, self.sequence, self.now_ns // 1000 + 1_000_000 - late_us
+
+    def hello(self, session: int = 7) -> bridge_protocol.Hello:
+        return bridge_protocol.Hello(bridge_protocol.VERSION, session, self.now_ns // 1000 + 1_000_000, IDS)
+
+    def goals(self, position: tuple[int, ...] = HERE) -> bridge_protocol.Goals:
+        return bridge_protocol.Goals(*self.head(), 200, position, (0,) * len(position))
+
+    def state(self) -> bridge_protocol.State:
+        said = [m for m in self.pass_time(2 * CYCLE_NS) if isinstance(m, bridge_protocol.State)]
+        return said[-1]
+
+
+def in_session(torque: bool = True) -> Bench:
+    bench = Bench(torque)
+    bench.pass_time(20 * MS, bench.hello())
+    return bench
+
+
+def writes(bench: Bench, register: dxl.Register) -> list[Packet]:
+    """What was written to a register by whatever packet."""
+    found = []
+    for packet in bench.bus.heard:
+        if packet.code in (Instruction.WRITE, Instruction.SYNC_WRITE):
+            start = packet.parameters[0]
+            size = packet.parameters[1] if packet.code == Instruction.SYNC_WRITE else len(packet.parameters) - 1
+            if start <= register.address < start + size:
+                found.append(packet)
+    return found
+
+
+def test_until_somebody_says_hello_it_touches_nothing_and_says_that_it_is_there() -> None:
+    bench = Bench(torque=True)
+    said = bench.pass_time(10 * GREETING_NS)
+    assert 9 <= len(said) <= 11
+    assert {(type(m), m.session) for m in said if isinstance(m, bridge_protocol.Welcome)} == {(bridge_protocol.Welcome, 0)}
+    bench.pass_time(
+        50 * MS, bench.goals(), bridge_protocol.Torque(*bench.head(), 1), bridge_protocol.Limits(*bench.head(), HERE)
+    )
+    assert bench.bus.heard == []
+
+
+def test_off_is_obeyed_before_hello_and_stays() -> None:
+    bench = Bench(torque=True)
+    bench.pass_time(5 * MS, bridge_protocol.Torque(99, 1, 0, 0))
+    assert not bench.bank.tables[:, dxl.TORQUE_ENABLE.address].any()
+    bench.pass_time(50 * MS, bench.hello())
+    bench.pass_time(20 * MS, bench.goals())
+    assert bench.state().mode is Mode.OFF
+    assert writes(bench, dxl.GOAL_POSITION) == []
+
+
+def test_it_adopts_torque_as_it_stands_and_writes_nothing() -> None:
+    for torque, mode in ((True, Mode.HOLDING), (False, Mode.OFF)):
+        bench = in_session(torque)
+        state = bench.state()
+        assert (state.mode, state.goals_age_ms) == (mode, bridge_protocol.NEVER)
+        assert {packet.code for packet in bench.bus.heard} == {Instruction.READ}
+    bench = Bench(torque=True)
+    bench.bank.tables[1, dxl.TORQUE_ENABLE.address] = 0
+    bench.pass_time(20 * MS, bench.hello())
+    assert bench.state().mode is Mode.OFF, "one servo is limp: only an order makes them one again"
+
+
+def test_hello_again_changes_nothing_and_a_new_session_ends_the_old_one() -> None:
+    bench = in_session()
+    bench.pass_time(20 * MS, bench.goals())
+    bench.pass_time(5 * MS, bench.hello())
+    assert bench.state().mode is Mode.ON
+    bench.pass_time(20 * MS, bench.hello(session=8))
+    bench.pass_time(20 * MS, bench.goals())
+    state = bench.state()
+    assert (state.session, state.refusal, state.refused, state.heard) == (8, Refusal.SESSION, 1, 0)
+
+
+def test_every_refusal_is_told() -> None:
+    cases = {
+        Refusal.SESSION: lambda b: bridge_protocol.Goals(8, 99, b.now_ns // 1000, 200, HERE, HERE),
+        Refusal.ORDER: lambda b: bridge_protocol.Limits(7, 1, b.now_ns // 1000 + 1_000_000, HERE),
+        Refusal.AGE: lambda b: bridge_protocol.Limits(*b.head(late_us=250_000), HERE),
+        Refusal.COUNT: lambda b: b.goals((512, 512)),
+        Refusal.QUESTION: lambda b: bridge_protocol.Ask(*b.head(), 1, int(Instruction.RESET), b""),
+        Refusal.FAR: lambda b: (
+            bridge_protocol.encode(b.goals((600, 512, 512))) + bridge_protocol.encode(bridge_protocol.Torque(*b.head(), 1))
+        ),
+    }
+    for refusal, make in cases.items():
+        bench = in_session(torque=False)
+        bench.pass_time(20 * MS, bench.goals())
+        bench.pass_time(5 * MS, make(bench))
+        state = bench.state()
+        assert (state.refusal, state.refused) == (refusal, 1)
+        assert writes(bench, dxl.TORQUE_ENABLE) == writes(bench, dxl.TORQUE_LIMIT) == []
+
+
+def test_more_questions_than_can_wait_are_refused_and_each_has_its_answer() -> None:
+    bench = in_session()
+    asked = [bridge_protocol.Ask(*bench.head(), 1, int(Instruction.READ), bytes((36, 2))) for _ in range(12)]
+    said = bench.pass_time(40 * MS, b"".join(map(bridge_protocol.encode, asked)))
+    answers = [m for m in said if isinstance(m, bridge_protocol.Answer)]
+    assert sorted(m.sequence for m in answers) == [ask.sequence for ask in asked]
+    assert {m.result for m in answers} == {Result.ANSWERED, Result.REFUSED}
+    assert {m.data for m in answers if m.result is Result.ANSWERED} == {b"\x00\x02"}
+    assert bench.state().refusal is Refusal.BUSY
+
+
+def test_a_write_that_would_turn_torque_on_is_not_passed_on_however_it_is_put() -> None:
+    for parameters in (bytes((24, 1)), bytes((20, 0, 0, 0, 0, 1)), bytes((24, 255, 0)), bytes((18, *[1] * 20))):
+        bench = in_session(torque=False)
+        (answer,) = (
+            m
+            for m in bench.pass_time(20 * MS, bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), parameters))
+            if isinstance(m, bridge_protocol.Answer)
+        )
+        assert answer.result is Result.REFUSED
+        assert writes(bench, dxl.TORQUE_ENABLE) == []
+
+
+def test_a_state_comes_every_cycle_and_all_servos_are_read_in_each() -> None:
+    bench = in_session()
+    states = [m for m in bench.pass_time(100 * CYCLE_NS) if isinstance(m, bridge_protocol.State)]
+    assert len(states) == 100
+    assert np.diff([m.sequence for m in states]).tolist() == [1] * 99
+    assert np.diff([m.time_us for m in states]).tolist() == [CYCLE_NS // 1000] * 99
+    assert max(max(m.age) for m in states) <= 110
+
+
+def test_silent_servos_do_not_keep_goals_and_states_waiting() -> None:
+    bench = in_session()
+    bench.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] = 0
+    states = [m for m in bench.pass_time(50 * CYCLE_NS) if isinstance(m, bridge_protocol.State)]
+    assert len(states) == 50
+    assert states[-1].silent >= 50
+    assert min(states[-1].age) >= 4000
+    bench.pass_time(5 * MS, bench.goals((514, 514, 514)))
+    assert (bench.bank.tables.view("<u2")[:, dxl.GOAL_POSITION.address // 2] == 514).all()
+
+
+WORDS = st.tuples(*[st.integers(0, 1023)] * 3)
+ORDERS = st.lists(
+    st.tuples(
+        st.sampled_from(["goals", "on", "off", "limits", "write", "hello", "new hello", "old", "replay", "wait", "noise"]),
+        WORDS,
+        st.integers(1, 300),
+        st.binary(max_size=40),
+    ),
+    max_size=25,
+)
+
+
+@WILD
+@given(ORDERS, st.booleans())
+def test_whatever_is_ordered_torque_comes_on_by_an_order_alone_and_goals_never_after_off(
+    orders: list[tuple[str, tuple[int, int, int], int, bytes]], torque: bool
+) -> None:
+    bench = in_session(torque)
+    on_ordered, last = False, bridge_protocol.encode(bench.hello())
+    for what, words, ms, noise in orders:
+        bench.bus.heard.clear()
+        message: Message | bytes
+        match what:
+            case "goals":
+                message = bench.goals(words)
+            case "on" | "off":
+                message = bridge_protocol.Torque(*bench.head(), int(what == "on"))
+            case "limits":
+                message = bridge_protocol.Limits(*bench.head(), words)
+            case "write":
+                message = bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), noise)
+            case "hello" | "new hello":
+                message = bench.hello(7 if what == "hello" else 7 + ms)
+            case "old":
+                message = bridge_protocol.Torque(*bench.head(late_us=250_000), 1)
+            case "replay":
+                message = last
+            case "noise":
+                message = b"\0" + noise + b"\0"
+            case _:
+                message = b""
+        was_off = bench.board.firmware.mode is Mode.OFF
+        bench.pass_time(ms * MS, message)
+        turned_on = [p for p in writes(bench, dxl.TORQUE_ENABLE) if p.code == Instruction.SYNC_WRITE or p.parameters[1]]
+        if turned_on:
+            assert what == "on"
+            assert writes(bench, dxl.GOAL_POSITION), "behind goals"
+            on_ordered = True
+        if what == "off":
+            assert not bench.bank.tables[:, dxl.TORQUE_ENABLE.address].any()
+            on_ordered = False
+        elif not on_ordered and not torque:
+            assert not bench.bank.tables[:, dxl.TORQUE_ENABLE.address].any()
+        if was_off and what not in ("on", "write"):
+            assert writes(bench, dxl.GOAL_POSITION) == []
+        if what in ("on", "goals"):
+            last = bridge_protocol.encode(message) if isinstance(message, Message) else last
+    assert bench.board.firmware.due_ns > bench.now_ns - CYCLE_NS
+
+
+@WILD
+@given(st.lists(st.tuples(st.integers(0, 30 * MS), st.binary(max_size=120), st.binary(max_size=60)), max_size=20))
+def test_any_bytes_from_both_sides_at_any_time_raise_nothing_and_write_nothing(
+    parts: list[tuple[int, bytes, bytes]],
+) -> None:
+    firmware, recorder, now_ns = Firmware(1), PacketParser(), 0
+    hello = bridge_protocol.encode(bridge_protocol.Hello(bridge_protocol.VERSION, 7, 0, IDS))
+    sent = firmware.step(now_ns, hello).to_bus
+    for wait_ns, from_host, from_bus in parts:
+        now_ns += wait_ns
+        said = firmware.step(now_ns, b"\0" + from_host + b"\0", from_bus)
+        sent += said.to_bus
+        assert len(said.to_host) <= 2 * 404
+    assert {packet.code for packet in recorder.feed(sent)} <= {Instruction.READ}

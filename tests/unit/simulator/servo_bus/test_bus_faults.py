@@ -1,0 +1,488 @@
+"""The fault grid at its bytes: what each fault does to what a host hears, to what servos hear, and that it ends."""
+
+import socket
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.host_link import Outlet, Reply
+from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import GRID, BusFault
+from sextant.shared.servo.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError
+from sextant.shared.wire.messages import FaultKind, FaultTarget
+
+WILD = settings(deadline=None, derandomize=True, max_examples=60)
+IDS = (1, 2, 3)
+MS, S = 1_000_000, 1_000_000_000
+DT = 0.004
+CELLS = sorted(GRID)
+
+
+class Rig:
+    """Three servos with torque on, on a bus where faults happen, and a clock in our hand."""
+
+    def __init__(self, *faults: BusFault, seed: int = 0) -> None:
+        self.bank = ServoBank(IDS)
+        for row in range(3):
+            self.bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
+            self.bank.write(row, dxl.RETURN_DELAY.address, b"\x00")
+        self.plain = ServoBusEmulator(self.bank, BusTiming())
+        self.bus = BusFaults(self.plain, self.bank, seed, faults)
+        self.now_ns = 0
+        self.out = self.step()
+
+    def step(self, q: Sequence[float] = (0.0, 0.0, 0.0), torque: float = 0.0):  # type: ignore[no-untyped-def]
+        self.bus.advance(self.now_ns)
+        self.out = self.bank.step(np.array(q), np.zeros(3), np.full(3, torque), DT)
+        self.now_ns += round(DT * S)
+        return self.out
+
+    def run(self, seconds: float, q: Sequence[float] = (0.0, 0.0, 0.0), torque: float = 0.0) -> None:
+        for _ in range(round(seconds / DT)):
+            self.step(q, torque)
+
+    def hear(self, request: bytes) -> list[Reply]:
+        return self.bus.receive(request, self.now_ns)
+
+    def state(self, servo_id: int) -> list[Packet]:
+        heard = self.hear(dxl.read(servo_id, dxl.PRESENT_POSITION.address, PRESENT_STATE.size))
+        return PacketParser().feed(b"".join(reply.data for reply in heard))
+
+    def position(self, servo_id: int) -> int:
+        (answer,) = self.state(servo_id)
+        return int(PRESENT_STATE.unpack(answer.parameters)[0])
+
+    def value(self, servo_id: int, register: Register) -> int:
+        start, row = register.address, IDS.index(servo_id)
+        return int.from_bytes(self.bank.read(row, start, register.size), "little")
+
+
+def of(target: FaultTarget, kind: FaultKind, at_s: float = 0.0, **parameters: object) -> BusFault:
+    if GRID[target, kind].needs_servo:
+        parameters.setdefault("servo", 2)
+    return BusFault(target, kind, at_s, **parameters)  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------------------------------- all of them
+
+
+def test_without_a_fault_it_is_the_bus_itself() -> None:
+    rig, plain = Rig(), Rig()
+    requests = [dxl.ping(1), dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]), dxl.read(2, 30, 2), b"\xff\xff\x01", b"x"]
+    for request in requests:
+        assert rig.hear(request) == plain.plain.receive(request, plain.now_ns)
+    assert rig.bus.outlet(0) == Outlet()
+    assert rig.bus.words(0) == ""
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=" ".join)
+def test_a_fault_is_there_between_its_times_only(cell: tuple[FaultTarget, FaultKind]) -> None:
+    rig = Rig(of(*cell, at_s=1.0, for_s=1.0))
+    for at_ns, on in ((S - 1, False), (S, True), (2 * S - 1, True), (2 * S, False)):
+        assert (rig.bus.words(at_ns) != "") is on
+
+
+@WILD
+@given(
+    st.lists(st.tuples(st.sampled_from(CELLS), st.floats(0, 0.3), st.floats(0.01, 0.3), st.floats(0.01, 1.0)), max_size=4),
+    st.lists(
+        st.one_of(
+            st.binary(max_size=20),
+            st.sampled_from([dxl.read(i, 36, 8) for i in IDS] + [dxl.ping(254)]),
+            st.just(dxl.sync_write(30, 4, [(i, b"\x00\x02\x64\x00") for i in IDS])),
+        ),
+        min_size=5,
+        max_size=40,
+    ),
+    st.integers(0, 9),
+)
+def test_whatever_happens_nothing_crashes_and_it_is_all_over_in_the_end(
+    faults: list[tuple[tuple[FaultTarget, FaultKind], float, float, float]], requests: list[bytes], seed: int
+) -> None:
+    made = []
+    for cell, at_s, for_s, share in faults:
+        extra = {"share": share} if "share" in GRID[cell].takes else {}
+        made.append(of(*cell, at_s=at_s, for_s=for_s, **extra))
+    rig, again = Rig(*made, seed=seed), Rig(*made, seed=seed)
+    for request in requests:
+        for one in (rig, again):
+            one.run(0.016)
+        heard = rig.hear(request)
+        assert heard == again.hear(request)  # the same seed, the same bytes
+        assert all(reply.due_ns >= rig.now_ns for reply in heard)
+    rig.run(1.0)
+    rig.hear(b"")  # a pause: servos give up what they were in
+    assert rig.bus.words(rig.now_ns) == ""
+    for servo_id in IDS:
+        assert rig.position(servo_id) == 512
+        for register in dxl.REGISTERS:
+            assert register.min <= rig.value(servo_id, register) <= register.max
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=" ".join)
+def test_a_fault_that_is_over_leaves_the_bus_as_before(cell: tuple[FaultTarget, FaultKind]) -> None:
+    """But for what lasts by its nature: heat, charge, a latched overload."""
+    broken, well = Rig(of(*cell, at_s=0.0, for_s=0.1)), Rig()
+    request = dxl.read(2, dxl.PRESENT_POSITION.address, PRESENT_STATE.size)
+    for rig in (broken, well):
+        for _ in range(25):
+            rig.hear(request)
+            rig.step()
+        rig.run(0.2)
+    lasting = cell in (("servo", "heat"), ("servo", "overload"), ("supply", "drain"))
+    heard, expected = broken.hear(request), well.hear(request)
+    if not lasting:
+        assert heard == expected
+        assert (broken.bank.tables == well.bank.tables).all()
+    else:
+        assert len(heard) == len(expected)
+
+
+def test_a_servo_that_is_not_there_is_named() -> None:
+    with pytest.raises(ValueError, match=r"servo silent, servo 99.*one of the servos 1, 2, 3 expected, found 99"):
+        Rig(BusFault("servo", "silent", 0.0, servo=99))
+
+
+# ------------------------------------------------------------------------------------------------------------- bytes
+
+
+def bytes_heard(kind: FaultKind, n: int = 400, **parameters: object) -> tuple[bytes, bytes]:
+    """What a host hears of long answers, and what was said."""
+    rig = Rig(of("bytes", kind, for_s=100.0, **parameters))
+    said = dxl.status(1, 0, bytes(50))
+    heard = b""
+    for _ in range(n):
+        rig.bus._bus.receive = lambda _data, now: [Reply(now, said, 1)]  # type: ignore[method-assign]
+        heard += b"".join(reply.data for reply in rig.hear(b""))
+    return heard, said * n
+
+
+def test_a_share_of_the_bytes_is_lost() -> None:
+    heard, said = bytes_heard("silent", share=0.1)
+    assert 1.0 - len(heard) / len(said) == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["stuck", "garbage", "wrong"])
+def test_a_share_of_the_bytes_is_another(kind: FaultKind) -> None:
+    heard, said = bytes_heard(kind, share=0.1, **({"value": 0x55} if kind == "stuck" else {}))
+    assert len(heard) == len(said)
+    changed = [(a, b) for a, b in zip(said, heard, strict=True) if a != b]
+    assert len(changed) / len(said) == pytest.approx(0.1, abs=0.01)
+    if kind == "stuck":
+        assert {b for _, b in changed} == {0x55}
+    elif kind == "wrong":
+        assert {(a ^ b).bit_count() for a, b in changed} == {1}
+    else:
+        assert len({a ^ b for a, b in changed}) > 200
+
+
+def test_every_byte_can_be_hit() -> None:
+    heard, said = bytes_heard("silent", share=1.0)
+    assert heard == b""
+    assert said
+
+
+def test_bytes_that_come_late_are_all_there_and_keep_their_order() -> None:
+    rig = Rig(of("bytes", "slow", share=0.3, delay_ms=5.0))
+    heard = rig.hear(dxl.read(1, 0, 50))
+    assert len(heard) > 3
+    assert PacketParser().feed(b"".join(reply.data for reply in heard))[0].servo_id == 1
+    assert np.diff([reply.due_ns for reply in heard]).min() == 5 * MS
+
+
+def test_bursts_come_and_go() -> None:
+    rig = Rig(of("bytes", "intermittent", on_ms=20.0, off_ms=8.0))
+    whole = []
+    for _ in range(28):
+        whole.append([packet.servo_id for packet in rig.state(1)] == [1])
+        rig.step()
+    clear = [k * 4 % 28 < 20 for k in range(1, 29)]
+    assert whole[:5] == clear[:5]  # then servos and parser may hang on what the burst began
+    assert not any(good for good, well in zip(whole, clear, strict=True) if not well)
+
+
+def test_bytes_to_the_servos_are_hit_as_well() -> None:
+    rig = Rig(of("bytes", "garbage", share=0.2, for_s=0.1))
+    for _ in range(20):
+        rig.hear(dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]))
+    assert rig.plain.counts.instructions[dxl.Instruction.SYNC_WRITE] < 5
+    assert rig.plain.dropped.total() > 0
+
+
+# ----------------------------------------------------------------------------------------------------------- answers
+
+
+def test_a_share_of_the_answers_is_lost_and_only_of_the_servo_that_is_meant() -> None:
+    rig = Rig(of("packets", "silent", share=0.5, servo=2))
+    lost = sum(not rig.state(2) for _ in range(400))
+    assert lost == pytest.approx(200, abs=40)
+    assert all(rig.state(1) for _ in range(100))
+
+
+def test_an_old_answer_comes_again() -> None:
+    rig = Rig(of("packets", "stuck", share=1.0))
+    seen = []
+    for k in range(4):
+        rig.step((0.1 * k, 0.0, 0.0))
+        seen.append(rig.position(1))
+        assert rig.position(2) == 512  # servos are not mixed up
+    true = [dxl.ticks_from_angle(0.1 * k) for k in range(4)]
+    assert seen == [true[0], *true[:3]]
+
+
+def test_noise_comes_in_front() -> None:
+    rig = Rig(of("packets", "garbage", share=1.0))
+    for _ in range(50):
+        (reply,) = rig.hear(dxl.ping(1))
+        assert reply.data.endswith(dxl.status(1, 0))
+        assert len(reply.data) > 6
+
+
+@pytest.mark.parametrize("part", ["value", "id", "length", "error"])
+def test_one_part_is_wrong_and_the_checksum_is_right(part: str) -> None:
+    rig = Rig(of("packets", "wrong", share=1.0, part=part))
+    true = Rig().state(1)[0].parameters
+    for _ in range(50):
+        (reply,) = rig.hear(dxl.read(1, 36, 8))
+        (packet,) = PacketParser().feed(reply.data)
+        assert (packet.servo_id != 1) is (part == "id")
+        assert (len(packet.parameters) != 8) is (part == "length")
+        assert (packet.code != 0) is (part == "error")
+        assert (packet.parameters != true) is (part in ("value", "length"))
+
+
+def test_answers_come_late_of_the_packets_the_servo_or_the_bus() -> None:
+    (punctual,) = Rig().hear(dxl.ping(2))
+    for fault in (of("packets", "slow", share=1.0), of("servo", "slow"), of("bus", "slow")):
+        rig = Rig(fault)
+        assert rig.hear(dxl.ping(2)) == [punctual._replace(due_ns=punctual.due_ns + 16 * MS)]
+    rig = Rig(of("servo", "slow"))
+    assert rig.hear(dxl.ping(1)) == [punctual._replace(data=dxl.status(1, 0), servo_id=1)]
+
+
+@pytest.mark.parametrize("target", ["packets", "servo", "bus"])
+def test_answers_stay_away_now_and_then(target: FaultTarget) -> None:
+    rig = Rig(of(target, "intermittent", on_ms=12.0, off_ms=8.0))
+    heard = []
+    for _ in range(20):
+        heard.append(bool(rig.state(2)))
+        rig.step()
+    assert heard == [k * 4 % 20 < 12 for k in range(1, 21)]
+
+
+# --------------------------------------------------------------------------------------------------------- one servo
+
+
+@pytest.mark.parametrize("cable", [False, True])
+def test_a_silent_servo_neither_hears_nor_answers_and_without_its_cable_holds_nothing(cable: bool) -> None:
+    rig = Rig(of("servo", "silent", for_s=0.1, cable=cable))
+    assert rig.state(2) == []
+    assert rig.state(1) != []
+    rig.hear(dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]))
+    rig.run(0.02)
+    assert [rig.value(i, dxl.GOAL_POSITION) for i in IDS][0::2] == [256, 256]
+    assert rig.value(2, dxl.GOAL_POSITION) != 256
+    assert (rig.out.torque_limit > 0).tolist() == [True, not cable, True]
+    rig.run(0.2)
+    assert rig.state(2) != []
+    assert rig.value(2, dxl.TORQUE_ENABLE) == (0 if cable else 1)  # its RAM is forgotten, and nobody turns torque on
+    assert rig.value(2, dxl.RETURN_DELAY) == 0  # its EEPROM is not
+    assert (rig.out.torque_limit > 0).tolist() == [True, not cable, True]
+
+
+def test_a_stuck_position_register_shows_where_the_joint_was() -> None:
+    rig = Rig()
+    rig.step((0.0, 0.2, 0.0))
+    rig.bus.inject(of("servo", "stuck", for_s=0.1), rig.now_ns)
+    rig.step((0.1, 0.5, 0.0))
+    assert rig.position(2) == dxl.ticks_from_angle(0.2)
+    assert rig.position(1) == dxl.ticks_from_angle(0.1)
+    rig.run(0.15, (0.1, 0.5, 0.0))
+    assert rig.position(2) == dxl.ticks_from_angle(0.5)
+
+
+def test_a_position_register_that_is_off() -> None:
+    rig = Rig(of("servo", "wrong", offset_ticks=-40))
+    rig.step()
+    assert [rig.position(i) for i in IDS] == [512, 472, 512]
+
+
+def test_a_jammed_joint_is_held_where_it_was_and_its_motor_pulls_in_vain() -> None:
+    rig = Rig()
+    rig.step((0.0, 0.3, 0.0))
+    rig.bus.inject(of("servo", "jammed", for_s=0.1), rig.now_ns)
+    rig.hear(dxl.sync_write(30, 2, [(2, dxl.GOAL_POSITION.encode(800))]))
+    for _ in range(5):
+        rig.step((0.0, 0.3, 0.0))
+    assert rig.out.setpoint[1] == pytest.approx(0.3)
+    assert rig.out.torque_limit[1] > 1.5
+    (answer,) = rig.state(2)
+    assert dxl.load_from_register(PRESENT_STATE.unpack(answer.parameters)[2]) == pytest.approx(1.0)
+    rig.run(0.15, (0.0, 0.3, 0.0))
+    assert rig.out.torque_limit[1] == pytest.approx(1.5)
+
+
+def test_garbage_of_one_servo() -> None:
+    rig = Rig(of("servo", "garbage"))
+    (reply,) = rig.hear(dxl.read(2, 36, 8))
+    assert len(reply.data) == 14
+    assert PacketParser().feed(reply.data) == []
+    assert len(rig.state(1)) == 1
+
+
+def test_an_overload_latches_and_latches_again_until_its_end() -> None:
+    rig = Rig(of("servo", "overload", for_s=0.1))
+    rig.step()
+    assert rig.bank.shutdown.tolist() == [False, True, False]
+    assert rig.out.torque_limit[1] == 0.0
+    (answer,) = rig.state(2)
+    assert answer.code == ServoError.OVERLOAD
+
+    def mend() -> None:
+        rig.hear(dxl.write(2, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(1023)))
+        rig.step()
+        rig.step()
+
+    mend()
+    assert rig.bank.shutdown[1]
+    rig.run(0.1)
+    assert rig.bank.shutdown[1]  # nothing comes back by itself
+    mend()
+    assert not rig.bank.shutdown.any()
+    assert rig.out.torque_limit[1] > 0
+
+
+def test_heat_and_its_cut_off() -> None:
+    rig = Rig(of("servo", "heat", for_s=10.0, kelvin_per_s=10.0))
+    rig.run(4.0)
+    assert rig.bank.temperature[1] == pytest.approx(65.0, abs=1.0)
+    assert rig.bank.temperature[0] == pytest.approx(25.0, abs=0.1)
+    assert not rig.bank.shutdown.any()
+    rig.run(1.0)
+    assert rig.bank.shutdown.tolist() == [False, True, False]
+
+
+def test_a_temperature_that_reads_too_high_is_no_heat_and_is_right_again_afterwards() -> None:
+    rig = Rig(of("servo", "hot", for_s=0.5, celsius=85))
+    question = dxl.read(2, dxl.PRESENT_TEMPERATURE.address, 1)
+    rig.run(0.1)
+    assert rig.hear(question)[0].data[5] == 85
+    rig.run(1.0)
+    assert rig.hear(question)[0].data[5] == 25
+    assert rig.bank.temperature[1] == pytest.approx(25.0, abs=0.1)
+    assert not rig.bank.shutdown.any()
+
+
+# ------------------------------------------------------------------------------------------------- bus and supply
+
+
+def test_a_silent_adapter_reaches_nobody_and_servos_hold() -> None:
+    rig = Rig(of("bus", "silent", for_s=0.1))
+    assert rig.hear(dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS])) == []
+    assert rig.hear(dxl.ping(1)) == []
+    rig.run(0.05)
+    assert (rig.out.torque_limit > 0).all()
+    assert rig.value(1, dxl.GOAL_POSITION) != 256
+
+
+@pytest.mark.parametrize("kind", ["stuck", "garbage"])
+def test_a_line_that_never_rests(kind: FaultKind) -> None:
+    rig = Rig(of("bus", kind, **({"value": 0xFF} if kind == "stuck" else {})))
+    heard = rig.hear(dxl.ping(1))
+    data = b"".join(reply.data for reply in heard)
+    assert len(data) == 800
+    assert len(set(data)) == (1 if kind == "stuck" else len(set(data)))
+    assert heard[-1].due_ns == rig.now_ns + 8 * MS
+    rig.step()
+    assert sum(len(reply.data) for reply in rig.hear(dxl.ping(1))) == 400  # of 4 ms: a line has one speed
+
+
+def test_every_answer_is_the_one_to_the_question_before() -> None:
+    rig = Rig(of("bus", "wrong"))
+    assert rig.state(1) == []
+    assert [packet.servo_id for packet in rig.state(2)] == [1]
+    assert [packet.servo_id for packet in rig.state(3)] == [2]
+
+
+def test_a_port_that_is_gone_is_no_port_and_comes_back_under_its_name_or_another() -> None:
+    rig = Rig(of("bus", "gone", 0.1, for_s=0.1), of("bus", "gone", 0.3, for_s=0.1, renamed=True))
+    port = MemoryPort(rig.bus, lambda: rig.now_ns)
+    port.write(dxl.ping(1))
+    rig.run(0.12)
+    for use in (lambda: port.write(dxl.ping(1)), lambda: port.read(6), port.reset_input_buffer):
+        with pytest.raises(OSError, match="unplugged"):
+            use()
+    with pytest.raises(OSError, match="port any of the simulated bus expected, found none"):
+        MemoryPort(rig.bus, lambda: rig.now_ns)
+    assert (rig.out.torque_limit > 0).all()
+    rig.run(0.1)
+    with pytest.raises(OSError, match="unplugged"):  # what was open does not work again
+        port.read(6)
+    again = MemoryPort(rig.bus, lambda: rig.now_ns, name=0, start_ns=port.now_ns())
+    again.write(dxl.ping(1))
+    assert again.read(6) == dxl.status(1, 0)
+    rig.run(0.2)
+    with pytest.raises(OSError, match="port 0 of the simulated bus expected, found 1"):
+        MemoryPort(rig.bus, lambda: rig.now_ns, name=0)
+    MemoryPort(rig.bus, lambda: rig.now_ns, name=1)
+
+
+def test_a_sag_and_a_battery_that_runs_empty() -> None:
+    rig = Rig(of("supply", "sag", for_s=0.2, volts=3.0), of("supply", "drain", 0.5, for_s=2.0))
+    rig.run(0.1)
+    full = rig.bank.supply.full_voltage - rig.bank.supply.resistance * rig.bank.current
+    assert rig.bank.voltage == pytest.approx(full - 3.0, abs=0.01)
+    rig.run(0.3)
+    assert rig.bank.voltage == pytest.approx(full, abs=0.01)
+    rig.run(1.1)
+    assert rig.bank.charge == pytest.approx(0.5, abs=0.01)
+    rig.run(1.1)
+    assert rig.bank.charge == pytest.approx(0.0, abs=1e-3)
+    assert rig.bank.voltage == pytest.approx(full - 2.7, abs=0.01)
+
+
+# --------------------------------------------------------------------------------------------------------------- tcp
+
+
+def ping(address: tuple[str, int]) -> bytes:
+    with socket.create_connection(address, timeout=5.0) as client:
+        client.sendall(dxl.ping(1))
+        return client.recv(6, socket.MSG_WAITALL)
+
+
+def test_over_tcp_the_port_goes_and_comes_back_elsewhere() -> None:
+    rig = Rig()
+    now = [0]
+
+    def clock() -> int:
+        return now[0] or time.monotonic_ns()
+
+    rig.bus.origin_ns = time.monotonic_ns()
+    with TcpBusServer(rig.bus, clock=clock) as server:
+        first = server.address
+        with socket.create_connection(first, timeout=5.0) as client:
+            client.sendall(dxl.ping(1))
+            assert client.recv(6, socket.MSG_WAITALL) == dxl.status(1, 0)
+            with server.lock:
+                rig.bus.inject(BusFault("bus", "gone", 0.0, for_s=3600.0, renamed=True), clock())
+            server.replug()
+            assert client.recv(1) == b""  # hung up
+        with pytest.raises(ConnectionError):  # refused, or reset where it was in the listener's queue already
+            ping(first)
+        now[0] = rig.bus.origin_ns + 4000 * S  # it is over
+        server.replug()
+        patience = time.monotonic() + 10.0
+        while server.address == first and time.monotonic() < patience:
+            pass
+        assert server.address != first
+        now[0] = 0
+        rig.bus.advance(rig.bus.origin_ns + 4000 * S)  # and forgotten
+        assert ping(server.address) == dxl.status(1, 0)
