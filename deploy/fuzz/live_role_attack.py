@@ -198,6 +198,7 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
             if not half and sent[0] >= messages // 2:
                 half = robot.memory_mb()
         attacking.join()
+        offs += [robot.off(bystander) for _ in range(_OFFS - len(offs))]  # of an attack that was over sooner
         # 3. What is left of it.
         afterwards = WALKS if robot.until_it_walks(_BACK_S) else robot.why_it_stands()
         after = robot.memory_mb()
