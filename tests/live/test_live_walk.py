@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 import urllib.request
 from collections.abc import Callable
@@ -216,6 +217,17 @@ def walk_by_the_public_client(endpoint: str) -> None:
         assert robot.state.mode is Mode.READY
 
 
+def walk_by_the_program_of_the_readme(endpoint: str) -> None:
+    shown = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert shown is not None
+    program = textwrap.dedent(shown[1]).replace("tcp/127.0.0.1:7447", endpoint)
+    with Ear.at(Endpoints((endpoint,))) as ear:
+        eventually(lambda: ear.lease == "", "the end of the last order's lease")
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.startswith("ready ")
+
+
 def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
     """What `sextant order` says that ends as it must; given again where a servo of a busy machine has answered late."""
     told: list[str] = []
@@ -250,6 +262,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
             ("off", 0, "off: ordered off"),
         ):
             assert words in ordered(order, status, tmp_path, "--connect", endpoint, *meet)
+        walk_by_the_program_of_the_readme(endpoint)
         walk_by_the_client_of_the_docs(endpoint)
         walk_by_the_public_client(endpoint)
         up.interrupt()
