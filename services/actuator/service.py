@@ -370,7 +370,8 @@ class Actuator:
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
             feeler, firm, known = self._feeler, self._contact.firm, ~self._unsure()
             heard = feeler.heard(self._clock())
-            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known, heard)
+            goals = apply(T_odom_body, body_forward(self._profile, self._joints.goals))
+            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known, heard, goals)
             targets = self._walker.update(dt, T_odom_body, felt, self._limits.pace)
         self._reach_for(targets, dt)
         if self._posing is not None and self._posing.done:

@@ -44,6 +44,7 @@ class Felt:
     leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading is like the last
     known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet of which it is known where they are
     heard: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) legs that have told of late what they feel
+    goals: Array | None = None  # (6, 3) [m] {odom} foot centres by the goals of the servos; None: where the plan has them
 
 
 class FemurReading(NamedTuple):

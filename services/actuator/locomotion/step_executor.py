@@ -470,8 +470,12 @@ class Walker:
             self._ground[free] = targets[free, 2]
 
     def _held(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> NDArray[np.bool_]:
-        """Which legs (6,) in the air something holds: their feet have stayed far behind for a while."""
-        behind = np.linalg.norm(self.feet_odom - felt.feet, axis=1) > _HELD
+        """Which legs (6,) in the air something holds: their feet have stayed far behind the goals of their servos for a while.
+
+        A folded leg at the limit of a joint stays behind the plan, but not behind its goals.
+        """
+        goals = self.feet_odom if felt.goals is None else felt.goals
+        behind = np.linalg.norm(goals - felt.feet, axis=1) > _HELD
         self._behind_s = np.where(legs & ~self._stopped & felt.known & behind, self._behind_s + dt, 0.0)
         return self._behind_s > _HELD_S - 1e-9
 

@@ -514,6 +514,22 @@ def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: floa
     assert not walker.trouble
 
 
+def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
+    """It stays behind the plan, but where its servos were sent."""
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.06), duration=2.0))
+    flown = 0.0
+    cycle(walker)
+    while not walker.resting:
+        flown += DT * walker.flying[0]
+        feet = walker.feet_odom
+        feet[0] -= [0.0, 0.0, 0.08 if walker.flying[0] else 0.0]
+        walker.update(DT, walker.body_ref, Felt(~ALL, ALL, feet, goals=feet))
+        assert not walker.taking_back
+    assert flown > 0.5
+    assert not walker.trouble
+
+
 def test_legs_in_doubt_prove_that_they_stand_before_others_are_lifted() -> None:
     """On uneven ground a robot that rises stands on some of its feet."""
     walker = new_walker()
