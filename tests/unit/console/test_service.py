@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.console.test_frames import read, read_map, terrain
 from websockets.sync.client import ClientConnection, connect
 
 from sextant.services.console.config import Settings
@@ -39,6 +38,7 @@ from sextant.shared.wire.messages import (
 )
 from tests.support.served import Serving
 from tests.support.states import actuator_state
+from tests.unit.console.web.test_frames import read, read_map, terrain
 
 PROFILE = load_profile("phantomx_mk2")
 PATIENCE_S = 20.0
