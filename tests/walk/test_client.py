@@ -1,5 +1,9 @@
 """A program leads the robot through the public face; here its commands reach a robot in lockstep."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +13,7 @@ from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire.messages import Goal, Mode, VelocityCommand
 
+ROOT = Path(__file__).parents[2]
 FLAT = load_scenario("flat")
 S = 1_000_000_000
 
@@ -68,7 +73,13 @@ def test_nothing_answers_at_a_wrong_endpoint() -> None:
         Client("nowhere")
 
 
-def test_the_public_names_are_there_and_light() -> None:
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = "import sextant, sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"numpy", "zenoh", "numba", "cv2", "mujoco"}
+
+
+def test_the_public_names_exist() -> None:
     for name in sextant.__all__:
         assert getattr(sextant, name) is not None
     assert set(sextant.__all__) <= set(dir(sextant))
