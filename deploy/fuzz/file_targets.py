@@ -67,7 +67,7 @@ def file_targets() -> tuple[Target, ...]:
     place = folder.path
     grey = np.arange(12, dtype=np.uint16).reshape(3, 4) * 4000
     pictures = [cv2.imencode(".png", picture)[1].tobytes() for picture in (grey, cv2.merge([grey.astype(np.uint8)] * 3))]
-    profiles = [*_shipped("profiles", "phantomx_mk2"), _CALIBRATED.encode()]
+    profiles = [*_shipped("robot.profiles", "phantomx_mk2"), _CALIBRATED.encode()]
     Authority(days=30).issue(place / "keys", "base")
 
     def target(name: str, file: str, examples: Sequence[bytes], twisted: Callable[[bytes, Random], bytes], read: Any) -> Target:
@@ -85,7 +85,7 @@ def file_targets() -> tuple[Target, ...]:
         return Target(name, tuple(examples), twisted, take)
 
     return (
-        target("file, scenario", "scenario.toml", _shipped("scenarios", "steps", "mixed", "rubble"), _odd_toml, _read_scenario),
+        target("file, scenario", "scenario.toml", _shipped("scenario.scenarios", "steps", "mixed", "rubble"), _odd_toml, _read_scenario),
         target("file, profile", "robot.toml", profiles, _odd_toml, _read_profile),
         target("file, settings", "settings.toml", [b"rate_hz = 100.0\narc = 'flow'\n"], _odd_toml, _read_settings),
         target("file, fleet", "fleet.toml", [_FLEET.encode()], _odd_toml, fleet.load),

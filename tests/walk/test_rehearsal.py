@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 SELDOM = (
-    "perception.anchor._score_places",
-    "mapper.cloud._merge",
-    "mapper.view._sights",
-    "planner.passage.search.grow",
-    "simulator.raster.draw_capsules",
+    "perception.registration.relocalization_map._score_places",
+    "mapper.passage_map.voxel_cloud._merge",
+    "mapper.passage_map.next_best_view._sights",
+    "planner.gap_crossing.roadmap_search.grow",
+    "simulator.sensors.raster.draw_capsules",
 )
 PATIENCE_S = 300.0  # [s], where nothing has been compiled yet
 
