@@ -1,1 +1,1 @@
-"""The process table, the command line and what that does: launch, meet, run, judge, draw, repeat, measure."""
+"""Command line, process table, launch, runs, evaluation, pictures and benchmarks."""

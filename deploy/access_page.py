@@ -1,4 +1,4 @@
-"""The tables of docs/access.md, out of the rules themselves."""
+"""Tables of docs/access.md, generated from the access rules."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from sextant.shared.wire.topics import TOPICS
 
 
 def roles() -> Iterator[str]:
-    """Who holds which certificate."""
+    """Yield the table of roles and certificates."""
     yield "| role | who holds it | may lead | may stop |"
     yield "|---|---|---|---|"
     for role in ROLES:
@@ -17,7 +17,7 @@ def roles() -> Iterator[str]:
 
 
 def keys() -> Iterator[str]:
-    """What each role may do with each key, and how much of it is let in."""
+    """Yield the table of keys: permissions of each role, and rate and size limits."""
     yield f"| key | {' | '.join(f'`{role.name}`' for role in ROLES)} | at most, Hz | at most, KiB |"
     yield f"|---|{'---|' * len(ROLES)}---|---|"
     for topic in TOPICS:

@@ -1,4 +1,4 @@
-"""Parse the command line, and name what is wrong with it in one line, with the nearest right word."""
+"""Command-line parser that reports an error in one line, with the nearest match."""
 
 import argparse
 import sys
@@ -10,14 +10,17 @@ from sextant.shared.spelling import hint, nearest
 
 
 class ArgumentParser(argparse.ArgumentParser):
-    """A parser whose refusals are one line each; its sub-commands are parsed by the same class."""
+    """A parser with one-line errors; its sub-commands are parsed by the same class."""
 
     def error(self, message: str) -> NoReturn:
         """End the program with status 2 and one line on stderr."""
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; see `{self.prog} --help`\n")
 
-    def _print_message(self, message: str, file: object = None) -> None:  # of argparse, which ignores what goes wrong
-        """Print help on standard output, or say there that it cannot be printed; print what is wrong if that is possible."""
+    def _print_message(self, message: str, file: object = None) -> None:  # overrides argparse, which ignores write errors
+        """Print help on stdout, or errors on stderr.
+
+        A failure to print the help is reported; one to print an error is ignored.
+        """
         if file is sys.stdout:
             say(message.rstrip("\n"))
         else:
@@ -29,7 +32,7 @@ class ArgumentParser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"unknown {value!r}; {hint(str(value), known)}")
 
     def parse_whole(self, words: Sequence[str]) -> argparse.Namespace:
-        """All words of a command line; ends the program where one of them is not known.
+        """Parse all words of a command line; end the program at an unknown one.
 
         Each sub-command sets its parser as the default of `parser`.
         """
@@ -45,5 +48,5 @@ class ArgumentParser(argparse.ArgumentParser):
 
     @property
     def options(self) -> tuple[str, ...]:
-        """The long options that it knows."""
+        """The parser's long options."""
         return tuple(option for option in self._option_string_actions if option.startswith("--"))

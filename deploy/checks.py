@@ -1,22 +1,22 @@
-"""What a check of this machine says: how bad it is, what was found, what to do."""
+"""Result of a check of this machine: severity, finding and advice."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Level(StrEnum):
-    """How bad it is."""
+    """Severity of a check."""
 
     OK = "OK"
-    WARN = "WARN"  # it runs, but not as it should
+    WARN = "WARN"  # works, but not as it should
     FAIL = "FAIL"
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing looked at."""
+    """Result of one check."""
 
     name: str
     level: Level
-    found: str  # in words
-    advice: str = ""  # what to do; empty when all is well
+    found: str  # as text
+    advice: str = ""  # what to do; empty if the level is OK

@@ -1,6 +1,8 @@
-"""The command line: its arguments, and how it ends. Every failure says its cause and what to do next.
+"""Command-line interface: argument parsing, error reporting and exit status.
 
-Exit status: 0 only on success, 1 for a run that failed, 2 for wrong input, 130 when the operator ended it.
+Every failure states its cause and what to do next.
+
+Exit status: 0 on success only, 1 for a failed run, 2 for invalid input, 130 when the operator interrupts it.
 Modules that take long to import are imported by the command that needs them.
 """
 
@@ -47,7 +49,7 @@ from sextant.deploy.commands.walks import DEMOS, demo, run
 from sextant.deploy.output import OutputError, discard_output, flushed_output, prepare_streams
 from sextant.shared.files.whole_files import OUT_OF_ROOM, cause
 
-_SAID_IN_WORDS = {  # errors of modules that only some commands need
+_SAID_IN_WORDS = {  # exceptions that are reported as one line; only some commands import their modules
     "sextant.shared.wire.transport": "TransportError",
     "sextant.shared.files.input_file": "FileError",
     "sextant.shared.runtime.lockstep": "ServiceFailedError",
@@ -70,7 +72,7 @@ _OF_THE_MACHINE = (
     "ServoSilentError",
     "ServiceFailedError",
     "WriteError",
-)  # and not the caller's mistakes
+)  # caused by the machine, not by the caller: exit status 1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -85,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("stopped by the operator")
         return INTERRUPTED
-    except BrokenPipeError:  # the reader has had enough
+    except BrokenPipeError:  # the reader closed the pipe
         discard_output()
         return FAILED
     except OutputError as error:
@@ -103,15 +105,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """The arguments of a command, which is among them; whoever is wrong about them is told, and the program ends."""
+    """Parse the arguments of a command; exit with a message if they are invalid."""
     words = list(argv)
-    if words[:2] == ["trials", "table"]:  # a command of two words, the first of which is one by itself
+    if words[:2] == ["trials", "table"]:  # a two-word command whose first word is also a command
         words[:2] = ["trials table"]
     return _parser().parse_whole(words)
 
 
 def _refusals() -> tuple[type[Exception], ...]:
-    """What is the caller's mistake or the machine's state, and says so in words; everything else is a traceback."""
+    """Return the exception types that are reported as one line, without traceback."""
     from sextant.shared.files.config import ConfigError
 
     others = [getattr(sys.modules[module], name) for module, name in _SAID_IN_WORDS.items() if module in sys.modules]
@@ -235,7 +237,7 @@ def _add_walks(add: Any) -> None:
     one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")
     one.add_argument("--namespace", default="sextant", help="of those services (default %(default)s)")
     _add_keys(one)
-    one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # a launcher's id, as every process of the table has it
+    one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # id of the launcher's process
     _add_seed_and_out(one)
 
 
@@ -316,7 +318,7 @@ def _add_robots(add: Any) -> None:
 
 
 def _add_role(one: argparse.ArgumentParser) -> None:
-    """What says which processes are started, and how they meet others."""
+    """Add the arguments that select the processes and connect them to other machines."""
     one.add_argument(
         "role",
         choices=("all", "onboard", "offboard", "sim"),

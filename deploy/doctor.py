@@ -1,4 +1,4 @@
-"""What the services need of a machine, checked one by one, each with what to do about it."""
+"""Checks that this machine meets the requirements of the services, with advice."""
 
 import importlib
 import json
@@ -19,7 +19,7 @@ from sextant.deploy import rehearsal, servo_checks
 from sextant.deploy.checks import Check, Level
 from sextant.shared.files.config import ConfigError
 
-_ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
+_ROLES: dict[str, tuple[str, ...]] = {  # extras of pyproject.toml -> the modules they install
     "core": ("msgpack", "numpy", "zenoh", "zstandard"),
     "actuator": ("serial",),
     "perception": ("cv2", "kiss_icp", "numba"),
@@ -32,19 +32,22 @@ _CORES = 2
 _DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
 _ROUND_TRIPS = 50
 _CYCLE_HZ, _CYCLES, _MISSED_MS = 50.0, 100, 25.0  # of the actuator
-_FULL = 0.75  # [1] share of the cores that a walk may need: other programs and Zenoh need some, too
-_SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
+_FULL = 0.75  # [1] share of the cores that a walk may use; other programs and Zenoh need the rest
+_SLOW_MS = 5.0  # a loopback round trip normally takes well under a millisecond
 
 
 def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
-    """Check everything; a servo port only when one is given, the camera of the robot's profile or another one."""
+    """Run all checks.
+
+    The servo port is checked only if one is given. The camera is `camera`, or that of the robot's profile.
+    """
     checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(), disk(Path())]
     checks.append(depth_camera(robot, camera))
     return [*checks, *servo_checks.examine(port, robot)]
 
 
 def python(version: tuple[int, int] | None = None) -> Check:
-    """The interpreter."""
+    """Check the version of the Python interpreter."""
     found = version or (sys.version_info.major, sys.version_info.minor)
     words = f"Python {found[0]}.{found[1]}, {sys.executable}"
     if found < _PYTHON:
@@ -55,7 +58,7 @@ def python(version: tuple[int, int] | None = None) -> Check:
 
 
 def wheels() -> Iterator[Check]:
-    """Whether each role's libraries can be imported."""
+    """Check that the libraries of each role can be imported."""
     problems: dict[str, str] = {}
     for module in sorted({module for modules in _ROLES.values() for module in modules}):
         try:
@@ -78,7 +81,7 @@ def wheels() -> Iterator[Check]:
 
 
 def zenoh_round_trip() -> Check:
-    """Whether frames get through a router of this machine and back, and how fast."""
+    """Check that frames pass through a local router and back, and measure how fast."""
     from sextant.deploy.launch.launcher import host_router
     from sextant.shared.runtime.service import AnyTopic
     from sextant.shared.wire import topics
@@ -112,7 +115,10 @@ def zenoh_round_trip() -> Check:
 
 
 def numba_cache() -> Check:
-    """Whether compiled loops can be kept: without, every start compiles for a minute."""
+    """Check that compiled loops can be cached.
+
+    Without a cache every start compiles for a minute.
+    """
     from sextant import shared
 
     name = "cache of compiled loops"
@@ -130,7 +136,7 @@ def numba_cache() -> Check:
 
 
 def cores(count: int | None = None) -> Check:
-    """Cores that this process may use."""
+    """Check the number of cores that this process may use."""
     found = len(os.sched_getaffinity(0)) if count is None else count
     if found < _CORES:
         advice = "`sextant run --lockstep` needs one core; to walk in real time give the machine two"
@@ -144,7 +150,10 @@ def cycle(
     wait: Callable[[float], object] = time.sleep,
     actuator: Callable[[str], AbstractContextManager[Callable[[], object]]] = rehearsal.bench_actuator,
 ) -> Check:
-    """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's, on an emulated servo bus."""
+    """Check that this machine keeps the control period at its current load.
+
+    The actuator runs on an emulated servo bus.
+    """
     from sextant.shared.runtime.process_priority import go_first
     from sextant.shared.runtime.service import Every
     from sextant.shared.runtime.zenoh_runner import Beats
@@ -162,7 +171,7 @@ def cycle(
 
     name = "control cycle"
     try:
-        with ThreadPoolExecutor(1) as apart:  # priority is a thread's own
+        with ThreadPoolExecutor(1) as apart:  # a separate thread, because priority is set per thread
             refused, every, work = apart.submit(beat).result()
     except ImportError as error:
         return Check(name, Level.WARN, f"not timed: {error}", "pip install -e '.[simulator]' brings an emulated servo bus")
@@ -181,7 +190,10 @@ def cycle(
 
 
 def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse) -> Check:
-    """Whether this machine keeps up with a walk, as it is loaded now: from the depth frame to the actuator's cycle."""
+    """Check that this machine keeps up with a walk at its current load.
+
+    The check covers all stages from the depth frame to the actuator's cycle.
+    """
     name = "walking"
     try:
         stages = rehearse()
@@ -191,7 +203,7 @@ def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse
         )
     cores_needed, usable = sum(stage.cores for stage in stages), rehearsal.usable_cores()
     words = f"{', '.join(stage.words for stage in stages)}; together {cores_needed:.1f} of {usable} cores"
-    # The actuator has a priority that this process has not: its cycle is judged by a check of its own.
+    # This process lacks the actuator's priority, so `cycle` checks the actuator's cycle separately.
     slow = [stage for stage in stages if stage.takes_ms > stage.within_ms and stage.service != "actuator"]
     late = [rehearsal.STAGES[stage.service][0] for stage in slow]
     if not late and cores_needed <= _FULL * usable:
@@ -202,7 +214,7 @@ def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse
 
 
 def disk(folder: Path, free: int | None = None) -> Check:
-    """Room for recordings."""
+    """Check the disk space for recordings."""
     found = shutil.disk_usage(folder).free if free is None else free
     words = f"{found / (1 << 30):.1f} GiB free in {folder.resolve()}"
     advice = "free some space, or record elsewhere with --out"
@@ -211,7 +223,10 @@ def disk(folder: Path, free: int | None = None) -> Check:
 
 
 def depth_camera(robot: str, device: str = "") -> Check:
-    """Whether the depth camera of a robot, or the one that is asked for, is there; only the latter must be."""
+    """Check that the robot's depth camera, or `device`, is connected.
+
+    A missing camera is an error for `device` and a warning for the robot's.
+    """
     level = Level.FAIL if device else Level.WARN
     try:
         from sextant.services.perception.cameras.camera import CameraError
@@ -237,7 +252,7 @@ def depth_camera(robot: str, device: str = "") -> Check:
 
 
 def in_words(checks: list[Check]) -> str:
-    """A line a check, and below it what to do."""
+    """Format the checks as text: one line per check, and below it the advice."""
     lines = []
     for check in checks:
         lines.append(f"{check.level:<4}  {check.name}: {check.found}")
@@ -247,7 +262,7 @@ def in_words(checks: list[Check]) -> str:
 
 
 def to_json(checks: list[Check]) -> str:
-    """The checks as a JSON list."""
+    """Format the checks as a JSON list."""
     return json.dumps([asdict(check) for check in checks], indent=1)
 
 

@@ -1,4 +1,7 @@
-"""Perception plus the errors of a recorded localiser, for simulated live runs: `python -m sextant.deploy.erring_perception`."""
+"""Perception with the pose errors of a recorded SLAM system, for simulated runs.
+
+For live runs: `python -m sextant.deploy.erring_perception`.
+"""
 
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -12,14 +15,14 @@ from sextant.shared.runtime import process
 
 @dataclass(frozen=True, slots=True)
 class Settings(PerceptionSettings):
-    """Perception's own, and how its poses are off."""
+    """Settings of perception, and the pose error model."""
 
     pose_error: Literal["rgbdslam", "orb_slam"] = "orb_slam"
     seed: int = 0
 
 
 def make(profile: RobotProfile, settings: Settings) -> Erring:
-    """Perception as it is, wrapped."""
+    """Create a perception with pose errors."""
     own = {f.name: getattr(settings, f.name) for f in fields(PerceptionSettings)}
     return Erring(Perception(profile, PerceptionSettings(**own)), MODELS[settings.pose_error], settings.seed)
 

@@ -1,4 +1,4 @@
-"""What is said on the wire, live for Foxglove and Lichtblick: the recorder's translation, sent instead of written."""
+"""Live topics for Foxglove and Lichtblick, translated like a recording."""
 
 from types import TracebackType
 from typing import Self
@@ -13,20 +13,20 @@ from sextant.shared.runtime.service import AnyTopic
 
 
 class FoxgloveServer:
-    """A WebSocket server, as a sink of a `LiveRecorder`; a context manager.
+    """A WebSocket server as a sink of a `LiveRecorder`; a context manager.
 
-    What a slow viewer does not take in time is dropped by its own queue, the oldest first.
+    Messages that a slow viewer does not receive in time are dropped by its queue, the oldest first.
     """
 
     skipped: frozenset[AnyTopic] = LEFT_OUT
 
     def __init__(self, profile: RobotProfile, host: str, port: int):
-        """Serve what is known of a robot.
+        """Start the server for a robot.
 
         Raises:
-            OSError: The address cannot be listened on.
+            OSError: The server cannot listen on the address.
         """
-        self.size = 0  # sent so far
+        self.size = 0  # [bytes] sent so far
         self._translator = Foxglove(profile)
         self._channels: dict[str, foxglove.Channel] = {}
         self._context = foxglove.Context()
@@ -43,24 +43,24 @@ class FoxgloveServer:
         self.close()
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Send what a frame says to whoever looks at it."""
+        """Send a frame's messages to all subscribed viewers."""
         for name, message in self._translator.translate(topic, frame, at_ns):
             data = message.SerializeToString()
             self._channel(name, message).log(data, log_time=at_ns)
             self.size += len(data)
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no data is buffered."""
 
     def sync(self) -> None:
-        """Nor on a disk."""
+        """Do nothing: no data is on a disk."""
 
     def close(self) -> None:
-        """Send viewers away; safe to call twice."""
+        """Disconnect all viewers; safe to call twice."""
         self._server.stop()
 
     def abandon(self) -> None:
-        """Likewise."""
+        """Disconnect all viewers."""
         self.close()
 
     def _channel(self, name: str, message: Message) -> foxglove.Channel:

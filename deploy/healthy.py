@@ -1,8 +1,10 @@
-"""Whether a process of this container is well, for its health check: python -m sextant.deploy.healthy [--port N] [--end-hung].
+"""Health check of a process in its container.
 
-A process gives its signs of life at the socket that NOTIFY_SOCKET names, as under systemd (`shared/runtime/watchdog.py`); here
-this program sits at the other end, for as long as it takes to hear one. Nothing else has to run, and no file goes stale: a sign
-comes from the loop that does the work, now. It imports nothing that takes long, for it is run again and again.
+Usage: python -m sextant.deploy.healthy [--port N] [--end-hung]
+
+A process sends signs of life to the socket that NOTIFY_SOCKET names, as under systemd (`shared/runtime/watchdog.py`). This
+program listens there until one arrives. No other process is needed and no file can become stale: a sign comes from the loop
+that does the work, at that moment. It imports nothing that takes long, because it runs often.
 """
 
 import argparse
@@ -19,11 +21,11 @@ from sextant.deploy.launch.ports import port_taken
 from sextant.shared.files import whole_files
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
-_PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
+_PATIENCE_S = 5.0  # default if WATCHDOG_USEC is not set
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 where all is well, else 1, and why in words."""
+    """Run the health check; return 0, or 1 with the reason on stderr."""
     parser = argparse.ArgumentParser(
         prog="python -m sextant.deploy.healthy", description="Whether a process gives signs of life."
     )
@@ -39,17 +41,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def silence(environment: Mapping[str, str], end_hung: bool = False) -> str:
-    """Wait for a sign of life; why none came, in words, or nothing.
+    """Wait for a sign of life; return why none came, or an empty string.
 
     Args:
-        environment: As the process was started with: NOTIFY_SOCKET, a path in a folder of this container's own, and
-            WATCHDOG_USEC, how long to wait [us].
-        end_hung: Whether to kill the process that an earlier call has heard and this one does not. What has given no sign
-            yet is starting, and is left alone.
+        environment: Environment of the process: NOTIFY_SOCKET, a path in a folder of this container, and WATCHDOG_USEC, how
+            long to wait [us].
+        end_hung: Whether to kill a process that was alive at an earlier call and is silent now. A process without a first sign
+            is still starting, and is not killed.
     """
     path = Path(environment["NOTIFY_SOCKET"])
     patience_s = int(environment.get("WATCHDOG_USEC") or 0) * 1e-6 or _PATIENCE_S
-    heard = path.with_name(f"{path.name}.heard")  # holds the id of the process that gave the last sign
+    heard = path.with_name(f"{path.name}.heard")  # holds the id of the process that sent the last sign
     pid = _next_sign(path, patience_s)
     if pid:
         whole_files.write_text(heard, f"{pid}\n")
@@ -62,10 +64,10 @@ def silence(environment: Mapping[str, str], end_hung: bool = False) -> str:
 
 
 def _next_sign(path: Path, within_s: float) -> int:
-    """The id of the next process that gives a sign, 0 if none does in time."""
+    """Return the id of the next process that sends a sign, or 0 at a timeout."""
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-        path.unlink(missing_ok=True)  # of an earlier call that was cut short
+        path.unlink(missing_ok=True)  # left by an earlier call that was interrupted
         listener.bind(str(path))
         listener.settimeout(within_s)
         try:
@@ -78,10 +80,10 @@ def _next_sign(path: Path, within_s: float) -> int:
 
 
 def _end(pid: int, path: Path) -> bool:
-    """Kill a process, if it is still the one that was told to give its signs here."""
+    """Kill a process if its NOTIFY_SOCKET is still this path."""
     try:
         around = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
-    except OSError:  # it has gone
+    except OSError:  # the process has ended
         return False
     if f"NOTIFY_SOCKET={path}".encode() not in around:
         return False

@@ -1,4 +1,7 @@
-"""Ctrl-C and its relatives as a state to look at, so that no cleaning up is ever torn apart by an exception."""
+"""Ctrl-C and termination signals as a state instead of an exception.
+
+No exception can therefore interrupt a cleanup.
+"""
 
 import signal
 from types import FrameType, TracebackType
@@ -8,7 +11,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupts:
-    """While entered, Ctrl-C, SIGTERM and SIGHUP are counted instead of raised. For the main thread."""
+    """Counts Ctrl-C, SIGTERM and SIGHUP instead of raising, while entered.
+
+    For the main thread only.
+    """
 
     def __init__(self) -> None:
         self.count = 0
@@ -24,12 +30,12 @@ class Interrupts:
             signal.signal(number, handler)
 
     def asked(self) -> bool:
-        """Whether somebody wants this to end."""
+        """Return whether an end was requested."""
         return self.count > 0
 
     def insisted(self) -> bool:
-        """Whether somebody has asked twice: no more waiting."""
+        """Return whether an end was requested twice, so that nothing waits any longer."""
         return self.count > 1
 
     def _count(self, _number: int, _frame: FrameType | None) -> None:
-        self.count += 1  # and no more: the main thread may hold any lock just now
+        self.count += 1  # nothing else, because the main thread may hold any lock here

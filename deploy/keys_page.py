@@ -1,6 +1,6 @@
-"""docs/keys.md: every key and message on one page, out of the topic table, the process table and the declarations themselves.
+"""Generator of docs/keys.md, a page with every key and message.
 
-What a field means is said once, in the comment behind its declaration; here the comments are read from the source.
+It reads the topic table, the process table and the message declarations. The meaning of a field is its comment in the source.
 """
 
 import ast
@@ -78,10 +78,10 @@ and prints what it says; `sextant up all --scenario flat` is something to try it
 
 
 def page() -> str:
-    """The page in Markdown.
+    """Return the page in Markdown.
 
     Raises:
-        ImportError: A service needs something that is not installed.
+        ImportError: A service needs a package that is not installed.
     """
     written, read = _writers_and_readers()
     said = comments(inspect.getsource(messages))
@@ -122,7 +122,10 @@ def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> I
 
 
 def _over_the_radio(writers: Iterable[str], readers: Iterable[str]) -> str:
-    """Which way a topic crosses the link between a robot and its base, each process being where it usually is."""
+    """Return in which direction a topic crosses the link between robot and base.
+
+    Each process is assumed to run where it usually does.
+    """
     sides = {p.name: "robot" if p.side in ("robot", "device", "simulation") else "base" for p in TABLE}
     ways = {(sides[a], sides[b]) for a in writers for b in readers if a in sides and b in sides and sides[a] != sides[b]}
     of = next((word.rpartition(" ")[2] for word in writers if word.startswith(("every process", "`sextant up`"))), "")
@@ -134,7 +137,10 @@ def _over_the_radio(writers: Iterable[str], readers: Iterable[str]) -> str:
 
 
 def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Topic key -> who writes it, and who reads it: processes of the table, then commands."""
+    """Return topic key -> publishers, and topic key -> subscribers.
+
+    They are processes of the table, then commands.
+    """
     written: dict[str, list[str]] = {}
     read: dict[str, list[str]] = {}
     own = [(process.name, _service(process.module)) for process in TABLE]
@@ -155,7 +161,7 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
 
 
 def _service(module: str) -> Any:
-    """The class that a process runs."""
+    """Return the service class that a process runs."""
     service = importlib.import_module(f"{module}.service")
     (found,) = (
         kind
@@ -241,7 +247,10 @@ class _Meaning:
 
 
 def _meaning(name: str, comment: str) -> _Meaning:
-    """What a field's comment says: `[unit] {frame} words`; a transform says it by its name, T_to_from."""
+    """Parse a field's comment: `[unit] {frame} words`.
+
+    A transform T_to_from has its frames in its name.
+    """
     found = _WORDS.fullmatch(comment)
     assert found is not None
     unit, frame, what = found["unit"] or "", found["frame"] or "", found["what"].lstrip(", ").rstrip(".")
@@ -253,7 +262,7 @@ def _meaning(name: str, comment: str) -> _Meaning:
 
 
 def _type(base: Any, detail: Any) -> tuple[str, str, str]:
-    """Type, shape and limits of a field, in words."""
+    """Return type, shape and limits of a field as text."""
     if base is np.ndarray:
         dtype, dims = detail
         return str(dtype), " × ".join(map(str, dims.shape)), _limits(dtype, dims)
@@ -279,12 +288,12 @@ def _limits(dtype: np.dtype[Any], dims: Dims) -> str:
 
 
 def _declared_in(kind: type[Message], name: str) -> str:
-    """The class that declares a field."""
+    """Return the name of the class that declares a field."""
     return next(base.__name__ for base in kind.__mro__ if name in inspect.get_annotations(base))
 
 
 def comments(source: str) -> dict[tuple[str, str], str]:
-    """(class, field) -> what the comments right above and behind its declaration say."""
+    """Return (class, field) -> comments above and behind its declaration."""
     lines = source.splitlines()
     found = {
         token.start[0]: (token.string.lstrip("# "), not lines[token.start[0] - 1][: token.start[1]].strip())

@@ -1,4 +1,4 @@
-"""One order to the legs, given as an operator gives it, and what has come of it."""
+"""One order to the legs as an operator gives it, and its result."""
 
 from collections.abc import Iterator
 from typing import Literal, TypeAlias
@@ -10,11 +10,11 @@ from sextant.shared.wire.access import ROUTER_OF, refusal_here
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
-_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`sextant.deploy.network.refusals`)
+_KEPT_BACK = f" may not put {topics.MODE.key}"  # text of a router's refusal (`sextant.deploy.network.refusals`)
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
-_UNHEARD_NS = 5_000_000_000  # [ns] patience for the first word of the actuator
-_PATIENCE_NS = 15_000_000_000  # [ns] patience for what is ordered
-STOPS: tuple[What, ...] = ("off", "stop")  # that anybody may give
+_UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
+_PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
+STOPS: tuple[What, ...] = ("off", "stop")  # any client may send these
 _SETTLED: dict[What, tuple[Mode, ...]] = {
     "off": (Mode.OFF,),
     "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
@@ -26,10 +26,10 @@ _SETTLED: dict[What, tuple[Mode, ...]] = {
 
 
 class Order:
-    """Gives an order until the actuator has done it, or says why not; `walk` is given for as long as it is wanted.
+    """Sends an order until the actuator has executed or refused it.
 
-    An order to move is stamped by the robot's clock, on whichever machine it is given, so it waits for the actuator's first
-    word; a stop goes out at once.
+    `walk` is sent until it is withdrawn. An order to move is stamped by the robot's clock, on any machine, so it waits
+    for the actuator's first message. A stop is sent at once.
     """
 
     name = "order"
@@ -37,33 +37,33 @@ class Order:
     writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
 
     def __init__(self, what: What, holder: str, take: bool = False, leads: bool = True):
-        """Order as a holder of the lease, or stop without leading.
+        """Prepare an order.
 
         Args:
-            what: Is ordered.
-            holder: Who orders.
-            take: Take over from whoever may move the legs now.
-            leads: Whether this machine may lead; else it may only stop.
+            what: The order.
+            holder: Holder of the lease.
+            take: Take the lease from another holder.
+            leads: Whether this machine may send orders to move; else it may only stop.
         """
         self.paced_by = Every.hz(20.0)
         self.stages = Stages()
         self.finished = False
-        self.failed = ""  # why it was in vain, in words
+        self.failed = ""  # why it failed, as text
         self.words = "waiting for the actuator"
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
-        self._number = -1  # of the order: a time of the robot's clock, so that it counts on from those of other machines
+        self._number = -1  # of the order: a time of the robot's clock, so that it is larger than those of other machines
         self._robot = RobotTime()
         self._due_ns = 0
-        self._heard: ActuatorState | None = None  # before the order
-        self._refused: dict[str, int] = {}  # messages refused by the router of each role, when its health first came
+        self._heard: ActuatorState | None = None  # last state before the order
+        self._refused: dict[str, int] = {}  # messages refused by the router of each role, at its first health report
 
     def doing(self) -> str:
-        """How far it is, in words."""
+        """Return the progress of the order as text."""
         return self.failed or self.words
 
     def withdraw(self) -> tuple[Message, ...]:
-        """The messages that end an order to walk; none where it was never given."""
+        """Return the messages that end an order to walk; none if it was never sent."""
         if self._number < 0:
             return ()
         now_ns = self._robot()
@@ -73,7 +73,7 @@ class Order:
         )
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Say it again when it is due, and see what comes of it."""
+        """Send the order again when it is due, and check its result."""
         if self.finished:
             return
         now = tick.stamp_ns
@@ -91,15 +91,18 @@ class Order:
             self._see(state, now - self._begun_ns)
 
     def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
-        """The order, by each key that may carry it."""
+        """Yield the order under each key that may carry it."""
         if self._leads and self._robot.known:
             self._number = stamp_ns if self._number < 0 else self._number
             yield ModeCommand(stamp_ns, self._what, self._number, self._holder, self._take)
-        if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
+        if self._what in STOPS:  # also where this machine's router is chained to one that only lets it stop
             yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
 
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
-        """End where a router on the way refuses such orders; each router is believed under the key of its own role alone."""
+        """Fail if a router on the way refuses such orders.
+
+        A router's health is trusted only under the key of the router's role.
+        """
         for role, topic in topics.HEALTH_OF.items():
             for health in inbox.drain(topic):
                 if health.service != f"{ROUTER_OF}{role}":
@@ -127,7 +130,7 @@ class Order:
             self._end(f"{_PATIENCE_NS * 1e-9:.0f} s after the order the mode is {state.mode}: {state.reason}")
 
     def _done(self, state: ActuatorState) -> bool:
-        """Whether what is ordered has come about, by a state made since."""
+        """Return whether a state since the order shows that it was executed."""
         assert self._heard is not None
         news = state.stamp_ns > self._heard.stamp_ns and (self._what in ("off", "stop") or state.lease == self._holder)
         changed = self._what not in ("stand", "sit") or state.reason != self._heard.reason

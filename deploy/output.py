@@ -1,4 +1,7 @@
-"""The two streams that a command speaks on, which may be closed, full, or unable to show a character."""
+"""Standard output and error of commands.
+
+Either may be closed, full or limited in encoding.
+"""
 
 import contextlib
 import io
@@ -10,14 +13,17 @@ from sextant.shared.files.whole_files import cause
 
 
 class OutputError(OSError):
-    """Standard output that cannot be written, and why."""
+    """Standard output cannot be written; the message says why."""
 
 
 def prepare_streams() -> None:
-    """Replace characters that a stream cannot encode; let a stream that is closed go nowhere."""
+    """Make the streams replace characters that they cannot encode.
+
+    A closed stream is redirected to the null device.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:  # its number is taken, so that no file which is opened later gets it
+        if stream is None:  # occupy its file number, so that no file opened later gets it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - for the life of the process
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -36,7 +42,7 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print a line of what went wrong, if that is possible."""
+    """Print a line on stderr, ignoring write errors."""
     with contextlib.suppress(OSError):
         sys.stderr.write(text + "\n")
         sys.stderr.flush()
@@ -44,7 +50,7 @@ def complain(text: str) -> None:
 
 @contextlib.contextmanager
 def flushed_output() -> Iterator[None]:
-    """Write at the end of the block what standard output holds back, also that of argparse.
+    """Flush standard output at the end of the block, including output of argparse.
 
     Raises:
         BrokenPipeError: The reader has closed the pipe.
@@ -58,7 +64,7 @@ def flushed_output() -> Iterator[None]:
 
 
 def discard_output() -> None:
-    """Let what standard output still holds, and whatever follows, go nowhere."""
+    """Redirect standard output, and what it still buffers, to the null device."""
     with contextlib.suppress(io.UnsupportedOperation):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -1,4 +1,4 @@
-"""What is heard on the wire by somebody who only looks on: taken in at once, looked at when there is time."""
+"""Passive subscriber: frames are queued at once and read when there is time."""
 
 import difflib
 import threading
@@ -12,17 +12,17 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.codec import Label
 from sextant.shared.wire.topics import Delivery
 
-# A megabyte a frame, and a camera takes colour only for who asks: nobody is to be asked for them by the way.
+# These topics are large (a megabyte per frame), and a camera records colour only for subscribers: subscribe them by name only.
 ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.PREVIEW)
-_QUEUE = 256  # frames of an EVERY topic that may wait to be looked at
-_SAME_CLOCK_NS = 10_000_000_000  # [ns] a frame that was sent longer ago, or later than now, is by another machine's clock
+_QUEUE = 256  # most frames of an EVERY topic that may wait
+_SAME_CLOCK_NS = 10_000_000_000  # [ns] a frame whose age is negative or larger than this is stamped by another machine's clock
 
 
 def topics_named(keys: Sequence[str]) -> tuple[AnyTopic, ...]:
-    """The topics of some keys; of none, all but those that are heavy.
+    """Return the topics of some keys; without keys, all except the large ones.
 
     Raises:
-        ValueError: A key that no topic has, with the nearest one.
+        ValueError: Unknown key, with the nearest match.
     """
     known = {topic.key: topic for topic in topics.TOPICS}
     for key in keys:
@@ -38,7 +38,10 @@ def topics_named(keys: Sequence[str]) -> tuple[AnyTopic, ...]:
 def listen(
     link: Link, wanted: Iterable[AnyTopic], take: Callable[[AnyTopic, bytes, int], None], clock: Callable[[], int]
 ) -> None:
-    """Have every frame of some topics handed over with the time [ns] at which it came, also those of state topics."""
+    """Call `take` with each frame of some topics and its time of arrival [ns].
+
+    Frames of state topics are all delivered, too.
+    """
 
     def heard(topic: AnyTopic) -> Callable[[AnyTopic, bytes], None]:
         return lambda _, frame: take(topic, frame, clock())
@@ -48,32 +51,38 @@ def listen(
 
 
 def age_ns(label: Label, at_ns: int) -> int | None:
-    """How old a frame's message was when it came [ns]; None where it is stamped by another machine's clock."""
+    """Return the age [ns] of a frame's message when it arrived.
+
+    None if it is stamped by another machine's clock.
+    """
     sent_ns = label.timing.sent_ns or label.stamp_ns
     return at_ns - label.stamp_ns if 0 <= at_ns - sent_ns <= _SAME_CLOCK_NS else None
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """One frame."""
+    """One received frame."""
 
     topic: AnyTopic
     frame: bytes
-    at_ns: int  # when it came
-    passed_over: int  # frames of its topic that came since the last look and were not kept
+    at_ns: int  # time of arrival
+    passed_over: int  # frames of its topic that were dropped since the last call of `drain`
 
 
 class Mailbox:
-    """Frames that wait to be looked at: the newest of a state topic, all of an event topic as far as there is room."""
+    """Received frames that wait to be read.
+
+    It keeps the newest frame of a state topic, and all of an event topic up to a limit.
+    """
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[tuple[AnyTopic, bytes, int]]] = {}
         self._lost: dict[str, int] = {}
         self._lock = threading.Lock()
-        self.news = threading.Event()  # set whenever something comes
+        self.news = threading.Event()  # set whenever a frame arrives
 
     def take(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Put a frame in; from any thread, never waiting for who looks."""
+        """Add a frame, from any thread; never blocks."""
         with self._lock:
             queue = self._waiting.get(topic.key)
             if queue is None:
@@ -84,7 +93,7 @@ class Mailbox:
         self.news.set()
 
     def drain(self) -> list[Heard]:
-        """What has come since the last look, in the order in which it came."""
+        """Return the frames since the last call, in order of arrival."""
         self.news.clear()
         with self._lock:
             found = [entry for queue in self._waiting.values() for entry in queue]

@@ -1,4 +1,7 @@
-"""The processes of Sextant as a table, and the commands that start them; launcher and compose.yaml are made from it."""
+"""Table of Sextant's processes, and the commands that start them.
+
+The launcher, the systemd units and compose.yaml are made from this table.
+"""
 
 import difflib
 import re
@@ -15,39 +18,39 @@ from sextant.shared.wire.transport import Endpoints
 Value = str | int | float | bool
 Role = Literal["all", "onboard", "offboard", "sim"]
 
-BUS_PORT = 7450  # where compose's simulator offers its servo bus
+BUS_PORT = 7450  # TCP port of the simulated servo bus in compose
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
-_ROUTER_SILENT_S = 1.5  # [s] as of the actuator; its links last for one without a word
+_ROUTER_SILENT_S = 1.5  # [s] watchdog timeout, as for the actuator; the router's links survive one second of silence
 
-# A process gets one thread a library: a service must not take the cores of its neighbours.
+# One thread per library, so that a service does not take the cores of the other services.
 ENVIRONMENT: Mapping[str, str] = {
     "NUMBA_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONUNBUFFERED": "1",
 }
-_ONE_HEAP = {"MALLOC_ARENA_MAX": "1"}  # of the GNU C library; others have but one
+_ONE_HEAP = {"MALLOC_ARENA_MAX": "1"}  # GNU C library only; other C libraries have one heap anyway
 
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What differs between runs, as far as the processes are told."""
+    """Settings of a run that the processes receive."""
 
     robot: str = "phantomx_mk2"
-    scenario: str = ""  # name or path, for the simulator; empty where there is none
+    scenario: str = ""  # name or path that the simulator loads; empty without simulation
     seed: int = 3
     bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
     blind: bool = False
-    footholds: str = "score"  # the map's layer that the planner walks on
-    arc: str = "flow"  # of swinging feet
-    bridge: bool = False  # a microcontroller speaks the servo bus
+    footholds: str = "score"  # map layer that the planner plans on
+    arc: str = "flow"  # trajectory of swing feet
+    bridge: bool = False  # a microcontroller drives the servo bus
     registration: str = "projective"
-    pose_error: str = "none"  # of the scenario's; in simulation alone
+    pose_error: str = "none"  # pose error model of the scenario; simulation only
     map: MapOptions = field(default_factory=MapOptions)
-    lift: float = 0.04  # [m] of swinging feet, where an operator leads
-    console_port: int = 8080  # TCP port of the operators' page
-    recordings: str = "recordings"  # folder in which the operator's recordings go
-    camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
+    lift: float = 0.04  # [m] lift of swing feet when an operator drives the robot
+    console_port: int = 8080  # TCP port of the operator page
+    recordings: str = "recordings"  # folder for the operator's recordings
+    camera: str = ""  # device that replaces the profile's: "openni2", "realsense", or a recorded folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +58,18 @@ class Process:
     """One row of the table."""
 
     name: str
-    module: str  # run as python -m
-    # Where it may run: "simulation" stands in for the hardware, a "device" is on the robot alone, a "page" where it is wanted.
+    module: str  # run with python -m
+    # Place: "simulation" in place of the hardware, "device" on the robot only, "page" on request, "either" anywhere.
     side: Literal["robot", "device", "either", "simulation", "page"]
-    restarts: int  # times that a run starts it again after it died
+    restarts: int  # maximum number of restarts per run after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
-    nice: int = 0  # how far it gives way where cores are short: the servos' side never does
-    urgent: bool = False  # goes before all others, where the user may: what has a beat to keep
+    nice: int = 0  # niceness [1]: priority is lowered by this; 0 for the processes of the servos
+    urgent: bool = False  # real-time priority, where the user may set it: for loops with a fixed period
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
-    ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
-    watchdog_s: float = 10.0  # [s] for which its loop may be silent, once it has begun, before it counts as hung
-    memory_mb: int = 512  # [MB] beyond which something has gone wrong with it: several times what it took when it was measured
-    one_heap: bool = False  # for all its threads: where many hand on what one frees, heaps of their own would creep up
+    ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # once ready it listens there; 0: at once
+    watchdog_s: float = 10.0  # [s] its loop may be silent after its first sign of life before it counts as hung
+    memory_mb: int = 512  # [MB] memory limit, several times the measured use
+    one_heap: bool = False  # one heap for all threads: separate heaps grow if one thread frees what others allocated
 
 
 def _simulator(choices: Choices) -> dict[str, Value]:
@@ -113,7 +116,7 @@ def _actuator(choices: Choices) -> dict[str, Value]:
     return {**_servo_port(choices), **arc, **bridge}
 
 
-# A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
+# A crash of the simulator loses the world, so the run fails; all other processes recover their state from received messages.
 TABLE: tuple[Process, ...] = (
     Process(
         "simulator",
@@ -121,7 +124,7 @@ TABLE: tuple[Process, ...] = (
         "simulation",
         0,
         _simulator,
-        urgent=True,  # the world waits for nobody, and its servos answer within milliseconds
+        urgent=True,  # the world runs in real time, and its servos answer within milliseconds
         ready_port=lambda choices: choices.bus_port,
         memory_mb=1024,
     ),
@@ -141,8 +144,8 @@ TABLE: tuple[Process, ...] = (
     Process("perception", "sextant.services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
     Process("mapper", "sextant.services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
     Process("planner", "sextant.services.planner", "either", 3, _planner, nice=2, memory_mb=768),
-    Process("console", "sextant.services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
-    # A disk may take its time.
+    Process("console", "sextant.services.console", "page", 3, _console, memory_mb=256),  # it can stop the robot without a map
+    # Its timeout is long because a disk may be slow.
     Process(
         "recorder",
         "sextant.services.console.recorder",
@@ -157,25 +160,28 @@ TABLE: tuple[Process, ...] = (
 )
 
 
-ON_ROBOT = frozenset(p.name for p in TABLE if p.side == "device" or p.name in ("actuator", "stop"))  # wherever the rest is
+ON_ROBOT = frozenset(p.name for p in TABLE if p.side == "device" or p.name in ("actuator", "stop"))  # never on another machine
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """How one process is started."""
+    """How to start one process."""
 
     name: str
-    arguments: tuple[str, ...]  # behind the Python interpreter
-    environment: Mapping[str, str]  # beside the inherited one
+    arguments: tuple[str, ...]  # after the Python interpreter
+    environment: Mapping[str, str]  # in addition to the inherited environment
     restarts: int = 0
     after: tuple[str, ...] = ()  # processes that must be ready before this one starts
     ready_port: int = 0  # TCP port of 127.0.0.1 that it listens on once it is ready; 0: ready at once
-    watchdog_s: float = 0.0  # [s] without a sign of life after which it is ended as hung; 0: it gives none
-    memory_mb: int = 0  # [MB] that containers and units let it have; 0: what there is
+    watchdog_s: float = 0.0  # [s] without a sign of life after which it is ended as hung; 0: no watchdog
+    memory_mb: int = 0  # [MB] memory limit in containers and units; 0: no limit
 
 
 def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT) -> Choices:
-    """What a scenario, named or found at `source`, tells the processes."""
+    """Return the settings that a scenario gives the processes.
+
+    `source` is the name or the path of the scenario.
+    """
     return Choices(
         robot=scenario.robot,
         scenario=source,
@@ -193,13 +199,19 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
 
 
 def new_robot(chosen: Choices) -> None:
-    """See to it that a simulated robot, another one each time, inherits no order to let go."""
+    """Open the torque-off latch of a simulated robot.
+
+    Every simulated robot is a new one, so it must not inherit the latch of an earlier one.
+    """
     if chosen.scenario:
         Latch.of_port(str(_servo_port(chosen)["port"])).open()
 
 
 def rows(role: Role, simulated: bool, page: bool = False) -> tuple[Process, ...]:
-    """The processes of a role: onboard what must be on the robot, offboard the rest, all both; with a page for operators."""
+    """Return the processes of a role.
+
+    "onboard" is what must run on the robot, "offboard" the rest, "all" both. `page` adds the console and the recorder.
+    """
     sides = {"all": ["robot", "device", "either"], "onboard": ["robot", "device"], "offboard": ["either"], "sim": []}[role]
     if role == "sim" or (simulated and role != "offboard"):
         sides = ["simulation", *(side for side in sides if side != "device")]
@@ -209,16 +221,16 @@ def rows(role: Role, simulated: bool, page: bool = False) -> tuple[Process, ...]
 
 
 def rearranged(usual: Sequence[Process], also: Sequence[str], without: Sequence[str], role: Role) -> tuple[Process, ...]:
-    """The processes of a role with some more and without some, in the table's order.
+    """Return the processes of a role with some added and some removed, in table order.
 
     Args:
-        usual: Those of the role.
-        also: Names of those that run here, too.
-        without: Names of those that run elsewhere, or not at all.
-        role: For what is said.
+        usual: The processes of the role.
+        also: Names of processes to add.
+        without: Names of processes to remove, because they run elsewhere or not at all.
+        role: The role, for error messages.
 
     Raises:
-        ValueError: A name that is none, or a process that cannot run there.
+        ValueError: A name is unknown, or a process cannot run there.
     """
     known = {p.name: p for p in TABLE}
     names = {p.name for p in usual}
@@ -241,10 +253,10 @@ def rearranged(usual: Sequence[Process], also: Sequence[str], without: Sequence[
 
 
 def further_settings(assignments: Iterable[str], processes: Sequence[Process]) -> dict[str, tuple[str, ...]]:
-    """Process name -> assignments `key=value`, of texts SERVICE.KEY=VALUE.
+    """Return process name -> assignments `key=value`, from texts SERVICE.KEY=VALUE.
 
     Raises:
-        ValueError: A text that is none, or that is for a process which is not started.
+        ValueError: A text is malformed, or its process is not started.
     """
     names = [p.name for p in processes]
     extra: dict[str, tuple[str, ...]] = {}
@@ -257,7 +269,7 @@ def further_settings(assignments: Iterable[str], processes: Sequence[Process]) -
             raise ValueError(f"no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}")
         extra[service] = (*extra.get(service, ()), rest)
     port = tuple(rest for rest in extra.get("actuator", ()) if re.match(r"port\s*=", rest))
-    if port and "stop" in names:  # it watches over the same servos
+    if port and "stop" in names:  # the estop process uses the same servos
         extra["stop"] = (*port, *extra.get("stop", ()))
     return extra
 
@@ -271,19 +283,19 @@ def commands(
     role: str = "",
     simulated_time: Path | None = None,
 ) -> tuple[Command, ...]:
-    """How to start processes so that they meet at `endpoints`.
+    """Return the commands that start processes which connect to `endpoints`.
 
     Args:
         processes: Rows of the table.
-        chosen: What this run is about.
-        endpoints: Where they meet.
-        extra: Process name -> assignments `key=value` that go before the table's; the last one of a key counts.
+        chosen: Settings of this run.
+        endpoints: Endpoints that the processes connect to.
+        extra: Process name -> assignments `key=value`. They follow the table's; the last assignment of a key wins.
         elsewhere: Whether this is another machine than the robot's.
-        role: Of this machine's certificate; empty: the robot's, or elsewhere that of a base.
-        simulated_time: File of the time that the processes of a simulated run share; None has them go by real time.
+        role: Role of this machine's certificate; empty: "base" if `elsewhere`, else "robot".
+        simulated_time: File with the shared simulated time of a run; None: real time.
 
     Raises:
-        ValueError: Simulated time without a simulator: real servos do not wait.
+        ValueError: Simulated time without a simulator; real servos cannot be slowed down.
     """
     processes = tuple(processes)
     if simulated_time is not None and not any(p.side == "simulation" for p in processes):
@@ -321,7 +333,7 @@ def commands(
 
 
 def _module(process: Process, chosen: Choices) -> str:
-    """What is run: perception with a pose error is another process, so that the robot's own knows nothing of it."""
+    """Return the module to run; a perception with pose errors has its own module."""
     return (
         "sextant.deploy.erring_perception" if process.name == "perception" and chosen.pose_error != "none" else process.module
     )
@@ -332,7 +344,7 @@ def _giving_way(process: Process) -> tuple[str, ...]:
 
 
 def assignment(key: str, value: Value) -> str:
-    """`key=value` as `--set` reads it: a bare word where TOML would not take it for something else."""
+    """Return `key=value` for `--set`, quoted only where TOML would misread it."""
     if isinstance(value, bool):
         return f"{key}={str(value).lower()}"
     if isinstance(value, int | float):
@@ -347,13 +359,13 @@ def assignment(key: str, value: Value) -> str:
 
 
 def router_command(listen: str, more: tuple[str, ...] = (), role: str = "", starts: Iterable[Process] = ()) -> Command:
-    """How to start the router as a process of its own, where no launcher hosts it.
+    """Return the command that starts the router as a separate process.
 
     Args:
-        listen: Where processes of this machine meet it.
-        more: All of its arguments, where that is not all of them.
-        role: Of this machine, where the router is to tell another of it, for nobody else does.
-        starts: What is started here, in that case.
+        listen: Endpoint for processes of this machine.
+        more: The complete arguments of the router; empty: only `listen`.
+        role: Role of this machine if the router announces it to other machines; empty: no announcement.
+        starts: Processes of this machine, for the announcement.
     """
     port = int(listen.rpartition(":")[2])
     told = ("--role", role, "--starts", ",".join(p.name for p in starts)) if role else ()

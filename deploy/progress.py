@@ -1,4 +1,7 @@
-"""What a run is doing, gathered from the wire and shown in the terminal; with cli.py the only place that writes to stdout."""
+"""Progress of a run, from its messages to the terminal.
+
+Only this module and cli.py write to stdout.
+"""
 
 import contextlib
 import math
@@ -15,52 +18,52 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 
-_MOST_WARNINGS = 200  # kinds of them that are told in a run: they quote what services say
-_SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds
-_SILENT_NS = 3_500_000_000  # a service that says nothing for so long, at one health report a second, is in trouble
-_REAL_TIME = 0.95  # [1] of real time, below which the speed of simulated time is shown
-_LINE_EVERY_S = 5.0  # [s] simulated between two plain lines
-_ATTENDING = ("operator", "scorer")  # they tell what the line says already
+_MOST_WARNINGS = 200  # most kinds of warnings per run, because they quote text of services
+_SPEED_OVER_NS = 2_000_000_000  # [ns] speed is the mean over the newest two seconds
+_SILENT_NS = 3_500_000_000  # [ns] a service is silent without a health report (one per second) for this long
+_REAL_TIME = 0.95  # [1] share of real time below which the speed of simulated time is shown
+_LINE_EVERY_S = 5.0  # [s] simulated time between two plain lines
+_ATTENDING = ("operator", "scorer")  # their status repeats what the line shows
 _REMEDY = "use --lockstep or close programs"  # for a computer that is too slow
-_BAR = 20  # characters of the way done
+_BAR = 20  # characters of the progress bar
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A run at one moment, as its operator sees it."""
+    """State of a run at one moment, for its operator."""
 
-    time_s: float = 0.0  # [s] simulated, since the actuator was first heard
+    time_s: float = 0.0  # [s] simulated time since the first message of the actuator
     speed: float = 0.0  # [m/s] of the estimated pose over the newest two seconds
     walked: float = 0.0  # [m] along the starting direction
     to_goal: float = 0.0  # [m]
-    up: bool = False  # whether the actuator has been heard
-    of_real_time: float = 1.0  # [1] at which simulated time runs
-    doing: Mapping[str, str] = field(default_factory=dict)  # service -> what it is about, in words
-    warnings: tuple[str, ...] = ()  # in words
+    up: bool = False  # whether the actuator has sent a message
+    of_real_time: float = 1.0  # [1] speed of simulated time
+    doing: Mapping[str, str] = field(default_factory=dict)  # service -> its status as text
+    warnings: tuple[str, ...] = ()  # as text
 
 
 class RunLateness:
     """How late inputs were over a run, and for how long the computer was too slow."""
 
     def __init__(self, computer: SlowComputer):
-        """Begin a run.
+        """Initialise for a run.
 
         Args:
-            computer: What tells whether one is too slow.
+            computer: Detector of a computer that is too slow.
         """
         self.late_s = 0.0
-        self.words = ""  # that the computer was too slow, when it was worst
+        self.words = ""  # the worst report that the computer was too slow
         self._severity = (False, 0.0)
         self.missed_beats: dict[str, int] = {}
         self._computer = computer
         self._looked_ns: int | None = None
-        self._ages: dict[str, tuple[InputAges, int]] = {}  # and the reports behind them
+        self._ages: dict[str, tuple[InputAges, int]] = {}  # ages and the number of reports behind them
 
     def update(self, services: Mapping[str, tuple[Health, int]], now_ns: int) -> str:
-        """Take in what has come since the last look; that the computer is too slow, or nothing.
+        """Process new health reports; return a warning if the computer is too slow.
 
         Args:
-            services: Name -> newest health and when it came [ns].
+            services: Name -> newest health and when it arrived [ns].
             now_ns: [ns]
         """
         for name, health in self._computer.update(services):
@@ -79,12 +82,12 @@ class RunLateness:
         return words
 
     def ages(self) -> dict[str, InputAges]:
-        """Service and input -> its ages over the run."""
+        """Return service and input -> its ages over the run."""
         return {name: ages for name, (ages, _) in sorted(self._ages.items())}
 
 
 class Monitor:
-    """Listens to a run without taking part: a service that writes nothing but its health."""
+    """Service that monitors a run; it publishes nothing but its health."""
 
     name = "monitor"
     paced_by = Every.hz(4.0)
@@ -107,7 +110,7 @@ class Monitor:
         self._health = HealthTable()
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
-        """Look at what has come and make the next view."""
+        """Process new messages and update the view."""
         self._health.drain(inbox, tick.stamp_ns)
         too_slow = self.lateness.update(self._health.named(), tick.stamp_ns)
         state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
@@ -131,15 +134,18 @@ class Monitor:
         return ()
 
     def doing(self) -> str:
-        """In words."""
+        """Return the current activity as text."""
         return "watching"
 
     def _services(self) -> list[tuple[str, tuple[Health, int]]]:
-        """Name, newest health and when that came [ns] of every other service."""
+        """Return name, newest health and its arrival [ns] of every other service."""
         return sorted(item for item in self._health.named().items() if item[0] != self.name)
 
     def stages_ms(self) -> dict[str, tuple[float, float]]:
-        """Stage -> 50th and 99th percentile [ms], `service.stage`; of a topic's latency, the slowest of its readers."""
+        """Return `service.stage` -> 50th and 99th percentile [ms].
+
+        For the latency of a topic it is the slowest of its subscribers.
+        """
         found: dict[str, tuple[float, float]] = {}
         for _, (health, _) in self._services():
             service = health.service
@@ -189,49 +195,49 @@ def _of_camera(state: CameraState | None) -> Iterable[str]:
 
 
 class Progress(Protocol):
-    """Where a run's progress is shown."""
+    """Display of a run's progress."""
 
     def update(self, view: View) -> None:
-        """Show the run as it is now."""
+        """Show the current state of the run."""
         ...
 
     def say(self, text: str) -> None:
-        """Tell one thing that happened; it stays."""
+        """Show one event permanently."""
         ...
 
     def finish(self) -> None:
-        """Leave the terminal as whoever writes next expects it."""
+        """Leave the terminal ready for further output."""
         ...
 
 
 class Silent:
-    """Shows nothing."""
+    """Display that shows nothing."""
 
     def update(self, view: View) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def say(self, text: str) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def finish(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class _Output:
-    """A stream that may fail: what is shown of a run never ends it."""
+    """A stream that ignores write errors, so that they never end a run."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream
 
     def write(self, text: str) -> None:
-        """Write a text at once, or nothing."""
+        """Write and flush a text; ignore errors."""
         with contextlib.suppress(OSError):
             self._stream.write(text)
             self._stream.flush()
 
 
 class Lines:
-    """Plain lines, for logs and pipes: now and then the state, and each warning once."""
+    """Plain lines for logs and pipes: the state at intervals, and each warning once."""
 
     def __init__(self, stream: TextIO):
         self._stream = _Output(stream)
@@ -239,7 +245,7 @@ class Lines:
         self._warned: set[str] = set()
 
     def update(self, view: View) -> None:
-        """A line every few simulated seconds; a warning when it is new."""
+        """Write a line every few simulated seconds, and each new warning."""
         for warning in view.warnings:
             if _kind(warning) not in self._warned and len(self._warned) < _MOST_WARNINGS:
                 self._warned.add(_kind(warning))
@@ -251,11 +257,11 @@ class Lines:
             self.say(f"{view.time_s:6.1f} s{slower}  {view.speed:.3f} m/s  {view.to_goal:.2f} m to the goal  {busy}")
 
     def say(self, text: str) -> None:
-        """One line."""
+        """Write one line."""
         self._stream.write(text + "\n")
 
     def finish(self) -> None:
-        """Nothing is left open."""
+        """Do nothing: no line is open."""
 
 
 class Terminal:
@@ -274,27 +280,27 @@ class Terminal:
         self._height = len(lines)
 
     def say(self, text: str) -> None:
-        """A line above the block."""
+        """Write a line above the block."""
         self._erase()
         self._stream.write(text + "\n")
 
     def finish(self) -> None:
-        """Let the last block stand."""
+        """Keep the last block on the screen."""
         self._height = 0
 
     def _erase(self) -> None:
         if self._height:
-            self._stream.write(f"\x1b[{self._height}F\x1b[J")  # up so many lines, clear to the end of the screen
+            self._stream.write(f"\x1b[{self._height}F\x1b[J")  # move up by the height, clear to the end of the screen
         self._height = 0
 
 
 def progress_for(stream: TextIO) -> Progress:
-    """A redrawn block where the stream is a terminal, plain lines elsewhere."""
+    """Return a redrawn block if the stream is a terminal, else plain lines."""
     return Terminal(stream) if stream.isatty() else Lines(stream)
 
 
 def block(view: View) -> list[str]:
-    """The lines of the block."""
+    """Return the lines of the block."""
     if not view.up:
         head = "waiting for the robot to come up"
     else:
@@ -311,5 +317,5 @@ def block(view: View) -> list[str]:
 
 
 def _kind(warning: str) -> str:
-    """A warning without its numbers: one that only counts on is not told again."""
+    """Return a warning without its numbers; new numbers are no new warning."""
     return "".join("#" if c.isdigit() else c for c in warning)

@@ -1,4 +1,4 @@
-"""Which program made a result, and when: what a table of results is worth nothing without."""
+"""Provenance of results: commit, time and machine."""
 
 import datetime
 import hashlib
@@ -15,22 +15,22 @@ _ROOT = Path(__file__).resolve().parent.parent  # of the checkout, if there is o
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What some results were made by, and when."""
+    """Commits and times of some results."""
 
     commits: tuple[str, ...] = ()  # in alphabetical order
     first: str = ""  # time (UTC, ISO 8601) of the first result
-    last: str = ""  # and of the last
+    last: str = ""  # time of the last result
 
     @staticmethod
     def of(marks: list[tuple[str, str]]) -> "Made":
-        """Of results by their commits and times; results of before these were noted count as of neither."""
+        """Combine the (commit, time) pairs of results; empty ones are unknown."""
         commits = sorted({commit for commit, _ in marks if commit})
         times = sorted(time for _, time in marks if time)
         return Made(tuple(commits), times[0], times[-1]) if times else Made(tuple(commits))
 
     @property
     def words(self) -> str:
-        """In words, for people."""
+        """Commits and dates as text."""
         if not self.commits:
             return "by an unknown commit"
         days = sorted({self.first[:10], self.last[:10]})
@@ -38,7 +38,10 @@ class Made:
 
 
 def commit() -> str:
-    """The commit of this program's checkout, with a plus where files have changed since; without one, its version."""
+    """Return the commit of this checkout, with a plus if files have changed.
+
+    Without a checkout it is the version of the package.
+    """
     try:
         head = _git(_ROOT, "rev-parse", "--short=7", "HEAD")
         changed = _git(_ROOT, "status", "--porcelain", "--untracked-files=no")
@@ -48,7 +51,9 @@ def commit() -> str:
 
 
 def seeds_of_commit(count: int) -> list[int]:
-    """Seeds that nobody chose, different ones for each commit: of seven to nine digits, from the hash of the checkout's commit.
+    """Derive seeds from the hash of the checkout's commit, so that none is chosen.
+
+    They have seven to nine digits and differ between commits.
 
     Raises:
         ValueError: There is no checkout, or files have changed since its commit.
@@ -66,7 +71,7 @@ def seeds_of_commit(count: int) -> list[int]:
 
 
 def machine() -> str:
-    """What this machine computes with, in words: its processor as it names itself."""
+    """Return the name of this machine's processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:  # no Linux
@@ -76,7 +81,7 @@ def machine() -> str:
 
 
 def now() -> str:
-    """The time (UTC) in ISO 8601, to the second."""
+    """Return the time (UTC) in ISO 8601, to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
@@ -85,7 +90,7 @@ def _git(root: Path, *words: str) -> str:
 
 
 def version() -> str:
-    """Of Sextant as it is installed, or nothing."""
+    """Return the version of the installed Sextant, or an empty string."""
     try:
         return importlib.metadata.version("sextant")
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,7 @@
-"""How often and how much each topic says, beside what the topic table expects; and what comes together per lane and side."""
+"""Topic statistics: rate and bandwidth per topic, and totals per lane and side.
+
+Measured rates are shown next to those of the topic table.
+"""
 
 import threading
 from collections.abc import Iterable, Mapping
@@ -15,7 +18,7 @@ from sextant.shared.wire.codec import DecodeError, label, schema_id
 from sextant.shared.wire.topics import Lane
 
 _SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page": "offboard", "simulation": "simulation"}
-# The first word of a key is the process that writes it, but for these.
+# The first word of a key is the process that publishes it, with these exceptions.
 _WRITTEN_BY: Mapping[str, str] = MappingProxyType(
     {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all", "machine": "all"}
 )
@@ -25,7 +28,10 @@ _LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"
 
 
 def side(topic: AnyTopic) -> str:
-    """Whose messages these are: onboard, offboard, operators, simulation, or all."""
+    """Return the side of a topic's publisher.
+
+    It is onboard, offboard, operators, simulation, or all.
+    """
     word = topic.key.partition("/")[0]
     known = {process.name: _SIDES[process.side] for process in TABLE}
     return _WRITTEN_BY.get(word) or known[word]
@@ -37,7 +43,7 @@ class _Count:
     bytes: int = 0
     largest: int = 0  # [bytes]
     last_ns: int = 0
-    gap_ns: int = 0  # the longest between two frames
+    gap_ns: int = 0  # [ns] longest gap between two frames
     ages_ns: list[int] = field(default_factory=list)
     refused: int = 0
     refusal: str = ""
@@ -45,7 +51,7 @@ class _Count:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One topic over the time that was listened for."""
+    """Statistics of one topic over the listening time."""
 
     key: str
     side: str
@@ -57,21 +63,21 @@ class Row:
     budget_bytes_per_s: float  # [bytes/s] that its rate and largest size allow
     mean_bytes: float
     largest_bytes: int
-    gap_ms: float | None  # the longest between two frames; None of fewer than two
-    age_ms: tuple[float, float] | None  # median and largest; None by another machine's clock
+    gap_ms: float | None  # longest gap between two frames; None with fewer than two
+    age_ms: tuple[float, float] | None  # median and largest; None if stamped by another machine's clock
     refused: int
-    refusal: str  # the newest reason, in words
+    refusal: str  # newest reason, as text
 
 
 class Rates:
-    """Counts frames as they come; from any thread."""
+    """Counts frames as they arrive; from any thread."""
 
     def __init__(self, wanted: Iterable[AnyTopic]):
         self._counts = {topic: _Count() for topic in wanted}
         self._lock = threading.Lock()
 
     def take(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Count one frame that has come at a time [ns]."""
+        """Count one frame that arrived at a time [ns]."""
         try:
             found, problem = label(frame), ""
         except DecodeError as error:
@@ -93,7 +99,7 @@ class Rates:
                 count.refused, count.refusal = count.refused + 1, problem
 
     def rows(self, duration_s: float) -> list[Row]:
-        """What has come in a time [s], in the order of the topic table."""
+        """Return the statistics over a time [s], in the order of the topic table."""
         with self._lock:
             return [_row(topic, count, duration_s) for topic, count in self._counts.items()]
 
@@ -120,15 +126,15 @@ def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
 
 @dataclass(frozen=True, slots=True)
 class Total:
-    """What a side says on a lane."""
+    """Total rate and bandwidth of a side on a lane."""
 
     rate_hz: float = 0.0
     bytes_per_s: float = 0.0
-    budget_bytes_per_s: float = 0.0  # [bytes/s] of all its topics, also of those that are silent
+    budget_bytes_per_s: float = 0.0  # [bytes/s] of all its topics, including silent ones
 
 
 def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], Total]:
-    """(side, lane) -> what it says; the side `sum` has all of a lane."""
+    """Return (side, lane) -> total; the side `sum` has all topics of a lane."""
     found: dict[tuple[str, Lane], Total] = {}
     for row in rows:
         for who in (row.side, "sum"):
@@ -142,7 +148,7 @@ def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], Total]:
 
 
 def in_words(rows: list[Row]) -> str:
-    """The table as lines, the topics that were silent at its end."""
+    """Format the statistics as lines of text, with silent topics at the end."""
     lines = [_LINE.format("key", "lane", "rate, of", "per second", "mean", "largest", "longest gap", "age (largest)")]
     for row in rows:
         if row.frames:
@@ -166,7 +172,7 @@ def in_words(rows: list[Row]) -> str:
 
 
 def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
-    """The same as what JSON holds."""
+    """Return the statistics as JSON values."""
     names = (
         "key",
         "side",
@@ -196,7 +202,7 @@ def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
 
 
 def _size(count: float) -> str:
-    """Bytes in words."""
+    """Format a number of bytes as text."""
     if count < 1000:
         return f"{count:.0f} B"
     return f"{count / 1e3:.1f} kB" if count < 1e6 else f"{count / 1e6:.2f} MB"

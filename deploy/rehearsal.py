@@ -1,6 +1,7 @@
-"""The work of a walking robot on this computer: frame, scan, map, plan and actuator cycle, by the real services.
+"""Load test of this computer: a walking robot from depth frame to actuator cycle.
 
-The services run in lockstep with a simulated robot, as fast as the computer allows; each stage is timed as it is loaded now.
+The real services run in lockstep with a simulated robot, as fast as the computer allows. Each stage is timed at the current
+load.
 """
 
 import os
@@ -13,34 +14,34 @@ import numpy as np
 
 from sextant.shared.runtime.service import Stages
 
-SECONDS = 2.0  # [s] of real time for which the chain is timed
+SECONDS = 2.0  # [s] of real time for which the stages are timed
 _WALKS_AFTER_NS = (
     8_000_000_000  # [ns] of simulated time in which the robot stands up, maps the ground and takes its first steps
 )
-_LONGEST_NS = 20_000_000_000  # [ns] of simulated time that is timed at most: the course is no longer
-_LOOK_NS = 100_000_000  # [ns] of simulated time between two looks at the clock
-# Service -> what it does, and within what time [ms] at real time.
+_LONGEST_NS = 20_000_000_000  # [ns] most simulated time that is timed: the course is no longer
+_LOOK_NS = 100_000_000  # [ns] of simulated time between two checks of the clock
+# Service -> its task, and its time limit [ms] at real time.
 STAGES: Mapping[str, tuple[str, float]] = {
     "perception": ("frame to pose and scan", 1e3 / 15.0),
     "mapper": ("scan to map", 1e3 / 15.0),
     "planner": ("map to plan", 1e3 / 25.0),
     "actuator": ("actuator cycle", 1e3 / 50.0),
-    "simulator": ("simulation", 40.0),  # beyond that its servos fall silent
+    "simulator": ("simulation", 40.0),  # beyond that its servos stop responding
 }
 
 
 @dataclass(frozen=True, slots=True)
 class StageLoad:
-    """What one stage of the chain takes."""
+    """Computing time of one stage."""
 
     service: str
-    takes_ms: float  # [ms] the 99th percentile of its runs
-    within_ms: float  # [ms] at real time
-    cores: float  # [1] share of a core that it needs at real time
+    takes_ms: float  # [ms] 99th percentile of its steps
+    within_ms: float  # [ms] time limit at real time
+    cores: float  # [1] cores that it needs at real time
 
     @property
     def words(self) -> str:
-        """The time that it takes beside the time that it has."""
+        """Needed and available time as text."""
         return f"{STAGES[self.service][0]} takes {self.takes_ms:.1f} of {self.within_ms:.0f} ms"
 
 
@@ -52,7 +53,7 @@ class AllDurations(Stages):
         self.durations: dict[str, list[float]] = {}
 
     def add(self, name: str, duration_ms: float) -> None:
-        """Keep one duration [ms] of a stage."""
+        """Store one duration [ms] of a stage."""
         self.durations.setdefault(name, []).append(duration_ms)
 
 
@@ -80,7 +81,7 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
 
 
 def loads(durations: Mapping[str, list[float]], simulated_s: float) -> list[StageLoad]:
-    """The loads of stages.
+    """Compute the load of each stage.
 
     Args:
         durations: Service -> time [ms] of each of its steps.
@@ -94,13 +95,16 @@ def loads(durations: Mapping[str, list[float]], simulated_s: float) -> list[Stag
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
-    """The cycle of a real actuator on an emulated servo bus, the robot on a stand and told to stand up."""
+    """Yield the cycle of a real actuator on an emulated servo bus.
+
+    The robot is on a stand, and is ordered to stand up.
+    """
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.service import Actuator
     from sextant.services.actuator.servo_bus.servos import Outlet

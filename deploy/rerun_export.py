@@ -1,6 +1,7 @@
-"""A recording for the rerun viewer: the robot on its map, what it saw and planned, and its numbers over time.
+"""Export of a recording to the rerun viewer.
 
-rerun opens a recording by itself too, but draws of it only frames, points and the log.
+It shows the robot on its map, its scans and plans, and its measurements over time. rerun also opens a recording directly, but
+shows only its frames, points and log.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,15 +26,15 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, PlannerStatus,
 
 _SHOW_MESSAGES = 5000
 _MAP_NS = 1_000_000_000  # [ns] between two maps
-_SCAN_NS = 200_000_000  # [ns] likewise of scans
+_SCAN_NS = 200_000_000  # [ns] between two scans
 _CARRIES, _IN_AIR, _STANDS = (50, 190, 90), (240, 165, 40), (150, 150, 150)
 
 
 def export(source: Path, target: Path, progress: Progress) -> int:
-    """Write a recording for rerun; returns how many messages went into it.
+    """Write a recording for rerun; return the number of drawn messages.
 
     Raises:
-        RecordingError: `source` is no recording, or of another version.
+        RecordingError: `source` is not a recording, or has another version.
         WriteError: `target` cannot be written.
     """
     drawn = 0
@@ -53,7 +54,7 @@ def _write(source: Path, target: Path, progress: Progress) -> int:
     stream = rr.RecordingStream("sextant")
     stream.save(target)
     for heard, (topic, message, at_ns) in enumerate(recording.messages(), start=1):
-        if export is None:  # now it is known whose it is
+        if export is None:  # the robot's profile is known from here on
             export = _Export(stream, load_profile(recording.about.get("robot", "phantomx_mk2")))
         drawn += export.take(topic, message, at_ns)
         if heard % _SHOW_MESSAGES == 0:
@@ -85,7 +86,7 @@ class _Export:
         }
 
     def take(self, topic: AnyTopic, message: Any, at_ns: int) -> bool:
-        """Draw a message; whether there is something to draw of it."""
+        """Draw a message; return whether it contains anything to draw."""
         if topic not in self._takes:
             return False
         self._stream.set_time("robot_time", duration=at_ns * 1e-9)
@@ -150,7 +151,7 @@ class _Export:
                 self._stream.log(f"camera/{name}", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
 
     def _log(self) -> None:
-        """What is new in the diary."""
+        """Log the new entries of the diary."""
         entries = list(self._diary.entries)
         new = min(self._diary.count - self._logged, len(entries))
         self._logged = self._diary.count

@@ -1,10 +1,16 @@
-"""The robot's time, for who beats by another clock and gives orders, which the robot judges by its own."""
+"""The robot's time, for clients with another clock.
+
+The robot checks the stamps of orders against its own clock.
+"""
 
 from sextant.shared.runtime.clock import ClockError, RobotClock
 
 
 class RobotTime:
-    """What the robot's clock says, by the newest of its stamps that has come; before that this machine's own."""
+    """Estimate of the robot's clock from its newest stamp.
+
+    Before the first stamp it is this machine's clock.
+    """
 
     def __init__(self) -> None:
         self._now_ns = 0
@@ -12,19 +18,19 @@ class RobotTime:
 
     @property
     def known(self) -> bool:
-        """Whether the robot has been heard."""
+        """Whether a stamp of the robot was received."""
         return self._clock.known
 
     @property
     def in_doubt(self) -> bool:
-        """Whether the newest stamp is of another time, and not believed yet."""
+        """Whether the newest stamp is of another time and not accepted yet."""
         return self._clock.in_doubt
 
     def see(self, now_ns: int, stamp_ns: int | None) -> str:
-        """Take in this machine's time, and a stamp of the robot's that has come by then.
+        """Update this machine's time, and a stamp of the robot received by then.
 
         Returns:
-            That the robot's clock began anew, so that whatever was said by it before is void, in words; or nothing.
+            Text that the robot's clock restarted, so that earlier orders are void; or an empty string.
         """
         self._now_ns = now_ns
         if stamp_ns is None:
@@ -39,5 +45,5 @@ class RobotTime:
         return ""
 
     def __call__(self) -> int:
-        """Now [ns]."""
+        """Return the current time [ns]."""
         return self._clock() if self.known else self._now_ns

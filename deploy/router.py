@@ -1,4 +1,7 @@
-"""The Zenoh router as a process of its own, for deployments in which no launcher hosts it: python -m sextant.deploy.router."""
+"""Zenoh router as a separate process, where no launcher hosts it.
+
+Run with `python -m sextant.deploy.router`.
+"""
 
 import argparse
 import contextlib
@@ -27,18 +30,18 @@ from sextant.shared.runtime.watchdog import Watchdog
 from sextant.shared.wire.access import AccessError
 from sextant.shared.wire.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
 
-_WARN_S = 30.0  # between two warnings that it is open to anybody
+_WARN_S = 30.0  # [s] between two warnings that it is open to any client
 _LOOK_S = 0.1
-_STOPPED = 75  # the status in which it ends for its links are over: EX_TEMPFAIL of sysexits(3)
-_SILENCE_TURNS = 5  # of such looks, to each for connections that are new
+_STOPPED = 75  # exit status when its links have expired: EX_TEMPFAIL of sysexits(3)
+_SILENCE_TURNS = 5  # polls between two checks for new connections
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Host the router until told to stop.
+    """Host the router until it is stopped.
 
     Returns:
-        0 then, 2 when the address cannot be listened on or nobody should be let in; without returning it ends with 75 where it
-        was stopped for longer than its links last, for another to take its place.
+        0 when stopped; 2 if it cannot listen on the address, or its access rules are missing or wrong. It exits with 75,
+        without returning, if it was suspended for longer than its links last, so that another one replaces it.
     """
     parser = argparse.ArgumentParser(
         prog="python -m sextant.deploy.router", description="The router that the services meet at."
@@ -78,11 +81,13 @@ def _tell(words: str) -> None:
 
 
 def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Callable[[], bool]) -> None:
-    """Host the router until told to stop.
+    """Host the router until it is stopped.
 
-    Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
+    With access control it logs refused clients; while it is open to any client it warns repeatedly. With a role it also
+    connects
+    to the machines of the other roles.
     """
-    awake = _Awake()  # before anybody can meet here
+    awake = _Awake()  # before any client can connect here
     with contextlib.ExitStack() as stack:
         beats: list[Callable[[], None]] = []
         machine_role = gated.role(offboard=role == "offboard" or (not role and bool(gated.upstream)))
@@ -105,7 +110,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
         watchdog = stack.enter_context(Watchdog(os.environ))
         for turn in count():
             watchdog.beat(awake.look())
-            time.sleep(_LOOK_S)  # not sigtimedwait: to a process that was stopped in it, it tells of a signal that never came
+            time.sleep(_LOOK_S)  # not sigtimedwait: a process that was stopped in it gets a signal that was never sent
             if told_to_stop():
                 bound_the_end()
                 break
@@ -116,7 +121,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
 
 
 class _Guard:
-    """Says whom the router refuses, and warns for as long as it lets anybody in."""
+    """Logs refused clients, and warns while the router is open to any client."""
 
     def __init__(
         self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink, role: str, refused: refusals.RefusedConnections
@@ -136,9 +141,9 @@ class _Guard:
 
 
 class _Awake:
-    """Ends this process at once where it goes on after it was stopped for longer than its links last.
+    """Ends this process if it was suspended for longer than its links last.
 
-    Before it has said a word to those who come again: `sextant.shared.wire.transport.Router` says what became of that.
+    It ends before it sends anything to clients that reconnect; see `sextant.shared.wire.transport.Router` for the reason.
     """
 
     def __init__(self) -> None:
@@ -146,7 +151,7 @@ class _Awake:
         signal.signal(signal.SIGCONT, self._go_on)
 
     def look(self) -> int:
-        """Note that it is, and when [ns] by the monotonic clock."""
+        """Record that the process is running; return the monotonic time [ns]."""
         self._looked_ns = time.monotonic_ns()
         return self._looked_ns
 

@@ -1,6 +1,6 @@
-"""What a servo port lacks, checked one by one: device, rights, latency, the servos, their voltage, heat and calibration.
+"""Checks of a servo port: device, access rights, latency, servos and calibration.
 
-Nothing is moved and nothing is written to a servo.
+The servo checks include voltage and temperature. Nothing is moved and nothing is written to a servo.
 """
 
 import os
@@ -20,13 +20,16 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.dynamixel_bus import Port
     from sextant.shared.robot.profile import RobotProfile
 
-_PATIENCE_NS = 50_000_000  # [ns] a servo that answers late is there
-_OLD_DAYS = 180  # of a calibration: horns settle, screws are undone
+_PATIENCE_NS = 50_000_000  # [ns] to wait for an answer; a servo that answers late is present
+_OLD_DAYS = 180  # [days] of a calibration: horns settle and screws are loosened
 _DEVICES = ("ttyUSB*", "ttyACM*")
 
 
 def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[Check]:
-    """Check a servo port and the robot on it; without one, say so: a base station has none."""
+    """Check a servo port and the robot on it.
+
+    Without a port, report that none is checked; a base station has none.
+    """
     if port is None:
         yield none_given(dev)
         return
@@ -34,7 +37,7 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
         yield wrong
         return
     try:
-        import serial  # noqa: F401  (what reads the bus)
+        import serial  # noqa: F401  (the driver that opens the port)
 
         from sextant.shared.robot.profiles import load_profile
     except ImportError as error:
@@ -51,14 +54,14 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
 
 
 def none_given(dev: Path) -> Check:
-    """That no port is checked, and which there are."""
+    """Report that no port is checked, and which ports exist."""
     there = sorted(str(device) for pattern in _DEVICES for device in dev.glob(pattern))
     words = f"none is checked; --port {there[0]} checks that one" if there else "none here, as on a base station"
     return Check("servo port", Level.OK, words)
 
 
 def out_of_reach(port: str) -> Check | None:
-    """What keeps this process from opening a port; None where nothing does."""
+    """Return why this process cannot open a port; None if it can."""
     name = f"servo port {port}"
     if "://" in port:
         return None
@@ -74,7 +77,7 @@ def out_of_reach(port: str) -> Check | None:
 
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
-    """Whether all of the robot's servos are there, and how they are."""
+    """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.commissioning.bus_scan import problems
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, open_port
     from sextant.shared.servo import dynamixel as dxl
@@ -111,7 +114,10 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
 
 
 def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool]":
-    """Who of the robot's servos is there, and whether the adapter echoes; the port is closed in the end."""
+    """Return the servos that respond, and whether the adapter echoes.
+
+    The port is closed at the end.
+    """
     from sextant.services.actuator.commissioning.bus_scan import Voice, call
     from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 
@@ -127,7 +133,7 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool
 
 
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
-    """Voltage and temperature of servos that are in order, and what they report of themselves."""
+    """Check voltage, temperature and error registers of working servos."""
     from sextant.services.actuator.commissioning.bus_scan import WARM, error_of, named
     from sextant.shared.servo import dynamixel as dxl
 
@@ -147,7 +153,7 @@ def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
 
 
 def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
-    """The adapter's latency timer, as it is now that the port has been opened once."""
+    """Check the adapter's latency timer, after the port was opened once."""
     found = usb_adapter.latency_ms(port, devices)
     words = "none" if found is None else f"{found} ms"
     advice = usb_adapter.advice(port, devices)
@@ -155,7 +161,7 @@ def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
 
 
 def calibration(profile: "RobotProfile", today: date) -> Check:
-    """Whether the horns of every leg have been measured, and how long ago."""
+    """Check that the horns of every leg are calibrated, and how long ago."""
     from sextant.shared.robot.profile import LEGS
 
     name, measured = "calibration", {entry.leg: entry.date for entry in profile.calibration}

@@ -1,4 +1,7 @@
-"""Messages as people and scripts read them: small arrays in full, of large ones dtype, shape and what lies in them."""
+"""Messages as text and as JSON.
+
+Small arrays are shown in full, large ones by dtype, shape and range.
+"""
 
 import math
 from typing import Any
@@ -16,10 +19,10 @@ _WIDTH = 110  # columns
 
 
 def in_words(heard: Heard) -> str:
-    """A frame's message in lines, or why it has none.
+    """Format a frame's message as lines of text.
 
     Raises:
-        DecodeError: It is not what its topic says, and what to do.
+        DecodeError: The frame does not match its topic, with what to do.
     """
     message, age = _decoded(heard)
     facts = [f"{len(heard.frame)} bytes", f"{age * 1e-6:.0f} ms old" if age is not None else "of another machine's clock"]
@@ -36,10 +39,10 @@ def in_words(heard: Heard) -> str:
 
 
 def for_scripts(heard: Heard) -> dict[str, Any]:
-    """A frame's message as what JSON holds; NaN is null.
+    """Return a frame's message as JSON values; NaN is null.
 
     Raises:
-        DecodeError: It is not what its topic says, and what to do.
+        DecodeError: The frame does not match its topic, with what to do.
     """
     message, age = _decoded(heard)
     return {
@@ -53,7 +56,7 @@ def for_scripts(heard: Heard) -> dict[str, Any]:
 
 
 def refusal(topic: AnyTopic, error: DecodeError) -> str:
-    """Why a frame cannot be shown, and what to do."""
+    """Return why a frame cannot be decoded, and what to do."""
     return f"{topic.key}: {error}; run `sextant topics` of the version that sends it, or restart what is older"
 
 
@@ -78,7 +81,10 @@ def _lines(value: Any, width: int) -> list[str]:
 
 
 def _digest(array: NDArray[Any]) -> dict[str, float]:
-    """What lies in an array: share of finite values, the least and the largest of them; of truth values the share."""
+    """Return share of finite values, minimum and maximum of an array.
+
+    For booleans it is the share of true values.
+    """
     if array.dtype == np.bool_:
         return {"true": round(float(array.mean()), 4)}
     values = array[np.isfinite(array)] if array.dtype.kind == "f" else array.ravel()

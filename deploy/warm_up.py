@@ -1,4 +1,4 @@
-"""Compiles every inner loop of a simulated robot once, by its services' own rehearsals, so that it is done where a run begins.
+"""Compile every inner loop of a simulated robot once, before a run begins.
 
 python -m sextant.deploy.warm_up
 """
@@ -16,8 +16,8 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.scenario.scenario import load_scenario
 
-_SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour
-_Rehearsal = Callable[[RobotProfile, str], None]  # each loads its service itself, for a process that rehearses others need not
+_SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour
+_Rehearsal = Callable[[RobotProfile, str], None]  # each imports its service itself, so that other processes need not
 
 
 def _perception(profile: RobotProfile, _: str) -> None:
@@ -48,11 +48,11 @@ def _simulator(profile: RobotProfile, scenario: str) -> None:
     rehearse(profile, Settings(scenario))
 
 
-_SHARES = ((_planner,), (_perception, _mapper, _simulator))  # either takes about as long as the other, where all is new
+_SHARES = ((_planner,), (_perception, _mapper, _simulator))  # both take about equally long when nothing is compiled
 
 
 def main() -> int:
-    """Rehearse for all of them; on two cores, where there are two and much is to be done."""
+    """Compile for all scenarios; on two cores if much is to be compiled."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()
@@ -65,7 +65,10 @@ def main() -> int:
 
 
 def _compiled_before() -> bool:
-    """Whether Numba keeps anything of the planner's search, which takes longest: what is left to do is little, mostly."""
+    """Return whether Numba has cached the planner's search, which compiles longest.
+
+    If it has, little is usually left to compile.
+    """
     from sextant.services.planner.gap_crossing import roadmap_search
 
     compiled: Any = roadmap_search.grow
@@ -73,7 +76,7 @@ def _compiled_before() -> bool:
 
 
 def rehearse(profile: RobotProfile, scenario: str) -> None:
-    """Let all services that have something to compile rehearse, for a robot on a course."""
+    """Compile all services for a robot on a course."""
     for share in _SHARES:
         for rehearsal in share:
             rehearsal(profile, scenario)

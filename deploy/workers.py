@@ -1,4 +1,4 @@
-"""Work shared out among processes of one thread each, none of which outlives the process that gave it out."""
+"""Worker processes with one thread each; none outlives its parent process."""
 
 import ctypes
 import multiprocessing
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
+_PR_SET_PDEATHSIG = 1  # Linux: signal for this process when its parent dies
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 Result = TypeVar("Result")
@@ -19,15 +19,15 @@ Result = TypeVar("Result")
 def share_out(
     work: Callable[..., Result], tasks: Iterable[tuple[Any, ...]], jobs: int, *, in_order: bool = True
 ) -> Iterator[Result]:
-    """What came of each task, as soon as it is there.
+    """Yield the result of each task as soon as it is available.
 
-    When a task fails, or whoever asked has had enough, nobody waits for those under way.
+    When a task fails or the caller stops, running tasks are terminated.
 
     Args:
         work: A function of a module, called with the arguments of a task.
         tasks: Arguments, a tuple per call.
-        jobs: How many at a time, each in a process of its own; 1 does them in this process.
-        in_order: Give results in the order of the tasks, or else as they are done.
+        jobs: Number of parallel processes; 1 runs the tasks in this process.
+        in_order: Yield results in the order of the tasks, else as they finish.
     """
     todo = list(tasks)
     if jobs <= 1 or len(todo) <= 1:
@@ -44,7 +44,7 @@ def share_out(
         try:
             for future in running if in_order else as_completed(running):
                 yield future.result()
-        except BaseException:  # an error, or the operator has had enough
+        except BaseException:  # an error, or the caller has stopped
             for future in running:
                 future.cancel()
             for worker in set(multiprocessing.active_children()) - others:
@@ -53,10 +53,12 @@ def share_out(
 
 
 def in_copy(work: Callable[[], Result]) -> Result:
-    """What comes of work in a copy of this process, which has a single thread and goes on as if the work had never been.
+    """Return the result of work done in a fork of this process.
+
+    The fork has a single thread. The state of this process does not change.
 
     Raises:
-        RuntimeError: The work did not come to its end; why is on stderr.
+        RuntimeError: The work did not finish; the reason is on stderr.
     """
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
@@ -75,22 +77,25 @@ def in_copy(work: Callable[[], Result]) -> Result:
 
 
 def _answer(parent: int, work: Callable[[], object], result: Connection) -> None:
-    """Do work in a copy, and tell the original what comes of it."""
+    """Do work in a fork, and send its result to the original process."""
     _prepare(parent)
     result.send(work())
 
 
 def _prepare(parent: int) -> None:
-    """Make a worker end at Ctrl-C without a word, and with the process that started it."""
+    """Make a worker end silently at Ctrl-C, and with its parent process."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before the call above
+    if os.getppid() != parent:  # the parent died before the call above
         os._exit(1)
 
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes started within compute in one thread each, so that jobs do not take each other's cores."""
+    """Limit processes started in the block to one thread each.
+
+    Parallel jobs then do not compete for cores.
+    """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     try:

@@ -1,1 +1,4 @@
-"""What the commands of `sextant` do, a file per group; their arguments are declared in `sextant.deploy.cli`."""
+"""Commands of `sextant`, one file per group.
+
+`sextant.deploy.cli` declares their arguments.
+"""

@@ -1,4 +1,4 @@
-"""`sextant bench`: what the stages are worth."""
+"""`sextant bench`: accuracy, speed and robustness benchmarks."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from sextant.shared.files import whole_files
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
-    """`sextant bench accuracy`: how right pose and map are, on rebuilt scenes."""
+    """`sextant bench accuracy`: measure pose and map errors on rebuilt scenes."""
     from sextant.deploy.bench import accuracy
 
     out = out_folder(arguments, "bench-accuracy")
@@ -17,7 +17,7 @@ def bench_accuracy(arguments: argparse.Namespace) -> int:
 
 
 def bench_speed(arguments: argparse.Namespace) -> int:
-    """`sextant bench speed`: how fast registration is beside its peers."""
+    """`sextant bench speed`: time registration against other implementations."""
     from sextant.deploy.bench import chart, speed, timing
 
     out = out_folder(arguments, "bench-speed")
@@ -28,7 +28,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
 
 
 def bench_stages(arguments: argparse.Namespace) -> int:
-    """`sextant bench stages`: how fast the stages of the map are beside their peers."""
+    """`sextant bench stages`: time the mapping stages against other implementations."""
     from sextant.deploy.bench import chart, stages, timing
 
     out = out_folder(arguments, "bench-stages")
@@ -40,7 +40,7 @@ def bench_stages(arguments: argparse.Namespace) -> int:
 
 
 def bench_passage(arguments: argparse.Namespace) -> int:
-    """`sextant bench passage`: how fast the passage planner is beside its peers, and whether its plans hold."""
+    """`sextant bench passage`: time the gap planner against others, check its plans."""
     from sextant.deploy.bench import chart, passage, timing
 
     out = out_folder(arguments, "bench-passage")
@@ -53,7 +53,7 @@ def bench_passage(arguments: argparse.Namespace) -> int:
 
 
 def bench_access(arguments: argparse.Namespace) -> int:
-    """`sextant bench access`: what comes through a guarded router of those who may not."""
+    """`sextant bench access`: count unauthorised messages that pass a guarded router."""
     from sextant.deploy.bench import access
 
     out = out_folder(arguments, "bench-access")
@@ -62,7 +62,10 @@ def bench_access(arguments: argparse.Namespace) -> int:
 
 
 def bench_strangers(arguments: argparse.Namespace) -> int:
-    """`sextant bench strangers`: how soon rightful clients are let in while strangers connect; fails where one is late."""
+    """`sextant bench strangers`: time authorised clients while strangers connect.
+
+    It fails if one is late.
+    """
     from sextant.deploy.bench import strangers
 
     out, progress = out_folder(arguments, "bench-strangers"), open_progress(arguments.json)
@@ -80,7 +83,10 @@ def bench_strangers(arguments: argparse.Namespace) -> int:
 
 
 def bench_roles(arguments: argparse.Namespace) -> int:
-    """`sextant bench roles`: extreme messages of each role, while a robot walks; success only if it holds against all."""
+    """`sextant bench roles`: send extreme messages as each role during a walk.
+
+    It succeeds only if the robot withstands all of them.
+    """
     from sextant.deploy.fuzz import role_attack
 
     out, progress = out_folder(arguments, "bench-roles"), open_progress(arguments.json)
@@ -99,7 +105,7 @@ def bench_roles(arguments: argparse.Namespace) -> int:
 
 
 def bench_fleet(arguments: argparse.Namespace) -> int:
-    """`sextant bench fleet`: how many robots one base carries."""
+    """`sextant bench fleet`: measure how many robots one base station supports."""
     from sextant.deploy.bench import fleet
 
     out, progress = out_folder(arguments, "bench-fleet"), open_progress(arguments.json)
@@ -110,7 +116,7 @@ def bench_fleet(arguments: argparse.Namespace) -> int:
 
 
 def bench_link(arguments: argparse.Namespace) -> int:
-    """`sextant bench link`: a robot whose map and planner are behind a radio, live."""
+    """`sextant bench link`: walk live with map and planner behind a radio."""
     from sextant.deploy.bed.namespace import BedError
     from sextant.deploy.bench import link
 
@@ -134,7 +140,7 @@ def bench_link(arguments: argparse.Namespace) -> int:
 
 
 def bench_page(arguments: argparse.Namespace) -> int:
-    """`sextant bench page`: what the operator's page costs, and how soon it stops the robot."""
+    """`sextant bench page`: measure cost and stop latency of the operator page."""
     from sextant.deploy.bench import page
 
     out, progress = out_folder(arguments, "bench-page"), open_progress(arguments.json)
@@ -149,7 +155,10 @@ def bench_page(arguments: argparse.Namespace) -> int:
 
 
 def bench_recording(arguments: argparse.Namespace) -> int:
-    """`sextant bench recording`: what recording does to a walk, and what becomes of it when it breaks."""
+    """`sextant bench recording`: measure the effect of recording on a walk.
+
+    It also measures what happens to the recording when its disk or process fails.
+    """
     from sextant.deploy.bench import recording
 
     out, progress = out_folder(arguments, "bench-recording"), open_progress(arguments.json)
@@ -159,7 +168,7 @@ def bench_recording(arguments: argparse.Namespace) -> int:
 
 
 def bench_soak(arguments: argparse.Namespace) -> int:
-    """`sextant bench soak`: a long walk, and whether memory or latency grow; fails where they do."""
+    """`sextant bench soak`: walk for long; fail if memory or latency grow."""
     from sextant.deploy.bench import soak
 
     out, progress = out_folder(arguments, "bench-soak"), open_progress(arguments.json)
@@ -170,7 +179,7 @@ def bench_soak(arguments: argparse.Namespace) -> int:
 
 
 def bench_size(arguments: argparse.Namespace) -> int:
-    """`sextant bench size`: how much each role takes on a disk."""
+    """`sextant bench size`: measure the disk space of each role."""
     try:
         from sextant.deploy.bench import size
     except ModuleNotFoundError as error:
@@ -182,7 +191,7 @@ def bench_size(arguments: argparse.Namespace) -> int:
 
 
 def bench_servos(arguments: argparse.Namespace) -> int:
-    """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
+    """`sextant bench servos`: time the servo bus with our packets and dynamixel-sdk."""
     from sextant.deploy.bench import servo_bus
 
     out = out_folder(arguments, "bench-servos")
@@ -192,7 +201,7 @@ def bench_servos(arguments: argparse.Namespace) -> int:
 
 
 def bench_bus(arguments: argparse.Namespace) -> int:
-    """`sextant bench bus`: what the servo bus driver loses, doubts and believes on a bad bus."""
+    """`sextant bench bus`: measure how the servo bus driver handles a bad bus."""
     from sextant.deploy.bench import bus
 
     if not any(arguments.only in case for case in bus.CASES):
@@ -203,7 +212,7 @@ def bench_bus(arguments: argparse.Namespace) -> int:
 
 
 def bench_start(arguments: argparse.Namespace) -> int:
-    """`sextant bench start`: how soon the actuator holds a robot that stands."""
+    """`sextant bench start`: measure the actuator's start-up time on a standing robot."""
     from sextant.deploy.bench import start
 
     out = out_folder(arguments, "bench-start")

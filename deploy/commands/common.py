@@ -1,4 +1,4 @@
-"""What all commands share: how they end, how they speak, the folder they leave behind, and the walk that is asked for."""
+"""Common parts of all commands: exit status, output, folders and scenario."""
 
 import argparse
 import datetime
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from sextant.shared.scenario.scenario import Link, Scenario
     from sextant.shared.wire.transport import Endpoints
 
-ROUTER = "tcp/127.0.0.1:7447"  # of the robot, where no other is named
+ROUTER = "tcp/127.0.0.1:7447"  # of the robot, by default
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 class InputError(ValueError):
-    """What the caller of a command got wrong, and what would be right."""
+    """Invalid input by the caller, with what is expected."""
 
 
 def met(arguments: argparse.Namespace) -> "Endpoints":
-    """Where the robot is met, by the keys that are given.
+    """Return the robot's endpoints, with the keys of the command line.
 
     Raises:
         AccessError: The keys are wrong.
@@ -43,12 +43,15 @@ def met(arguments: argparse.Namespace) -> "Endpoints":
 
 
 def role_of(endpoints: "Endpoints") -> str:
-    """The role under which a command reports its health: that of its certificate, and without one the robot's own machine."""
+    """Return the role under which a command reports its health.
+
+    It is the role of its certificate; without a certificate, "robot".
+    """
     return endpoints.keys.role.name if endpoints.keys is not None else "robot"
 
 
 def out_folder(arguments: argparse.Namespace, name: str) -> Path:
-    """The folder that the command leaves behind, made."""
+    """Create and return the output folder of a command."""
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     out = Path(arguments.out) if arguments.out else Path("runs") / f"{stamp}-{name}"
     try:
@@ -61,18 +64,18 @@ def out_folder(arguments: argparse.Namespace, name: str) -> Path:
 
 
 def open_progress(as_json: bool) -> "Progress":
-    """Where progress goes: beside the result, which has stdout for itself where a script reads it."""
+    """Return a progress display on stdout, or on stderr if the result is JSON."""
     from sextant.deploy.progress import progress_for
 
     return progress_for(sys.stderr if as_json else sys.stdout)
 
 
 def warm_up(progress: "Progress") -> None:
-    """Compile what services would else compile while they walk.
+    """Compile everything that services would otherwise compile during the walk.
 
     Raises:
-        InputError: It failed, in words.
-        KeyboardInterrupt: The operator has had enough.
+        InputError: It failed; the message says why.
+        KeyboardInterrupt: The operator interrupted it.
     """
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.runs.live_run import warm_up
@@ -86,14 +89,14 @@ def warm_up(progress: "Progress") -> None:
 
 
 def asked_scenario(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that is asked for, walked as is asked for."""
+    """Return the requested scenario with the requested robot, gait and link."""
     from sextant.shared.scenario.scenario import load_scenario
 
     return as_asked(arguments)(load_scenario(arguments.scenario))
 
 
 def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"]:
-    """Makes of a scenario what is walked in its place: by the robot and in the gait that are asked for."""
+    """Return a function that applies the requested robot, gait and link to a scenario."""
     from sextant.services.planner.locomotion.gait import GAITS
 
     robot, link = asked_robot(arguments), _asked_link(getattr(arguments, "link", ""))
@@ -127,11 +130,11 @@ def _asked_link(text: str) -> "Link":
 
 
 def asked_robot(arguments: argparse.Namespace) -> str:
-    """The robot that is asked for in place of the scenario's, as scenarios name it; empty for none."""
+    """Return the requested robot as scenarios name it; empty for none."""
     from sextant.shared.robot.profiles import load_profile
 
     if not arguments.robot:
         return ""
     robot = str(Path(arguments.robot).resolve()) if arguments.robot.endswith(".toml") else str(arguments.robot)
-    load_profile(robot)  # what is wrong with it is told before anything starts
+    load_profile(robot)  # raises if the profile is wrong, before anything starts
     return robot

@@ -1,4 +1,4 @@
-"""`sextant doctor` and `compose`: what is on this machine, and in containers."""
+"""`sextant doctor` and `sextant compose`: machine checks and compose files."""
 
 import argparse
 from pathlib import Path
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def doctor(arguments: argparse.Namespace) -> int:
-    """`sextant doctor`: whether this machine has what the services need."""
+    """`sextant doctor`: check that this machine meets the services' requirements."""
     from sextant.deploy import doctor as checks
     from sextant.deploy.checks import Level
 
@@ -24,7 +24,7 @@ def doctor(arguments: argparse.Namespace) -> int:
 
 
 def _strange(endpoint: str, keys: str | None) -> "list[Check]":
-    """Try to get in at an endpoint as a stranger."""
+    """Try to connect to an endpoint without authorisation."""
     try:
         from sextant.deploy.network.stranger import examine
     except ImportError as error:
@@ -36,7 +36,7 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
 
 
 def compose(arguments: argparse.Namespace) -> int:
-    """`sextant compose`: compose.yaml of a local launch, or of what runs beside a robot."""
+    """`sextant compose`: print compose.yaml of a local or an offboard launch."""
     from sextant.deploy.launch.compose import compose_yaml, offboard_yaml
 
     text = offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed)

@@ -1,4 +1,4 @@
-"""`sextant faults`: faults injected into walks, and what the robot did, against its limits."""
+"""`sextant faults`: inject faults into walks and check the robot's reaction."""
 
 import argparse
 import difflib
@@ -10,7 +10,7 @@ _PHASES, _LIVE_PHASES = 300, 30
 
 
 def faults(arguments: argparse.Namespace) -> int:
-    """`sextant faults`: inject each fault at many phases; success only if every limit is kept."""
+    """`sextant faults`: inject each fault at many phases; succeed within all limits."""
     from sextant.deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
 
     unknown = [name for name in arguments.fault if name not in BY_NAME]

@@ -1,4 +1,4 @@
-"""`sextant fleet`: what a base runs of several robots, until Ctrl-C."""
+"""`sextant fleet`: the base station of several robots, until Ctrl-C."""
 
 import argparse
 from pathlib import Path
@@ -7,7 +7,7 @@ from sextant.deploy.commands.common import FAILED, INTERRUPTED, complain, say
 
 
 def fleet(arguments: argparse.Namespace) -> int:
-    """`sextant fleet`: of each robot what `sextant up offboard` runs, and one page for all of them, until Ctrl-C."""
+    """`sextant fleet`: run the offboard processes of each robot and one common page."""
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.launch.fleet import Base, load
 

@@ -1,4 +1,4 @@
-"""`sextant fuzz`: broken messages for whatever takes in something that others have made."""
+"""`sextant fuzz`: fuzz every message and file parser."""
 
 import argparse
 import difflib
@@ -8,11 +8,11 @@ from pathlib import Path
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
 from sextant.shared.files import whole_files
 
-_PARTS = 20  # that are shared out
+_PARTS = 20  # tasks into which the messages are divided
 
 
 def fuzz(arguments: argparse.Namespace) -> int:
-    """`sextant fuzz`: success only if every message was taken or refused, and memory stayed what it was."""
+    """`sextant fuzz`: fuzz all parsers; fail on a fault or growing memory."""
     from sextant.deploy.fuzz import fuzzing
     from sextant.deploy.fuzz import table as tables
     from sextant.deploy.workers import share_out

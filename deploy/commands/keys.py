@@ -1,4 +1,4 @@
-"""`sextant keys`: certificates of a robot and of those that may meet it."""
+"""`sextant keys`: certificates of a robot and of the machines that may connect."""
 
 import argparse
 from datetime import UTC, datetime
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def new(arguments: argparse.Namespace) -> int:
-    """`sextant keys new`: an authority, and a folder of keys for each role."""
+    """`sextant keys new`: make an authority, and a folder of keys for each role."""
     from sextant.shared.wire.access import SITE
 
     authority = _authority()
@@ -33,7 +33,7 @@ def new(arguments: argparse.Namespace) -> int:
 
 
 def show(arguments: argparse.Namespace) -> int:
-    """`sextant keys show`: of each certificate its role, and when it ends."""
+    """`sextant keys show`: print role and expiry of each certificate."""
     for one in _authority().held(Path(arguments.folder)):
         days = (one.ends - datetime.now(UTC)).total_seconds() / 86400.0
         ends = f"in {days:.0f} days" if days > 0 else f"{-days:.0f} days ago"

@@ -1,4 +1,4 @@
-"""`sextant order`: stand, walk, stop, sit or let go, from the terminal."""
+"""`sextant order`: stand, walk, stop, sit or torque off from the terminal."""
 
 import argparse
 import getpass
@@ -16,7 +16,7 @@ _LOOK_S = 0.05
 
 
 def order(arguments: argparse.Namespace) -> int:
-    """`sextant order`: give one order to the legs, and say what has come of it."""
+    """`sextant order`: send one order to the legs, and report the result."""
     from sextant.deploy.order import STOPS, Order
     from sextant.shared.wire import topics
     from sextant.shared.wire.transport import TransportError
@@ -35,7 +35,7 @@ def order(arguments: argparse.Namespace) -> int:
 
 
 def _whoever_this_is() -> str:
-    """The user and the machine; two that order at once are two."""
+    """Return "USER at MACHINE" as holder of the lease."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container's user may have no name
@@ -44,7 +44,7 @@ def _whoever_this_is() -> str:
 
 
 def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
-    """Give an order until something has come of it, or the operator has had enough."""
+    """Send an order until it has a result, or the operator interrupts."""
     import threading
 
     from sextant.deploy.interrupts import Interrupts

@@ -9,7 +9,7 @@ from sextant.shared.spelling import hint
 
 
 def plot(arguments: argparse.Namespace) -> int:
-    """`sextant plot`: the figures of a run, or of several beside each other."""
+    """`sextant plot`: draw the figures of one run, or compare several."""
     from sextant.deploy.plots.figures import FIGURES, draw, misfit
 
     if arguments.list:

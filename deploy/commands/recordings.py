@@ -1,4 +1,4 @@
-"""`sextant record`, `info`, `recover`, `export`, `replay` and `foxglove`: what is said on the wire, kept and looked at."""
+"""`sextant record`, `info`, `recover`, `export`, `replay` and `foxglove`."""
 
 import argparse
 import json
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.2
 _SHOW_S = 5.0
-_SILENCE_S = 3.0  # without a message, after which that is said
+_SILENCE_S = 3.0  # [s] without a message, after which that is reported
 
 
 def record(arguments: argparse.Namespace) -> int:
-    """`sextant record`: what is said, into a folder, until Ctrl-C."""
+    """`sextant record`: record all topics into a folder until Ctrl-C."""
     from datetime import datetime
 
     from sextant.services.console.recorder.config import Settings
@@ -60,7 +60,7 @@ def record(arguments: argparse.Namespace) -> int:
 
 
 def foxglove(arguments: argparse.Namespace) -> int:
-    """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
+    """`sextant foxglove`: serve live topics to Foxglove and Lichtblick until Ctrl-C."""
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.wire.transport import TransportError
 
@@ -85,7 +85,10 @@ def foxglove(arguments: argparse.Namespace) -> int:
 
 
 def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds: float | None = None) -> "LiveRecorder":
-    """Record all topics, until Ctrl-C or for some seconds [s], into a sink that is opened when the robot has been met."""
+    """Record all topics until Ctrl-C or for some seconds [s].
+
+    The sink is opened once the robot is connected.
+    """
     import time
 
     from sextant.deploy.interrupts import Interrupts
@@ -114,7 +117,7 @@ def _progress(recording: "LiveRecorder", elapsed_s: float, endpoint: str) -> str
 
 
 def export(arguments: argparse.Namespace) -> int:
-    """`sextant export`: a recording in another tool's format."""
+    """`sextant export`: write a recording in another tool's format."""
     source = Path(arguments.recording)
     target = Path(arguments.rerun)
     if target.suffix != ".rrd":
@@ -129,7 +132,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 
 def info(arguments: argparse.Namespace) -> int:
-    """`sextant info`: what is in a recording."""
+    """`sextant info`: describe the contents of a recording."""
     from sextant.shared.recording.contents import as_table, contents, in_words
 
     found = contents(Path(arguments.recording))
@@ -138,7 +141,7 @@ def info(arguments: argparse.Namespace) -> int:
 
 
 def recover(arguments: argparse.Namespace) -> int:
-    """`sextant recover`: make files whole that a crash cut off."""
+    """`sextant recover`: repair recordings that a crash truncated."""
     from sextant.shared.recording.layout import RecordingError
     from sextant.shared.recording.reader import files_of, is_recovered, is_whole, recovered
     from sextant.shared.recording.recovery import recover as rescue
@@ -156,7 +159,7 @@ def recover(arguments: argparse.Namespace) -> int:
             continue
         try:
             found = rescue(path, target)
-        except RecordingError as error:  # the other files of a folder are recovered nevertheless
+        except RecordingError as error:  # the other files of a folder are still recovered
             complain(f"sextant recover: {error}")
             status = WRONG_INPUT
             continue
@@ -171,7 +174,7 @@ def recover(arguments: argparse.Namespace) -> int:
 
 
 def replay(arguments: argparse.Namespace) -> int:
-    """`sextant replay`: a recorded depth sequence, or a recorded run; fails where the replay proves nothing."""
+    """`sextant replay`: replay a depth sequence or a run; fail without evidence."""
     source = Path(arguments.source)
     run = source.suffix == ".mcap" and source.is_file()
     parts = source.is_dir() and not (source / "depth.txt").is_file() and any(source.glob("recording*.mcap"))

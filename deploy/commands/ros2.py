@@ -1,4 +1,4 @@
-"""`sextant ros2`: the robot as a node of ROS 2, without ROS."""
+"""`sextant ros2`: the robot as a ROS 2 node, without a ROS installation."""
 
 import argparse
 
@@ -8,7 +8,7 @@ _LOOK_S = 0.1
 
 
 def ros2(arguments: argparse.Namespace) -> int:
-    """`sextant ros2`: speak as a node of ROS 2 over rmw_zenoh, until Ctrl-C."""
+    """`sextant ros2`: run a ROS 2 node over rmw_zenoh until Ctrl-C."""
     import threading
     import time
 

@@ -1,4 +1,4 @@
-"""`sextant service`: the processes of a role as services of systemd."""
+"""`sextant service`: the processes of a role as systemd services."""
 
 import argparse
 import getpass
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def install(arguments: argparse.Namespace) -> int:
-    """`sextant service install`: a unit for each process of a role, and a target for all."""
+    """`sextant service install`: write a unit per process of a role, and a target."""
     from sextant.deploy.launch import units
 
     manager = _manager(arguments)
@@ -41,7 +41,7 @@ def install(arguments: argparse.Namespace) -> int:
 
 
 def uninstall(arguments: argparse.Namespace) -> int:
-    """`sextant service uninstall`: remove what `install` wrote, and nothing else."""
+    """`sextant service uninstall`: remove exactly what `install` wrote."""
     from sextant.deploy.launch import units
 
     manager = _manager(arguments)
@@ -64,15 +64,15 @@ def _manager(arguments: argparse.Namespace) -> "Manager":
     if not arguments.system:
         return Manager(sys.executable)
     user = arguments.run_as or os.environ.get("SUDO_USER") or getpass.getuser()
-    there = {group.gr_name for group in grp.getgrall()}  # systemd starts nothing with a group that is not there
+    there = {group.gr_name for group in grp.getgrall()}  # systemd starts no unit with an unknown group
     return Manager(sys.executable, user, tuple(group for group in DEVICE_GROUPS if group in there))
 
 
 def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, str]":
-    """The units that are asked for, all paths in them whole.
+    """Return the requested units; all their paths are absolute.
 
     Raises:
-        AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
+        AccessError: The router would admit any client without --open, or the keys are wrong.
     """
     from sextant.deploy import process_table
     from sextant.deploy.commands.up import asked, gate_of

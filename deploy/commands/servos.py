@@ -1,4 +1,4 @@
-"""`sextant servos`: from a box of servos to a robot that can be trusted, on the real bus or an emulated one."""
+"""`sextant servos`: scan, configure, calibrate and test servos, real or emulated."""
 
 import argparse
 import errno
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.shared.robot.profile import RobotProfile
 
-PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
-_NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
+PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
+_NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
 _NOBODY_SAYS = "nobody says that torque is off: see whether the legs give way, else switch the servos' power off"
 _LAST_PORT = 65535
 
 
 class Terminal:
-    """The operator at the terminal; with `yes` there is none, and every question has its plain answer."""
+    """The operator at the terminal; with `yes` every question has its default answer."""
 
     def __init__(self, yes: bool = False) -> None:
-        """Nobody is asked anything yet."""
+        """Initialise without a question."""
         self._yes = yes
 
     @property
     def absent(self) -> bool:
-        """Whether nobody is there to do anything."""
+        """Whether no operator is present."""
         return self._yes
 
     def say(self, text: str) -> None:
@@ -47,7 +47,7 @@ class Terminal:
         say(text)
 
     def ask(self, question: str) -> str:
-        """What is typed; nothing with `yes`."""
+        """Ask a question and return the typed answer; empty with `yes`."""
         sys.stdout.write(question)
         if self._yes:
             say("")
@@ -59,7 +59,7 @@ class Terminal:
         return line.strip()
 
     def agree(self, question: str) -> bool:
-        """Whether y or yes is typed; true with `yes`."""
+        """Ask a question; return whether y or yes was typed, True with `yes`."""
         if self._yes:
             say(f"{question} yes (--yes)")
             return True
@@ -67,7 +67,7 @@ class Terminal:
 
 
 def scan(arguments: argparse.Namespace) -> int:
-    """`sextant servos scan`: who is on the bus, and what is wrong with whom."""
+    """`sextant servos scan`: list the servos on the bus and their problems."""
     from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(arguments.robot)
@@ -97,9 +97,9 @@ def scan(arguments: argparse.Namespace) -> int:
 
 
 def off(arguments: argparse.Namespace) -> int:
-    """`sextant servos off`: torque off, without an actuator, or past whatever router it hears.
+    """`sextant servos off`: turn torque off without an actuator or router.
 
-    It is latched first: an actuator that has the port, or looks for it, lets go, and one that begins later does, too.
+    The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
     from sextant.services.actuator.commissioning.torque_off import let_go
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError
@@ -131,7 +131,7 @@ def off(arguments: argparse.Namespace) -> int:
 
 
 def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
-    """Tell who does not say that its torque is off, and how many do."""
+    """Report the servos that did not confirm torque off, and how many did."""
     from sextant.services.actuator.commissioning.bus_scan import named
 
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
@@ -146,7 +146,7 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
 
 
 def _latch_off(port: str) -> str:
-    """Latch torque off for whoever has a port; why that could not be, in words, or nothing."""
+    """Set the torque-off latch of a port; return the error as text, or nothing."""
     from sextant.services.actuator.safety.torque_off_latch import Latch
     from sextant.shared.runtime.clock import now_ns
 
@@ -158,7 +158,7 @@ def _latch_off(port: str) -> str:
 
 
 def set_id(arguments: argparse.Namespace) -> int:
-    """`sextant servos set-id`: each servo is given the id of its joint."""
+    """`sextant servos set-id`: give each servo the id of its joint."""
     from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(arguments.robot)
@@ -167,7 +167,7 @@ def set_id(arguments: argparse.Namespace) -> int:
 
 
 def calibrate(arguments: argparse.Namespace) -> int:
-    """`sextant servos calibrate`: where each horn sits, into the robot's own TOML."""
+    """`sextant servos calibrate`: measure the horn offsets into the robot's TOML."""
     from sextant.services.actuator.commissioning import calibration, calibration_file
     from sextant.shared.robot.profile import LEGS
 
@@ -195,7 +195,7 @@ def calibrate(arguments: argparse.Namespace) -> int:
 
 
 def test(arguments: argparse.Namespace) -> int:
-    """`sextant servos test`: each joint moves a little, alone and gently."""
+    """`sextant servos test`: move each joint a little, one at a time."""
     from sextant.services.actuator.commissioning.joint_test import exercise
     from sextant.shared.robot.profile import LEGS
 
@@ -212,7 +212,7 @@ def test(arguments: argparse.Namespace) -> int:
 
 
 def emulate(arguments: argparse.Namespace) -> int:
-    """`sextant servos emulate`: servos on a network port, until Ctrl-C."""
+    """`sextant servos emulate`: serve emulated servos on a TCP port until Ctrl-C."""
     import numpy as np
 
     try:
@@ -240,12 +240,15 @@ def emulate(arguments: argparse.Namespace) -> int:
                 complain(str(error))
             else:
                 say(told)
-        threading.Event().wait()  # nobody types: until Ctrl-C
+        threading.Event().wait()  # stdin has ended: wait for Ctrl-C
     return INTERRUPTED
 
 
 class _Once(Interrupts):
-    """While entered, the first Ctrl-C, SIGTERM or SIGHUP is raised; those behind it are held back: one is cleaning up."""
+    """Raise only the first Ctrl-C, SIGTERM or SIGHUP while entered.
+
+    Later signals are ignored, because the command is cleaning up.
+    """
 
     def _count(self, number: int, frame: FrameType | None) -> None:
         super()._count(number, frame)
@@ -254,13 +257,16 @@ class _Once(Interrupts):
 
 
 def _ended_once() -> AbstractContextManager[object]:
-    """Within, a command is ended by signals as by Ctrl-C, and but once; only the main thread hears of them."""
+    """Return a context in which the first signal ends a command like Ctrl-C.
+
+    Outside the main thread it does nothing, because only that thread receives signals.
+    """
     return _Once() if threading.current_thread() is threading.main_thread() else nullcontext()
 
 
 @contextmanager
 def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
-    """The servo port, closed in the end, also where a signal ends the command."""
+    """Open the servo port; close it at the end, also after a signal."""
     from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
 
@@ -270,7 +276,7 @@ def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[L
 
 
 def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | None = None) -> "ServoBus":
-    """The servos at the port, at a baud rate [1/s]; None is the robot's own.
+    """Open the servos at the port, at a baud rate [1/s]; None is the robot's own.
 
     Raises:
         BusGone: The port cannot be opened.
@@ -291,7 +297,7 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
 
 
 def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
-    """The servos behind a microcontroller at the port.
+    """Open the servos behind a microcontroller at the port.
 
     Raises:
         BusGone: The port cannot be opened.
@@ -310,9 +316,12 @@ def _profile(robot: str) -> "RobotProfile":
 
 
 def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
-    """The robot's own TOML, the profile that it extends where it is yet to be made, and the robot as it is now."""
+    """Return the robot's own TOML, the profile it extends, and the current robot.
+
+    The base profile is needed where the TOML does not exist yet.
+    """
     path = Path(out or (robot if robot.endswith(".toml") else f"my_{robot}.toml"))
-    if path.suffix != ".toml":  # what has another name is no profile to `--robot`
+    if path.suffix != ".toml":  # `--robot` accepts only .toml files as profiles
         raise InputError(f"--out: a file that ends in .toml expected, found {path}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"--out: a folder that is there and may be written expected, found {path.parent.resolve()}")

@@ -1,4 +1,4 @@
-"""`sextant topics`: what is on the wire, by the table and as it is heard."""
+"""`sextant topics`: the topic table, and the messages that are received."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ _LOOK_S = 0.1
 
 
 def list_topics(arguments: argparse.Namespace) -> int:
-    """`sextant topics list`: the topic table."""
+    """`sextant topics list`: print the topic table."""
     from sextant.shared.wire.topics import TOPICS
 
     if arguments.json:
@@ -31,7 +31,7 @@ def list_topics(arguments: argparse.Namespace) -> int:
 
 
 def docs(arguments: argparse.Namespace) -> int:
-    """`sextant topics docs`: docs/keys.md."""
+    """`sextant topics docs`: print docs/keys.md."""
     try:
         from sextant.deploy.keys_page import page
 
@@ -43,7 +43,7 @@ def docs(arguments: argparse.Namespace) -> int:
 
 
 def echo(arguments: argparse.Namespace) -> int:
-    """`sextant topics echo`: messages one at a time, until Ctrl-C or as many as are asked for."""
+    """`sextant topics echo`: print messages until Ctrl-C or up to a count."""
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.overheard import Mailbox, listen
     from sextant.shared.wire.transport import ZenohLink
@@ -69,7 +69,7 @@ def echo(arguments: argparse.Namespace) -> int:
 
 
 def _tell(heard: "Heard", as_json: bool) -> int:
-    """Print one message, or why it cannot be; how many were printed."""
+    """Print one message, or why it cannot be decoded; return how many were printed."""
     from sextant.deploy import shown
     from sextant.shared.wire.codec import DecodeError
 
@@ -83,7 +83,7 @@ def _tell(heard: "Heard", as_json: bool) -> int:
 
 
 def hz(arguments: argparse.Namespace) -> int:
-    """`sextant topics hz`: how often and how much each topic says, for some seconds."""
+    """`sextant topics hz`: measure rate and bandwidth of each topic."""
     from sextant.deploy import rates
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.overheard import listen
@@ -103,7 +103,7 @@ def hz(arguments: argparse.Namespace) -> int:
 
 
 def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
-    """Let time pass, until somebody wants it to end; how long it was [s]."""
+    """Wait for some seconds, or until `asked`; return how long it was [s]."""
     while (passed_s := (time.monotonic_ns() - began_ns) * 1e-9) < seconds and not asked():
         time.sleep(min(_LOOK_S, seconds - passed_s))
     return passed_s

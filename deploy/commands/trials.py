@@ -1,4 +1,4 @@
-"""`sextant trials`: many seeds of one scenario or of all, and the tables of what was kept."""
+"""`sextant trials`: many seeds of one scenario or of all, and result tables."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from sextant.shared.files import whole_files
 
 
 def trials(arguments: argparse.Namespace) -> int:
-    """`sextant trials`: the success rate over many seeds, in lockstep."""
+    """`sextant trials`: measure the success rate over many seeds, in lockstep."""
     if arguments.scenario in ("all", "passages", "troubles"):
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
@@ -30,7 +30,10 @@ def trials(arguments: argparse.Namespace) -> int:
 
 
 def _campaign(arguments: argparse.Namespace) -> int:
-    """`sextant trials all`, `passages`, `troubles`: run a group of scenarios and print one table of them."""
+    """`sextant trials all`, `passages`, `troubles`: run a group of scenarios.
+
+    Print one table of all of them.
+    """
     from sextant.deploy.trials import campaign_table as tables
     from sextant.deploy.trials import kept
     from sextant.deploy.trials.campaign import run_campaign
@@ -53,7 +56,7 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
 
 def table(arguments: argparse.Namespace) -> int:
-    """`sextant trials table`: a table of runs that were kept, nothing being run."""
+    """`sextant trials table`: print a table of stored runs, without running anything."""
     from sextant.deploy.trials import campaign_table as tables
     from sextant.deploy.trials import kept, passage_table
 

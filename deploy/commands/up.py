@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def up(arguments: argparse.Namespace) -> int:
-    """`sextant up`: the processes of a role until Ctrl-C."""
+    """`sextant up`: run the processes of a role until Ctrl-C."""
     from sextant.deploy import process_table
     from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.launch.half import Half
@@ -51,7 +51,7 @@ def up(arguments: argparse.Namespace) -> int:
 
 
 def _print_zenoh(gated: "Gate") -> int:
-    """Show what the router of this machine would be configured with."""
+    """Print the Zenoh configuration of this machine's router."""
     import json
 
     from sextant.shared.wire.transport import Router
@@ -61,7 +61,7 @@ def _print_zenoh(gated: "Gate") -> int:
 
 
 def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
-    """The processes that are asked for, what they are told, and by their names further settings."""
+    """Return the requested processes, their settings, and further settings by name."""
     rows, chosen = _rows(arguments), _choices(arguments)
     device = _camera(arguments.camera, chosen.robot, rows)
     if device == "none":
@@ -70,7 +70,7 @@ def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices,
 
 
 def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
-    """The processes that are asked for: those of the role, with some more and without some."""
+    """Return the requested processes: those of the role, plus --with, minus --without."""
     from sextant.deploy import process_table
 
     usual = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
@@ -85,23 +85,25 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str) -> "Gate":
-    """Where this machine's router listens, `usual` where nothing is said, to which it is chained, and whom it lets in.
+    """Return endpoints and access rules of this machine's router.
+
+    It listens at `usual` where --listen is not given.
 
     Raises:
-        AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
+        AccessError: The router would admit any client without --open, or the keys are wrong.
     """
     from sextant.deploy.network import gate
 
     keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
     gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
-    gated.configuration()  # what is wrong with the keys is told before anything starts
+    gated.configuration()  # raises if the keys are wrong, before anything starts
     if misplaced := gated.misplaced([row.name for row in rows]):
         raise InputError(misplaced)
     return gated
 
 
 def _apart(gated: "Gate") -> "Gate":
-    """The same, with an endpoint of loopback for this machine's own processes where all others are open to other machines."""
+    """Add a loopback endpoint for local processes if all others are public."""
     from sextant.deploy.launch.launcher import free_port
     from sextant.shared.wire.access import plain_elsewhere
 
@@ -111,13 +113,13 @@ def _apart(gated: "Gate") -> "Gate":
 
 
 def _usual(arguments: argparse.Namespace) -> str:
-    """Where processes of this machine meet: as usual, or on a free port."""
+    """Return the usual router endpoint, or one with a free port if it is taken."""
     from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.deploy.process_table import ROUTER_ENDPOINT
 
     if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
-    return f"tcp/127.0.0.1:{free_port()}"  # beside another machine's half, on one machine
+    return f"tcp/127.0.0.1:{free_port()}"  # a second machine's processes on the same machine
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
@@ -133,12 +135,15 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
         source = str(Path(source).resolve())
     chosen = choices(load_scenario(source), source, arguments.seed)
     chosen = replace(chosen, robot=robot) if robot else chosen
-    # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
+    # If both ends of the simulated servo bus start here, any free port will do, so two sets on one machine do not clash.
     return replace(chosen, bus_port=free_port()) if arguments.role in ("all", "onboard") else chosen
 
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
-    """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
+    """Return the camera to read, a folder as absolute path, or "none".
+
+    It is "none" where no camera process is started.
+    """
     from sextant.shared.robot.profiles import load_profile
 
     if not any(row.side == "device" for row in rows):
@@ -165,7 +170,7 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
 
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:
-    """Where the operator's page is served: as it is asked for, else where it usually is, else on any port that is free."""
+    """Return the page's port: as requested, else the usual one, else a free one."""
     from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.services.console.config import Settings
     from sextant.shared.runtime.process import load_settings
@@ -180,7 +185,7 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
 
 
 def _see_servo_port(settings: Sequence[str]) -> None:
-    """Refuse a servo port that is not there, before anything starts."""
+    """Raise an InputError if the servo port does not exist, before anything starts."""
     from sextant.services.actuator.config import Settings
     from sextant.shared.runtime.process import load_settings
 

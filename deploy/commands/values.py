@@ -1,17 +1,17 @@
-"""What words of the command line stand for; one that stands for nothing is told what was expected."""
+"""Parsers of command-line values; their errors state what is expected."""
 
 import argparse
 import re
 from collections.abc import Sequence
 
-_SERVO_IDS = 254  # the next is everybody's
-_LARGEST = 2**53  # whole number that every reader of JSON keeps
+_SERVO_IDS = 254  # the next id is the broadcast id
+_LARGEST = 2**53  # largest integer that every JSON reader represents exactly
 _LONGEST_SEEDS = 40  # characters
 _MOST_SEEDS = 1_000_000
 
 
 def seeds(text: str) -> range:
-    """Seeds from A to B."""
+    """Parse seeds A:B, B not included."""
     found = re.fullmatch(r"(\d+):(\d+)", text)
     if found is None or len(text) > _LONGEST_SEEDS or not int(found[1]) < int(found[2]) <= _LARGEST:
         raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text[:60]!r}; for example 0:50")
@@ -21,7 +21,7 @@ def seeds(text: str) -> range:
 
 
 def servo_ids(text: str) -> range:
-    """Servo ids from A to B."""
+    """Parse servo ids A:B, B not included."""
     found = seeds(text)
     if found.stop > _SERVO_IDS:
         raise argparse.ArgumentTypeError(f"ids of servos expected, 0 to {_SERVO_IDS - 1}, found {text!r}; for example 1:19")
@@ -29,7 +29,7 @@ def servo_ids(text: str) -> range:
 
 
 def any_seeds(text: str) -> Sequence[int]:
-    """Seeds from A to B, or as many as are wanted that the commit gives."""
+    """Parse seeds A:B, or commit:N for N seeds derived from the commit."""
     drawn = re.fullmatch(r"commit:([1-9]\d*)", text)
     if drawn is None:
         return seeds(text)
@@ -42,27 +42,27 @@ def any_seeds(text: str) -> Sequence[int]:
 
 
 def natural(text: str) -> int:
-    """A whole number of at least 0."""
+    """Parse an integer of at least 0."""
     return _whole(text, 0, _LARGEST)
 
 
 def positive(text: str) -> int:
-    """A whole number of at least 1."""
+    """Parse an integer of at least 1."""
     return _whole(text, 1, _LARGEST)
 
 
 def port(text: str) -> int:
-    """A TCP port, 0 for any that is free."""
+    """Parse a TCP port; 0 for any free one."""
     return _whole(text, 0, 65535)
 
 
 def processes(text: str) -> int:
-    """How many processes run at a time."""
+    """Parse a number of parallel processes."""
     return _whole(text, 1, 256)
 
 
 def angle(text: str) -> float:
-    """An angle [deg]."""
+    """Parse an angle [deg]."""
     return _number(text, -180.0, 180.0, "degrees")
 
 
@@ -74,7 +74,7 @@ def _whole(text: str, lowest: int, highest: int) -> int:
 
 
 def minutes(text: str) -> float:
-    """A time [min]."""
+    """Parse a time [min]."""
     try:
         found = float(text)
     except ValueError:
@@ -85,7 +85,7 @@ def minutes(text: str) -> float:
 
 
 def seconds(text: str) -> float:
-    """A time [s]."""
+    """Parse a time [s]."""
     try:
         found = float(text)
     except ValueError:
@@ -106,27 +106,27 @@ def _number(text: str, lowest: float, highest: float, what: str) -> float:
 
 
 def longest_cut(text: str) -> float:
-    """How long [s] the longest cut of a radio is."""
+    """Parse the longest outage [s] of a radio."""
     return _number(text, 0.1, 600.0, "seconds")
 
 
 def times(text: str) -> float:
-    """How many times as fast."""
+    """Parse a speed factor [1]."""
     return _number(text, 0.05, 100.0, "a number")
 
 
 def rate(text: str) -> float:
-    """Pictures a second."""
+    """Parse a frame rate [Hz]."""
     return _number(text, 1.0, 120.0, "pictures a second")
 
 
 def instant(text: str) -> float:
-    """A time [s] from the beginning."""
+    """Parse a time [s] from the beginning."""
     return _number(text, 0.0, 1e6, "seconds")
 
 
 def size(text: str) -> tuple[int, int]:
-    """Width and height [px] of a picture that can be encoded."""
+    """Parse width and height [px] of a picture that can be encoded."""
     found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
     width, height = (int(found[1]), int(found[2])) if found else (0, 0)
     if not (64 <= width <= 3840 and 64 <= height <= 2160) or width % 2 or height % 2:
@@ -135,5 +135,5 @@ def size(text: str) -> tuple[int, int]:
 
 
 def frames(text: str) -> int:
-    """Depth frames of a ride."""
+    """Parse a number of depth frames."""
     return _whole(text, 3, 100_000)

@@ -1,4 +1,4 @@
-"""`sextant video`: a recorded run as a moving picture."""
+"""`sextant video`: a recorded run as a video."""
 
 import argparse
 import os
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
-_FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
+_FEET_OFF = 0.02  # [m] median height of standing feet off the ground beyond which the ground is a different one
 
 
 def video(arguments: argparse.Namespace) -> int:
-    """`sextant video`: draw the robot on its ground, from what was recorded."""
+    """`sextant video`: draw the recorded robot on its ground."""
     from sextant.deploy.video import files
     from sextant.deploy.video.film import Cut, Film
     from sextant.deploy.video.story import Story
@@ -50,7 +50,7 @@ def video(arguments: argparse.Namespace) -> int:
     def tell(done: int) -> None:
         nonlocal began, told
         now = time.monotonic()
-        if done == 1:  # before it everything was made ready
+        if done == 1:  # the first picture includes the setup
             began = now
         elif now - told >= _TOLD_EVERY_S:
             told = now
@@ -68,14 +68,17 @@ def _beside(run: Path) -> Path:
 
 
 def _recording_of(run: Path) -> Path:
-    """What there is to be read at a place."""
+    """Return the path of a run; raise InputError if it does not exist."""
     if not run.exists():
         raise InputError(f"{run}: no such run; give the folder that `sextant run` left, or a recording")
     return run
 
 
 def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
-    """Scenario, seed and robot: what the recording says, or the report beside it, or the simulator in it."""
+    """Return scenario, seed and robot of a run.
+
+    They come from the recording, else from the report next to it, else from the recorded simulator.
+    """
     about = {name: said[name] for name in ("scenario", "seed", "robot") if name in said}
     from sextant.shared.files.input_file import FileError, read_json
 
@@ -95,7 +98,10 @@ def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]
 def _ground(
     about: Mapping[str, str], story: "Story", profile: "RobotProfile", asked: str
 ) -> tuple["Ground | None", "Sinking | None"]:
-    """The true ground, or None where it is not known; then the robot is drawn where it believed to be, on its own map."""
+    """Return the true ground, or None where it is unknown.
+
+    Without it the robot is drawn at its estimated pose, on its own map.
+    """
     import numpy as np
 
     from sextant.deploy.video.ground import of_terrain

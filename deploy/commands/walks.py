@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """`sextant run`: one scenario, over Zenoh or in lockstep."""
+    """`sextant run`: run one scenario, over Zenoh or in lockstep."""
     if arguments.lockstep and arguments.connect:
         raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
     if arguments.bridge and arguments.connect:
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Demo:
-    """A course that is shown, and what is said before and after."""
+    """A course of the demo, with the texts before and after it."""
 
     scenario: str
     before: str
@@ -67,7 +67,7 @@ _LINE = 119  # characters
 
 
 def demo(arguments: argparse.Namespace) -> int:
-    """`sextant demo`: a course over Zenoh, from a cold start: low steps, or a gap."""
+    """`sextant demo`: walk a course over Zenoh from a cold start: low steps, or a gap."""
     shown = DEMOS[arguments.course]
     arguments.scenario, arguments.robot, arguments.gait = shown.scenario, "", ""
     arguments.lockstep, arguments.connect, arguments.json, arguments.slow_down = False, None, False, True

@@ -1,1 +1,1 @@
-"""Starts processes and keeps them: on this machine, as units of systemd, in containers, of one robot or of several."""
+"""Launch of processes: locally, as systemd units, in containers, or for a fleet."""

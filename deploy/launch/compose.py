@@ -1,7 +1,8 @@
-"""Compose files, made from the process table: the same commands and environments as anywhere else, a container each.
+"""Compose files, made from the process table: one container per process.
 
-`compose.yaml` is a local launch, robot simulated; `compose.offboard.yaml` is what runs beside a robot, with a router that is
-chained to the robot's. YAML is written by hand, its scalars as JSON, which YAML contains: one thing to write needs no library.
+Commands and environments are the same as everywhere else. `compose.yaml` is a local launch with a simulated robot.
+`compose.offboard.yaml` holds the offboard processes, with a router chained to the robot's. The YAML is written by hand with
+JSON scalars, which are valid YAML, so no library is needed.
 """
 
 import json
@@ -27,12 +28,12 @@ from sextant.shared.wire.transport import Endpoints
 NAMESPACE = "sextant"
 KEYS = "/run/secrets/sextant"  # where a container finds its machine's certificates
 RECORDINGS = "/recordings"
-CACHE = "/cache"  # of what is compiled
-NOTIFY_SOCKET = "/tmp/notify"  # signs of life come there while a health check listens
-WARM_UP = "warm-up"  # ends once all is compiled
+CACHE = "/cache"  # for compiled code
+NOTIFY_SOCKET = "/tmp/notify"  # signs of life arrive there while a health check listens
+WARM_UP = "warm-up"  # ends once everything is compiled
 _LATCHED = ("actuator", "stop")
-PIDS = 128  # processes and threads of a container; the most that were counted are 55
-_HANG_S = 5.0  # that a health check may take beside waiting for a sign of life
+PIDS = 128  # limit of processes and threads per container; the measured maximum is 55
+_HANG_S = 5.0  # [s] a health check may take in addition to its wait for a sign of life
 _HEAD = """\
 # Made by `sextant compose{option}`; change deploy/process_table.py or deploy/launch/compose.py and make it again.
 {usage}
@@ -60,11 +61,11 @@ _KEY_FOLDER = "${SEXTANT_KEYS:?the folder keys/base of sextant keys new, by its 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What the services of a file have in common."""
+    """Common properties of the services of one compose file."""
 
-    target: str  # of the Dockerfile
-    restart: str = ""  # policy in place of the table's number of restarts
-    secrets: Mapping[str, str] = field(default_factory=dict)  # file in the folder of keys -> where it is mounted
+    target: str  # target of the Dockerfile
+    restart: str = ""  # restart policy that replaces the table's number of restarts
+    secrets: Mapping[str, str] = field(default_factory=dict)  # file in the folder of keys -> mount path
 
 
 _LOCAL = _Kind("all")
@@ -76,7 +77,10 @@ _OFFBOARD = _Kind(
 
 
 def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
-    """What compose starts: the router, the services, and an operator that runs the scenario on them."""
+    """Return the commands of compose.yaml.
+
+    They are the router, the services, and an operator that runs the scenario on them.
+    """
     if scenario.endswith(".toml"):
         raise ConfigError(
             "scenario", ["the name of a scenario that comes with sextant expected: containers do not see the file"]
@@ -92,14 +96,17 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
         ENVIRONMENT,
         memory_mb=1024,
     )
-    # Each would compile its own beside all others; after this one there is nothing left to compile.
+    # The warm-up compiles once for all services; otherwise each would compile for itself at the same time.
     warm_up = Command(WARM_UP, ("-m", "sextant.deploy.warm_up"), ENVIRONMENT, memory_mb=1536)
     waiting = [replace(command, after=(WARM_UP, *command.after)) for command in (*services, operator)]
     return _together(router_command(ROUTER_ENDPOINT), (warm_up, *waiting))
 
 
 def offboard_commands() -> tuple[Command, ...]:
-    """What compose starts beside a robot: a router chained to the robot's, and the processes of the role offboard."""
+    """Return the commands of compose.offboard.yaml.
+
+    They are a router chained to the robot's, and the processes of the role offboard.
+    """
     chosen = Choices(recordings=RECORDINGS)
     processes = rows("offboard", simulated=False, page=True)
     services = commands(processes, chosen, _ENDPOINTS, elsewhere=True)
@@ -108,7 +115,7 @@ def offboard_commands() -> tuple[Command, ...]:
 
 
 def compose_yaml(scenario: str, seed: int) -> str:
-    """The text of compose.yaml.
+    """Return the text of compose.yaml.
 
     Raises:
         ConfigError: No such scenario.
@@ -120,7 +127,7 @@ def compose_yaml(scenario: str, seed: int) -> str:
 
 
 def offboard_yaml() -> str:
-    """The text of compose.offboard.yaml."""
+    """Return the text of compose.offboard.yaml."""
     head = _HEAD.format(option=" --offboard", usage=_USAGE_OFFBOARD, name="sextant-offboard", target=_OFFBOARD.target)
     return head + _body(offboard_commands(), _OFFBOARD, ["cache: {}", "recordings: {}"])
 
@@ -129,7 +136,10 @@ _ENDPOINTS = Endpoints((ROUTER_ENDPOINT,), namespace=NAMESPACE)
 
 
 def _together(router: Command, others: Sequence[Command]) -> tuple[Command, ...]:
-    """All that waits for the router, and gives its signs of life where the health checks listen."""
+    """Make all commands wait for the router and send signs of life.
+
+    The health checks receive the signs of life.
+    """
     return (_watched(router), *(_watched(replace(command, after=("router", *command.after))) for command in others))
 
 
@@ -183,7 +193,10 @@ def _condition(name: str) -> str:
 
 
 def _health(command: Command) -> list[str]:
-    """The lines of a health check: that it listens where it should, and gives signs of life; what hangs is ended."""
+    """Return the lines of a health check; it ends a hung process.
+
+    It checks that the port is open and that signs of life arrive.
+    """
     if not (command.ready_port or command.watchdog_s):
         return []
     port = ("--port", str(command.ready_port)) if command.ready_port else ()
@@ -194,16 +207,16 @@ def _health(command: Command) -> list[str]:
         "      interval: 10s",
         f"      timeout: {round(command.watchdog_s + _HANG_S)}s",
         "      retries: 1",
-        "      start_period: 600s",  # something may have to be compiled first
+        "      start_period: 600s",  # code may have to be compiled first
         "      start_interval: 1s",
     ]
 
 
 def _volumes(command: Command) -> list[str]:
-    """What a container shares with others, or keeps."""
+    """Return the volumes that a container shares with others or keeps."""
     found = [f"latch:{SHARED}"] if command.name in _LATCHED else []
     if command.name not in ("router", "actuator", "stop", "console", "recorder"):
-        found += [f"cache:{CACHE}"]  # of what compiles
+        found += [f"cache:{CACHE}"]  # cache of compiled code
     if command.name == "recorder":
         found += [f"recordings:{RECORDINGS}"]
     if command.name == "operator":

@@ -1,7 +1,7 @@
-"""Several robots on one base: of each a router, a mapper, a planner and what else a base has, and one page for all of them.
+"""Base station for several robots, with one operator page for all of them.
 
-What is a robot's own is in processes of its own, behind a router of its own, below a prefix of its own: what one robot says,
-or how it fails, holds no other up.
+Each robot has its own router, mapper, planner and further base processes, and its own key prefix. Messages or failures of one
+robot do not delay another one.
 """
 
 import contextlib
@@ -26,19 +26,19 @@ _LOBBY_MB = 128
 
 
 class FleetError(ValueError):
-    """What a fleet cannot be started with, and of which robot."""
+    """A fleet that cannot be started; the message names the robot."""
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A robot, as its base sees it."""
+    """A robot of the fleet, as the base station sees it."""
 
-    connect: tuple[str, ...]  # endpoints of its router, or of one that it is chained to
-    keys: str = ""  # folder of this machine's certificate for it
-    robot: str = "phantomx_mk2"  # its profile
-    namespace: str = ""  # prefix of its keys; empty: its name
-    without: tuple[str, ...] = ()  # processes of a base that do not run here
-    set: tuple[str, ...] = ()  # SERVICE.KEY=VALUE, as `sextant up --set` has them
+    connect: tuple[str, ...]  # endpoints of its router, or of a router chained to it
+    keys: str = ""  # folder of this machine's certificate for this robot
+    robot: str = "phantomx_mk2"  # robot profile
+    namespace: str = ""  # key prefix; empty: the robot's name
+    without: tuple[str, ...] = ()  # base processes that do not run here
+    set: tuple[str, ...] = ()  # SERVICE.KEY=VALUE, as for `sextant up --set`
 
     checks = (
         config.together("connect", lambda connect: len(connect) > 0, "one endpoint at least, e.g. tls/hexapod.local:7448,"),
@@ -51,7 +51,7 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """Where the page of all robots is served, as that of one."""
+    """Address of the page for all robots."""
 
     host: str = "127.0.0.1"
     port: int = 8080
@@ -62,17 +62,17 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """URL of the page for a browser."""
         return self.settings().url(self.port)
 
     def settings(self) -> Settings:
-        """The same, as those of a console."""
+        """Return the address as settings of a console."""
         return Settings(host=self.host, port=self.port, token=self.token)
 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """The robots by their names, and where the page of all of them is."""
+    """The robots by name, and the address of their common page."""
 
     robots: dict[str, Member]
     page: Page = field(default_factory=Page)
@@ -93,10 +93,10 @@ def _misnamed(names: Iterable[str]) -> Iterator[config.Misfit]:
 
 
 def load(path: Path) -> Fleet:
-    """Read a fleet from a TOML file; folders and profiles in it are seen from the file.
+    """Read a fleet from a TOML file; paths in it are relative to the file.
 
     Raises:
-        ConfigError: All that is wrong with it.
+        ConfigError: All problems of the file.
     """
     fleet = config.load(path, Fleet)
 
@@ -123,18 +123,21 @@ def load(path: Path) -> Fleet:
 
 
 class Base:
-    """All that runs of a fleet on this machine; a context manager, whose methods belong to one thread."""
+    """All processes of a fleet on this machine; a context manager.
+
+    Its methods belong to one thread.
+    """
 
     def __init__(self, fleet: Fleet, open_: bool, say: Callable[[str], object]):
-        """See that it can be started.
+        """Check that the fleet can be started.
 
         Args:
             fleet: The robots.
-            open_: Whether robots are met without certificates.
-            say: Is told what comes about, with the robot's name before it, from several threads.
+            open_: Whether robots without certificates are allowed.
+            say: Receives log lines that begin with the robot's name, from several threads.
 
         Raises:
-            FleetError: A robot would be met without a certificate, its keys are wrong, or a process or setting is none.
+            FleetError: A robot has no certificate, its keys are wrong, or a process or setting is unknown.
         """
         self._say = say
         self._halves: dict[str, tuple[Half, contextlib.ExitStack]] = {}
@@ -150,7 +153,7 @@ class Base:
             keys = Path(member.keys) if member.keys else None
             own, prefix = f"tcp/127.0.0.1:{free_port()}", member.namespace or name
             gated = Gate((own,), prefix, keys, open_ and keys is None, member.connect)
-            gated.configuration()  # what is wrong with the keys is told before anything starts
+            gated.configuration()  # raises if the keys are wrong, before anything starts
             if misplaced := gated.misplaced([row.name for row in rows]):
                 raise FleetError(misplaced)
             chosen, extra = self._told(name, member, page, rows)
@@ -161,7 +164,7 @@ class Base:
     def _told(
         self, name: str, member: Member, page: Page, rows: Sequence[Process]
     ) -> tuple[Choices, dict[str, tuple[str, ...]]]:
-        """What the processes of a robot are told; its console listens where the lobby finds it."""
+        """Return the settings of a robot's processes; its console gets a free port."""
         chosen = Choices(robot=member.robot, recordings=f"recordings/{name}")
         extra = process_table.further_settings(member.set, rows)
         if any(row.name == "console" for row in rows):
@@ -187,17 +190,20 @@ class Base:
 
     @property
     def running(self) -> tuple[str, ...]:
-        """The robots that are still cared for."""
+        """The robots whose processes still run."""
         return tuple(self._halves)
 
     def half(self, name: str) -> Half:
-        """What runs of one robot."""
+        """Return the processes of one robot."""
         return self._halves[name][0]
 
     def beat(self, wait_s: float) -> str:
-        """Do what is due, and wait up to a time [s]; why all of it has to end, in words, or nothing.
+        """Do what is due, and wait up to `wait_s` [s] for a process to end.
 
-        What fails of one robot ends what runs of that one.
+        A failure of one robot's processes ends only the processes of that robot.
+
+        Returns:
+            Why the whole fleet has to end, or an empty string.
         """
         for name, (half, own) in list(self._halves.items()):
             if problem := half.beat(0.0):
@@ -213,7 +219,7 @@ class Base:
         return ""
 
     def stop(self, insisted: Callable[[], bool]) -> None:
-        """End the processes; at once where that is insisted on."""
+        """End all processes; kill them at once when `insisted` returns True."""
         self._lobby.stop(insisted)
         for half, _ in self._halves.values():
             half.stop(insisted)

@@ -1,4 +1,4 @@
-"""One machine's half of a robot: its router, its processes, and the word that it gives the other machine."""
+"""Router and processes of one machine, and the handshake with the other machine."""
 
 import contextlib
 import os
@@ -17,12 +17,15 @@ from sextant.deploy.provenance import version
 from sextant.shared.wire.endpoint import occupied
 from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
 
-_NEEDED = ("router", "actuator", "simulator")  # without which the others are of no use
-_LOOK_S = 0.05  # between two looks for other machines, before anything is started
+_NEEDED = ("router", "actuator", "simulator")  # the other processes are useless without these
+_LOOK_S = 0.05  # [s] interval of looking for other machines before anything is started
 
 
 class Half:
-    """Runs from entering to leaving; a context manager, whose methods belong to one thread."""
+    """The processes of one machine, from entering to leaving; a context manager.
+
+    Its methods belong to one thread.
+    """
 
     def __init__(
         self,
@@ -33,15 +36,15 @@ class Half:
         gated: Gate,
         say: Callable[[str], object],
     ):
-        """Prepare.
+        """Prepare the processes; nothing is started yet.
 
         Args:
-            role: Of this machine.
+            role: Role of this machine.
             rows: The processes that run here.
-            chosen: What they are told.
+            chosen: Their settings.
             extra: Process name -> further settings.
-            gated: Where the router listens, to which it is chained, and whom it lets in.
-            say: Is told what the processes say, and who comes and goes, from several threads.
+            gated: Endpoints of the router, the routers it is chained to, and its access rules.
+            say: Receives the output of the processes and the changes of connected machines, from several threads.
         """
         self.names = [row.name for row in rows]
         self._role, self._gated, self._say = role, gated, say
@@ -51,7 +54,7 @@ class Half:
         self._certificate_role = gated.role(off)
         self.commands = process_table.commands(rows, chosen, endpoints, extra, off, self._certificate_role)
         self._router: Launcher | None = None
-        self._launcher: Launcher | None = None  # of the processes; none before other machines have been met
+        self._launcher: Launcher | None = None  # launcher of the processes; None until the other machines are connected
         self._began_s = time.monotonic()  # when they were started
         self._held = contextlib.ExitStack()
 
@@ -62,7 +65,7 @@ class Half:
             machine = f"{socket.gethostname()}-{os.getpid()}"
             about = machine, self._role, version(), self.names
             self._meeting = Meeting(link, *about, time.monotonic_ns, self._say, self._certificate_role)
-            if not self._gated.upstream:  # others come to this machine, and not before its router is there
+            if not self._gated.upstream:  # others connect to this machine, once its router is up
                 self._launcher = stack.enter_context(Launcher(self.commands, hear=self._pass_on))
             self._held = stack.pop_all()
         return self
@@ -71,14 +74,14 @@ class Half:
         self._held.__exit__(kind, error, trace)
 
     def where(self) -> str:
-        """Where its processes meet, and how others join them, in words."""
+        """Return as text where the processes connect, and how clients join."""
         gated = self._gated
         chained = f", chained to {', '.join(gated.upstream)}" if gated.upstream else ""
         joined = f"--connect {gated.listen[-1]} --namespace {gated.namespace}{' --keys DIR' if gated.keys else ''}"
         return f"router on {', '.join(gated.listen)}{chained}; others join with {joined}"
 
     def pid(self, name: str) -> int:
-        """Process id of a child, the newest one after a restart.
+        """Return the process id of a child, the newest one after a restart.
 
         Raises:
             KeyError: It has not been started yet.
@@ -88,10 +91,14 @@ class Half:
         return self._launcher.pid(name)
 
     def beat(self, wait_s: float) -> str:
-        """Do what is due, and wait up to a time [s] for a process to end; why this half has to end, in words, or nothing.
+        """Do what is due, and wait up to `wait_s` [s] for a process to end.
 
-        What other machines publish keeps processes from being started where they are chained to; it ends none that runs.
-        Nor does a process that has stayed up for a while end the others when it fails: the actuator and its stop path go on.
+        On a chained machine, messages of other machines can delay or refuse the start of processes, but they never end a
+        running one. A process that fails after it has stayed up does not end the others either: the actuator and the estop
+        process go on.
+
+        Returns:
+            Why this machine's processes have to end, or an empty string.
         """
         self._meeting.beat()
         if self._launcher is None:
@@ -113,7 +120,7 @@ class Half:
         return ""
 
     def stop(self, insisted: Callable[[], bool]) -> None:
-        """End the processes; at once where that is insisted on."""
+        """End the processes; kill them at once when `insisted` returns True."""
         for name in [] if self._launcher is None else self._launcher.stop(insisted):
             self._say(f"{name} did not end when asked and was killed")
 
@@ -126,7 +133,9 @@ def _ended_for_good(ended: Ended) -> str:
 
 
 def _host(gated: Gate, stack: contextlib.ExitStack, hear: Callable[[str, str], None]) -> Launcher | None:
-    """Host the router: in this process, or where somebody may be refused in one of its own, which hears whom.
+    """Host the router, in this process or, where it checks access, in a separate one.
+
+    A separate router logs which clients it admits and refuses.
 
     Raises:
         TransportError: It did not come up.

@@ -1,4 +1,4 @@
-"""Starts the processes of a run, watches them, and leaves none behind."""
+"""Launcher: starts the processes of a run, watches them, and ends all of them."""
 
 import contextlib
 import os
@@ -20,22 +20,25 @@ from sextant.deploy.launch.pulses import LOOK_S, Pulses, unwatched
 from sextant.deploy.process_table import Command
 from sextant.shared.wire.transport import Endpoints, Router, TransportError
 
-GRACE_S = 1.0  # between SIGTERM and SIGKILL
-LAUNCHERS_GRACE_S = 6.0  # likewise for launchers as children: they have children of their own to end, and a router to close
-STAYED_UP_S = 60.0  # after which a process has stayed up, and all of its restarts are left again
-_REAP_S = 0.5  # a killed process is gone after this
-_READY_LOOK_S = 0.05  # between two looks at whether a process is ready
-_TAIL = 200  # lines kept of what a process said
+GRACE_S = 1.0  # [s] between SIGTERM and SIGKILL
+LAUNCHERS_GRACE_S = 6.0  # [s] the same where the children are launchers, which end children and a router themselves
+STAYED_UP_S = 60.0  # [s] after which a process counts as stable and has all of its restarts again
+_REAP_S = 0.5  # [s] a killed process is gone after this
+_READY_LOOK_S = 0.05  # [s] interval of the readiness check
+_TAIL = 200  # output lines kept per process
 _FRAME = re.compile(r'  File ".*?(?P<file>[^/\\"]*)", line (?P<line>\d+) in (?P<function>.*)')  # of `faulthandler`
-_FRAMES = 4  # of them that are told
+_FRAMES = 4  # stack frames that are reported
 _ROUTER_ATTEMPTS = 5
-# Below the ports that the kernel gives to outgoing connections (32768 on), so that none of them is taken meanwhile.
+# Below the kernel's ephemeral ports (32768 and up), so that no outgoing connection takes one in the meantime.
 _PORTS = range(20_000, 32_000)
-_given: deque[int] = deque(maxlen=1000)  # the ports that this process has taken for free lately
+_given: deque[int] = deque(maxlen=1000)  # ports that this process returned lately
 
 
 def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody listens on now, another each time: many are asked for before one is opened."""
+    """Return an unused TCP port of 127.0.0.1, a different one at each call.
+
+    Callers often request several ports before they open the first one.
+    """
     chooser = random.SystemRandom()
     for _ in range(100):
         port = chooser.choice(_PORTS)
@@ -47,14 +50,17 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def host_router() -> Iterator[Endpoints]:
-    """Host a router in this process, on a loopback port and in a namespace of its own, so that parallel runs do not meet."""
+    """Host a router in this process, on a loopback port and in its own namespace.
+
+    Parallel runs therefore do not meet.
+    """
     namespace = f"sextant-{os.getpid()}-{random.SystemRandom().randrange(1 << 32):08x}"
     for attempt in range(_ROUTER_ATTEMPTS):
         endpoint = f"tcp/127.0.0.1:{free_port()}"
         router = Router((endpoint,))
         try:
             router.__enter__()
-        except TransportError:  # somebody took the port in between
+        except TransportError:  # another process took the port in the meantime
             if attempt == _ROUTER_ATTEMPTS - 1:
                 raise
             continue
@@ -67,11 +73,11 @@ def host_router() -> Iterator[Endpoints]:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A process that ended by itself."""
+    """A process that ended without a request."""
 
     name: str
-    how: str  # in words: exit status or signal
-    last_words: str  # what it said at the end
+    how: str  # exit status or signal, as text
+    last_words: str  # its last output
     restarted: bool  # whether it was started again
 
     def __str__(self) -> str:
@@ -88,14 +94,15 @@ class _Child:
     restarts_left: int
     began_s: float = field(default_factory=time.monotonic)
     reported: bool = False
-    hung: str = ""  # in words, where it was ended for that
+    hung: str = ""  # as text, if it was ended because it hung
 
 
 class Launcher:
     """Children of this process, from entering to leaving; a context manager.
 
-    One that has given a sign of life (`sextant.shared.runtime.watchdog`) and is silent for longer than its command allows ends.
-    Start, poll and stop belong to one thread that outlives the children: Linux ends a child with the thread that made it.
+    A child that has given a sign of life (`sextant.shared.runtime.watchdog`) is ended when it is silent for longer than its
+    command allows. Start, poll and stop belong to one thread that outlives the children: Linux ends a child with the thread
+    that made it.
     """
 
     def __init__(
@@ -104,20 +111,20 @@ class Launcher:
         hear: Callable[[str, str], None] = lambda _name, _line: None,
         grace_s: float = GRACE_S,
     ):
-        """Prepare.
+        """Prepare the launcher; nothing is started yet.
 
         Args:
-            commands: What to start, in this order, each once what it names in `after` is ready.
-            hear: Is told each line that a process says, with its name, from threads of the launcher.
-            grace_s: [s] between asking them to end and killing them.
+            commands: Processes to start, in this order; each one starts once the processes in its `after` are ready.
+            hear: Receives the name and each output line of a process, from threads of the launcher.
+            grace_s: [s] between SIGTERM and SIGKILL.
         """
         self._grace_s = grace_s
         self._commands = tuple(commands)
         self._hear = hear
         self._children: dict[str, _Child] = {}
-        self._waiting: list[Command] = []  # for what must be ready before them
+        self._waiting: list[Command] = []  # not started yet, because they wait for others to be ready
         self._stirred = threading.Event()  # a child may have ended
-        self._pulses: Pulses | None = None  # of those that are watched
+        self._pulses: Pulses | None = None  # signs of life of the watched children
 
     def __enter__(self) -> Self:
         self._waiting = list(self._commands)
@@ -134,24 +141,24 @@ class Launcher:
         self.stop()
 
     def names(self) -> tuple[str, ...]:
-        """What runs or has run so far."""
+        """Return the names of all processes that were started."""
         return tuple(self._children)
 
     def pid(self, name: str) -> int:
-        """Process id of a child, the newest one after a restart."""
+        """Return the process id of a child, the newest one after a restart."""
         return self._children[name].process.pid
 
     def poll(self) -> list[Ended]:
-        """Children that ended since the last look; those with restarts left run again.
+        """Return the children that ended since the last call, and restart those that may.
 
-        Starts what waited for another to be ready, and kills what hangs.
+        Also start processes whose prerequisites are ready, and kill processes that hang.
         """
         self._start_waiting()
         self._end_hung()
         return [self._bury(child) for child in list(self._children.values()) if not child.reported and _over(child)]
 
     def wait(self, timeout_s: float) -> list[Ended]:
-        """As `poll`, but waits for a child to end up to a time [s]."""
+        """Poll, and wait up to `timeout_s` [s] for a child to end."""
         until = time.monotonic() + timeout_s
         while True:
             self._stirred.clear()
@@ -163,46 +170,49 @@ class Launcher:
             self._stirred.wait(min(remaining, look))
 
     def wait_for_start(self, timeout_s: float) -> bool:
-        """Wait until every child has been started, so that what it names in `after` is ready; whether that came in time."""
+        """Wait until every child has been started; return False at a timeout.
+
+        A child is started once the processes in its `after` are ready.
+        """
         until = time.monotonic() + timeout_s
         while self._waiting and time.monotonic() < until:
             self.wait(_READY_LOOK_S)
         return not self._waiting
 
     def kill(self, name: str) -> None:
-        """End a child as a crash would, for a fault test; the restart policy applies."""
+        """Kill a child to simulate a crash; the restart policy applies."""
         _signal(self._children[name], signal.SIGKILL)
 
     def freeze(self, name: str) -> None:
-        """Stop a child in its tracks, as a hang would."""
+        """Freeze a child (SIGSTOP), as if it hung."""
         _signal(self._children[name], signal.SIGSTOP)
 
     def thaw(self, name: str) -> None:
-        """Let a frozen child go on."""
+        """Continue a frozen child."""
         _signal(self._children[name], signal.SIGCONT)
 
     def stop(self, insisted: Callable[[], bool] = lambda: False) -> list[str]:
-        """End all children: ask, wait for as long as they are given, then kill.
+        """End all children: send SIGTERM, wait for the grace period, then kill.
 
         Args:
-            insisted: Asked while waiting; True kills at once.
+            insisted: Polled while waiting; True kills at once.
 
         Returns:
-            Names of those that had to be killed.
+            Names of the children that had to be killed.
         """
         self._waiting.clear()
         for child in self._children.values():
             child.reported = True
         until = time.monotonic() + self._grace_s
-        # Who needs another goes first, so that nobody's last words are that the other has gone.
+        # Dependent processes end first, so that their last output is not an error about a lost dependency.
         needed = {name for child in self._children.values() for name in child.command.after}
         first = [child for name, child in self._children.items() if name not in needed]
         self._ask(first, [child for child in first if child.command.after], until - self._grace_s / 2, insisted)
-        rest = [child for name, child in self._children.items() if name in needed]  # nobody is asked twice, which is to insist
+        rest = [child for name, child in self._children.items() if name in needed]  # one SIGTERM each: a second one insists
         self._ask(rest, list(self._children.values()), until, insisted)
         killed = [name for name, child in self._children.items() if not _over(child)]
         for child in self._children.values():
-            with contextlib.suppress(ProcessLookupError):  # also what the child itself has started
+            with contextlib.suppress(ProcessLookupError):  # also processes that the child started
                 os.killpg(child.process.pid, signal.SIGKILL)
         for child in self._children.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -215,10 +225,10 @@ class Launcher:
         return killed
 
     def _ask(self, children: list[_Child], awaited: list[_Child], until: float, insisted: Callable[[], bool]) -> None:
-        """Ask some to end and wait for those that matter, at most until a time and no longer than the operator wants to."""
+        """Send SIGTERM to `children`; wait for `awaited` until a time or insisted."""
         for child in children:
             _signal(child, signal.SIGTERM)
-            _signal(child, signal.SIGCONT)  # a frozen one could not hear
+            _signal(child, signal.SIGCONT)  # a frozen process handles no signal
         while any(not _over(child) for child in awaited) and time.monotonic() < until and not insisted():
             self._stirred.clear()
             self._stirred.wait(0.02)
@@ -239,7 +249,7 @@ class Launcher:
         for child in self._children.values():
             silent_s = self._pulses.silent_s(child.process.pid)
             if child.command.watchdog_s and silent_s >= child.command.watchdog_s and not _over(child):
-                # Aborted, it says in which function it is, unless it is frozen; by the next look it has to be gone.
+                # An aborted process prints its stack, unless it is frozen; it is killed if it is still there at the next poll.
                 _signal(child, signal.SIGKILL if child.hung else signal.SIGABRT)
                 child.hung = child.hung or f"hung: no sign of life for {silent_s:.1f} s"
 
@@ -254,7 +264,7 @@ class Launcher:
             text=True,
             encoding="utf-8",
             errors="replace",
-            process_group=0,  # the terminal's Ctrl-C reaches the launcher alone
+            process_group=0,  # Ctrl-C at the terminal reaches the launcher only
         )
         if self._pulses:
             self._pulses.watch(process.pid)
@@ -280,7 +290,7 @@ class Launcher:
         status = child.process.returncode
         stayed_up = time.monotonic() - child.began_s >= STAYED_UP_S
         restarts_left = child.command.restarts if stayed_up else child.restarts_left
-        again = restarts_left > 0 and status != 2  # 2: it was started wrongly, and would be again
+        again = restarts_left > 0 and status != 2  # 2 means a wrong invocation; a restart would fail again
         ended = Ended(child.command.name, child.hung or how_it_ended(status), last_words(list(child.tail)), again)
         child.reported = True
         if self._pulses:
@@ -291,7 +301,7 @@ class Launcher:
 
 
 def how_it_ended(status: int) -> str:
-    """An exit status as `subprocess` gives it, in words."""
+    """Describe an exit status of `subprocess` as text."""
     if status >= 0:
         return f"exit status {status}"
     try:
@@ -301,7 +311,10 @@ def how_it_ended(status: int) -> str:
 
 
 def last_words(lines: Sequence[str]) -> str:
-    """What counts of a process's last lines: where it was aborted, the exception of a traceback, or else the last three."""
+    """Return the relevant part of a process's last lines.
+
+    It is the stack where the process was aborted, else the exception of a traceback, else the last three lines.
+    """
     said = [line for line in lines if line.strip()]
     frames = [match for line in said[_aborted(said) :] if (match := _FRAME.fullmatch(line))][:_FRAMES]
     if frames:
@@ -315,7 +328,10 @@ def last_words(lines: Sequence[str]) -> str:
 
 
 def _aborted(said: Sequence[str]) -> int:
-    """Index of the line from which `faulthandler` lists the calls of the aborted thread, or how many lines there are."""
+    """Return the index of the line where `faulthandler` lists the aborted thread.
+
+    Without such a line it is the number of lines.
+    """
     starts = [i for i, line in enumerate(said) if line.startswith("Current thread") and "most recent call first" in line]
     return starts[-1] if starts else len(said)
 

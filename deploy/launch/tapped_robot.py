@@ -1,4 +1,7 @@
-"""The processes of a simulated robot whose servo bus is tapped: to break one of them, or to time what reaches the servos."""
+"""Simulated robot whose servo bus passes through a tap.
+
+The tap injects faults, or measures when messages reach the servos.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -18,17 +21,20 @@ WORLD_ROUTER = "world router"
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where the processes of one robot meet each other, and its servos."""
+    """Endpoints and ports of one robot's processes and servos."""
 
     robot: Endpoints  # the router listens at the first of them
     bus: int  # TCP port of the simulated servo bus
     tap: int  # TCP port of the tap in front of it
-    base: Endpoints | None = None  # of the other half, by a router chained to the robot's; None for one router
-    world: Endpoints | None = None  # of the simulator likewise, so that the truth is heard while the robot's router is broken
+    base: Endpoints | None = None  # of the base station, whose router is chained to the robot's; None: one router
+    world: Endpoints | None = None  # of the simulator, which stays reachable while the robot's router is broken
 
     @classmethod
     def free(cls, namespace: str, base: bool = False, world: bool = False) -> Self:
-        """Places on this machine that nobody has, with or without routers of the other half and of the simulator."""
+        """Return unused endpoints and ports of this machine.
+
+        `base` and `world` add separate routers for the base station and for the simulator.
+        """
 
         def somewhere() -> Endpoints:
             return Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace=namespace)
@@ -37,16 +43,16 @@ class Places:
 
     @property
     def servos(self) -> str:
-        """The tap as pyserial opens it."""
+        """The tap's address for pyserial."""
         return f"socket://127.0.0.1:{self.tap}"
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """The operators' page of a robot, and its recorder."""
+    """The operator page of a robot, and its recorder."""
 
     port: int
-    recordings: str  # folder in which they go
+    recordings: str  # folder for recordings
 
 
 def commands(
@@ -57,15 +63,15 @@ def commands(
     scan_rate_hz: float | None = None,
     gate: Gate | None = None,
 ) -> list[Command]:
-    """The services, their router, and the tap between actuator and servos.
+    """Return the commands of the services, their routers, and the tap.
 
     Args:
-        places: Where they meet.
-        seed: Of the simulator.
-        scenario: That it is given.
-        page: None for no page, and no recorder.
-        scan_rate_hz: Of perception; None for what it takes by itself.
-        gate: Of the router, where it lets in others than those of this machine.
+        places: Endpoints and ports.
+        seed: Random seed of the simulator.
+        scenario: Name or path of the scenario.
+        page: None for no page and no recorder.
+        scan_rate_hz: [Hz] scan rate of perception; None for its default.
+        gate: Access rules of the router, if it admits other machines.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, places.bus)
     if page is not None:
@@ -103,7 +109,7 @@ def commands(
 
 
 def _chained_router(name: str, at: Endpoints, robot: Endpoints) -> Command:
-    """A router chained to the robot's."""
+    """Return the command of a router that is chained to the robot's."""
     listen = at.connect[0]
     words = ("--listen", listen, "--connect", robot.connect[0], "--namespace", at.namespace)
     return replace(process_table.router_command(listen, words), name=name, restarts=RESTARTS)

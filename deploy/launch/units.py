@@ -1,7 +1,7 @@
-"""Units of systemd for a robot's computer, made from the process table: a service per process, and a target for all of them.
+"""systemd units for a robot's computer: one service per process, and a target.
 
-A process alone in its unit is started again alone. Signs of life go to systemd by the same protocol as to the launcher, so that
-`WatchdogSec=` is the table's.
+They are made from the process table. systemd restarts each process separately. A process sends its signs of life to systemd by
+the same protocol as to the launcher, so `WatchdogSec=` is the table's timeout.
 """
 
 import hashlib
@@ -19,24 +19,24 @@ DEVICE_GROUPS = (
     "uucp",
     "video",
     "plugdev",
-)  # that serial ports and cameras belong to, on one distribution or another
+)  # groups that own serial ports and cameras, depending on the distribution
 _PREFIX = "sextant-"
 _MARK = "# Made by `sextant service install`; change it by `systemctl edit`. "
-_START_S = 600  # that a process may take until its loop runs: it may have to compile first
+_START_S = 600  # [s] until its loop runs; it may have to compile first
 _STOP_S = 5
-_AGAIN_S = 1  # from a failure to the next start
-_WITHIN_S = 60  # that the table's restarts are counted in
+_AGAIN_S = 1  # [s] from a failure to the next start
+_WITHIN_S = 60  # [s] window in which the table's restarts are counted
 _TASKS = 128
-_PRIORITY = 10  # of real time that an urgent process gives itself
-# What every process does without. None keeps a serial port or a camera away, as PrivateDevices= and ProtectClock= would,
-# or compiled loops from running, as MemoryDenyWriteExecute= would.
+_PRIORITY = 10  # real-time priority that an urgent process requests
+# Restrictions for every process. None of them blocks serial ports or cameras, as PrivateDevices= and ProtectClock= would, or
+# compiled loops, as MemoryDenyWriteExecute= would.
 _HARDENED = (
     "NoNewPrivileges=yes",
     "LockPersonality=yes",
     "SystemCallArchitectures=native",
     "RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK",
 )
-_HARDENED_SYSTEM = (  # that a user's own service manager may not do
+_HARDENED_SYSTEM = (  # not available to a user's own service manager
     "CapabilityBoundingSet=",
     "ProtectSystem=strict",
     "ProtectHome=read-only",
@@ -48,7 +48,7 @@ _HARDENED_SYSTEM = (  # that a user's own service manager may not do
     "ProtectHostname=yes",
     "RestrictNamespaces=yes",
     "RestrictSUIDSGID=yes",
-    # The order to let go is a file that all share, and outlives them; anybody may give it, at a terminal.
+    # The torque-off latch is a file that all processes share. It outlives them, and any user may set it at a terminal.
     "RuntimeDirectory=sextant",
     "RuntimeDirectoryMode=1777",
     "RuntimeDirectoryPreserve=yes",
@@ -59,39 +59,39 @@ _SYSTEM_ENVIRONMENT = {"NUMBA_CACHE_DIR": "%C/sextant"}
 
 @dataclass(frozen=True, slots=True)
 class Manager:
-    """Which service manager is to start the units."""
+    """Which service manager starts the units."""
 
-    python: str  # interpreter, by its whole path
-    user: str = ""  # whom the machine's own manager runs them as; empty: a user's own manager
-    groups: tuple[str, ...] = ()  # that the machine's own manager gives them beside the user's; each must be there
+    python: str  # absolute path of the interpreter
+    user: str = ""  # user for the system's service manager; empty: the user's own manager
+    groups: tuple[str, ...] = ()  # supplementary groups, system manager only; each must exist
 
     @property
     def system(self) -> bool:
-        """Whether it is the machine's own."""
+        """Whether this is the system's service manager."""
         return bool(self.user)
 
     @property
     def systemctl(self) -> str:
-        """The command that asks it."""
+        """The command that controls the service manager."""
         return "sudo systemctl" if self.system else "systemctl --user"
 
     @property
     def usual_folder(self) -> Path:
-        """Where it looks for units."""
+        """Folder where the service manager looks for units."""
         return Path("/etc/systemd/system") if self.system else Path.home() / ".config" / "systemd" / "user"
 
 
 class UnitError(ValueError):
-    """A unit that is somebody else's, with what to do."""
+    """A unit that `install` did not write, with advice."""
 
 
 def units(router: Command, processes: Sequence[Command], manager: Manager) -> Mapping[str, str]:
-    """The text of each unit by its file's name.
+    """Return the text of each unit by file name.
 
     Args:
-        router: How the router is started.
-        processes: How the others are, all of which wait for it.
-        manager: Who starts them.
+        router: Command of the router.
+        processes: Commands of the other processes; all of them wait for the router.
+        manager: The service manager that starts them.
     """
     waiting = [replace(command, after=(router.name, *command.after)) for command in processes]
     made = {_file(command.name): _service(command, manager) for command in (router, *waiting)}
@@ -99,13 +99,13 @@ def units(router: Command, processes: Sequence[Command], manager: Manager) -> Ma
 
 
 def install(made: Mapping[str, str], folder: Path) -> list[Path]:
-    """Write units, and remove those of an earlier installation that are no longer among them.
+    """Write units, and remove those of an earlier installation not among them.
 
     Returns:
-        What was written.
+        The files that were written.
 
     Raises:
-        UnitError: A file of that name is somebody else's, or was changed by hand; nothing was written.
+        UnitError: A file of that name exists and `install` did not write it, or it was edited; nothing was written.
     """
     if foreign := [name for name in made if (folder / name).exists() and not _ours(folder / name)]:
         raise UnitError(
@@ -125,10 +125,10 @@ def uninstall(folder: Path, systemctl: str) -> tuple[list[Path], list[Path]]:
     """Remove exactly what `install` wrote.
 
     Returns:
-        What was removed, and what is left because somebody has changed it or it is somebody else's.
+        The removed files, and the files that remain because they were edited or are not from `install`.
 
     Raises:
-        UnitError: The target is still started with the machine.
+        UnitError: The target is still enabled.
     """
     if links := sorted(folder.glob(f"*.wants/{TARGET}")):
         raise UnitError(f"{links[0]}: it is still enabled; `{systemctl} disable --now {TARGET}` first")
@@ -140,7 +140,7 @@ def uninstall(folder: Path, systemctl: str) -> tuple[list[Path], list[Path]]:
 
 
 def installed(folder: Path) -> list[Path]:
-    """Units in a folder that are as `install` left them."""
+    """Return the units in a folder that are unchanged since `install` wrote them."""
     return sorted(path for path in (*folder.glob(f"{_PREFIX}*.service"), *folder.glob(TARGET)) if _ours(path))
 
 
@@ -181,11 +181,11 @@ def _service(command: Command, manager: Manager) -> str:
         "WorkingDirectory=%S/sextant",
         f"Restart={'on-failure' if command.restarts else 'no'}",
         f"RestartSec={_AGAIN_S}",
-        "RestartPreventExitStatus=2",  # it was started wrongly, and would be again
+        "RestartPreventExitStatus=2",  # 2 means a wrong invocation; a restart would fail again
         f"TimeoutStartSec={_START_S}",
         f"TimeoutStopSec={_STOP_S}",
         *([f"WatchdogSec={round(command.watchdog_s * 1e3)}ms"] if command.watchdog_s else []),
-        "LimitCORE=0",  # a process that hangs is ended by SIGABRT, and says where it hung
+        "LimitCORE=0",  # a process that hangs is aborted by SIGABRT and prints its stack
         *([f"LimitRTPRIO={_PRIORITY}"] if "--urgent" in command.arguments else ["RestrictRealtime=yes"]),
         *([f"MemoryMax={command.memory_mb}M"] if command.memory_mb else []),
         f"TasksMax={_TASKS}",
@@ -209,7 +209,7 @@ def _target(services: Sequence[str], manager: Manager) -> str:
 
 
 def _quoted(word: str, specifiers: bool = False) -> str:
-    """A word as systemd reads it back: nothing in it is a variable or, unless it is to be, a specifier."""
+    """Quote a word for systemd, without variables and, unless wanted, specifiers."""
     word = word if specifiers else word.replace("%", "%%").replace("$", "$$")
     if re.fullmatch(r"[\w%$@:,./=+-]+", word):
         return word

@@ -1,1 +1,1 @@
-"""Pictures of runs, for people, who look before they read."""
+"""Pictures of runs."""

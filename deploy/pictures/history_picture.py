@@ -1,4 +1,4 @@
-"""A walk over time, one strip below the other: who said what, and each quantity beside its limit."""
+"""A walk over time in strips: states and complaints, and quantities with limits."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from sextant.deploy.judging.trace import Trace
 
 TRUE, ESTIMATE, REFERENCE, BAD, MUTED = "#111111", "#d01c8b", "#7f7f7f", "#b3261e", "#5f6368"
 _BLUE, _ORANGE = "#0072b2", "#d55e00"
-_STATES = {  # of all services, from pale for what is as it should be, to red
+_STATES = {  # of all services: pale for normal states, red for faults
     "stepping": "#bcd9c6",
     "walk": "#bcd9c6",
     "registered": "#bcd9c6",
@@ -30,12 +30,12 @@ _STATES = {  # of all services, from pale for what is as it should be, to red
     "fault": "#d9534a",
 }
 _OTHER = "#c9c3dd"
-_CHARACTER = 0.0062  # [1] of the figure's width that a letter of a state takes
+_CHARACTER = 0.0062  # [1] width of a state's letter, as a share of the figure's
 _CURVES = 5
-_GAP_S = 0.5  # [s] without an estimate, over which no line is drawn
-_TOLD = 5  # complaints that are told in words
-_AFTERWARDS = 1.0  # [s] after the moment that are still about it
-_BESIDE = 0.028  # [1] of the strip's width between two flags
+_GAP_S = 0.5  # [s] gap in the estimate that interrupts the line
+_TOLD = 5  # complaints that are shown as text
+_AFTERWARDS = 1.0  # [s] complaints this long after the decisive moment still belong to it
+_BESIDE = 0.028  # [1] distance of two flags, as a share of the strip's width
 
 
 def draw(
@@ -50,13 +50,13 @@ def draw(
     """Draw the strips into a part of a figure.
 
     Args:
-        figure: Matplotlib's.
+        figure: Matplotlib figure.
         box: Left, bottom, width and height [1] of the figure.
         trace: The run.
-        moment: Which decided it, marked through all strips.
-        color: Of that mark.
-        told: Complaints that are told in words elsewhere, numbered from 1.
-        truth: Whether what is called true is so, or what the robot measured.
+        moment: The decisive moment, marked in all strips.
+        color: Colour of that mark.
+        told: Complaints that are shown as text elsewhere, numbered from 1.
+        truth: Whether the "true" values are ground truth; else they are the robot's measurements.
     """
     left, bottom, width, height = box
     gap = 0.016 * 12 / figure.get_figheight()
@@ -90,11 +90,14 @@ def draw(
         top.annotate(words_at, (moment.t, 1.0), (4, 3), **place, **style)
 
 
-# -- in words
+# -- states
 
 
 def _said(axes: Any, trace: Trace, told: Sequence[Complaint], width: float) -> None:
-    """A line of states for each service, and flags where one complained; those told in words have their number."""
+    """Draw a line of states per service, with flags at its complaints.
+
+    Complaints that are shown as text have their number.
+    """
     axes.set_ylim(-0.55, len(SPEAKERS) - 0.4)
     axes.set_yticks(range(len(SPEAKERS)), SPEAKERS[::-1], size=12)
     axes.tick_params(axis="y", length=0)
@@ -116,14 +119,14 @@ def _said(axes: Any, trace: Trace, told: Sequence[Complaint], width: float) -> N
         own = [(number, complaint.begin) for number, complaint in enumerate(told, 1) if complaint.who == who]
         after = -np.inf
         for k, (number, begin) in enumerate(own):
-            last = end - _BESIDE * end * (len(own) - 1 - k)  # with room for those behind it
+            last = end - _BESIDE * end * (len(own) - 1 - k)  # leaves room for the flags after it
             at = max(min(begin, last), after + _BESIDE * end)
             flag(axes, (at, y), str(number))
             after = at
 
 
 def flag(axes: Any, at: tuple[float, float], number: str) -> None:
-    """A number, or several, that lead to their words."""
+    """Draw a flag with the number, or numbers, of complaints."""
     axes.annotate(
         number,
         at,
@@ -139,7 +142,11 @@ def flag(axes: Any, at: tuple[float, float], number: str) -> None:
 
 
 def told_in_words(trace: Trace, moment: Moment | None) -> list[Complaint]:
-    """The complaints that are worth their words, in order of time: each kind once, the weightiest and newest by the moment."""
+    """Return the complaints to show as text, in order of time.
+
+    Each kind appears once. Complaints near the decisive moment take precedence, then those of the planner, perception and
+    actuator in this order, then newer ones.
+    """
     latest = moment.t + _AFTERWARDS if moment is not None else np.inf
     kinds: dict[tuple[str, str], Complaint] = {}
     for complaint in trace.complaints:
@@ -150,7 +157,7 @@ def told_in_words(trace: Trace, moment: Moment | None) -> list[Complaint]:
     return sorted(told, key=lambda c: c.begin)
 
 
-# -- in figures
+# -- quantities
 
 
 def _height(axes: Any, trace: Trace) -> None:
@@ -199,13 +206,13 @@ def _pose_error(axes: Any, trace: Trace) -> None:
 
 
 def _broken(t: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A curve that is broken off where nothing came for long."""
+    """Insert NaN into a curve at long gaps, so that its line is interrupted."""
     at = np.flatnonzero(np.diff(t) > _GAP_S) + 1
     return np.insert(t, at, np.nan), np.insert(values, at, np.nan)
 
 
 def _limit(axes: Any, value: float, words: str) -> None:
-    """A limit as a line, or where it lies beyond what is shown as an arrow to it."""
+    """Draw a limit as a line, or as an arrow if it lies outside the axes."""
     low, high = axes.get_ylim()
     style: dict[str, Any] = {"color": BAD, "size": 11, "ha": "right"}
     if low <= value <= high:
@@ -220,7 +227,10 @@ def _limit(axes: Any, value: float, words: str) -> None:
 
 
 def zoom(axes: Any, curves: list[NDArray[np.float64]], least: float, floor: float | None = None) -> None:
-    """Limits that show nearly all of the curves; what a fall adds to them would hide the walk."""
+    """Set limits that show nearly all of the curves.
+
+    Outliers, as of a fall, would otherwise hide the walk.
+    """
     values = np.concatenate(curves)
     values = values[np.isfinite(values)]
     if not len(values):
@@ -232,7 +242,7 @@ def zoom(axes: Any, curves: list[NDArray[np.float64]], least: float, floor: floa
 
 
 def walked(trace: Trace) -> list[tuple[float, float]]:
-    """When it walked [s]; pauses of less than half a second do not interrupt a walk."""
+    """Return the intervals [s] of walking; pauses below half a second do not count."""
     walking = np.flatnonzero(trace.walking)
     if not len(walking):
         return []

@@ -1,4 +1,4 @@
-"""The foothold layers of one map as a picture, for people: height, Lotriet's score, Masri's evaluation function."""
+"""Foothold layers of a map: height, Lotriet's score, Masri's evaluation function."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,22 +15,22 @@ from sextant.shared.wire.messages import TerrainMap
 UNSEEN = "#e4e4e4"
 _DPI = 100
 _WIDTH = 18.0  # [in] of the three together
-_ROOM = 0.06  # [m] around what is known
-_LEAST_RELIEF = 0.015  # [m] to either side of the middle: level ground is not to look like mountains
-_WORST = 3.0  # score from which all is equally bad
-_FURTHEST = 8  # [cells] outside, from which all is equally far
+_ROOM = 0.06  # [m] around the known area
+_LEAST_RELIEF = 0.015  # [m] least half range of the colours, so that level ground does not look mountainous
+_WORST = 3.0  # score above which the colour does not change
+_FURTHEST = 8  # [cells] outside, beyond which the colour does not change
 
 
 def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> bool:
     """Draw the layers of a map.
 
     Args:
-        path: Of the picture, in the format of its suffix.
+        path: Output file; its suffix is the format.
         terrain: The map.
-        T_world_way: (n, 4, 4) poses of whatever went over it, or None.
+        T_world_way: (n, 4, 4) poses of the path over it, or None.
 
     Returns:
-        Whether there was anything to draw: a map that knows nothing leaves no picture.
+        False if the map has no known cell; then there is no picture.
     """
     figure = figure_of(terrain, T_world_way)
     if figure is None:
@@ -41,9 +41,9 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
 
 
 def figure_of(terrain: TerrainMap, T_world_way: Array | None = None, footholds: Sequence[Array] = ()) -> Any:
-    """The same as a figure that is not saved yet, for each leg with the places (k, 2 or 3) [m] {world} chosen for its foot.
+    """Return the layers as a figure, or None if the map has no known cell.
 
-    None where there is nothing to draw.
+    `footholds` has for each leg the chosen footholds (k, 2 or 3) [m] {world}.
     """
     part = _known_part(terrain)
     if part is None:
@@ -87,12 +87,12 @@ def figure_of(terrain: TerrainMap, T_world_way: Array | None = None, footholds: 
             axes.set_ylabel("y [m]")
             figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02).outline.set_visible(False)
         figure.suptitle(f"{terrain.stamp_ns * 1e-9:.1f} s · cells of {100 * r:g} cm · grey: not known well enough", size=12)
-        figure.draw_without_rendering()  # as long as its fonts are set
+        figure.draw_without_rendering()  # while the font settings are active
     return figure
 
 
 def _known_part(terrain: TerrainMap) -> tuple[slice, slice] | None:
-    """The rows and columns that hold what is known, with a little room."""
+    """Return the rows and columns of the known area, with a margin."""
     known = np.isfinite(terrain.elevation)
     if not known.any():
         return None
@@ -105,7 +105,7 @@ def _known_part(terrain: TerrainMap) -> tuple[slice, slice] | None:
 
 
 def ground_colors() -> Any:
-    """Colours of heights, from low to high."""
+    """Return a colour map for heights, from low to high."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("ground", ["#8fb3a6", "#c3d9c3", "#f6f3dc", "#ecd09a", "#c9965a"])

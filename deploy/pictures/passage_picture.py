@@ -1,4 +1,4 @@
-"""One picture of a run that planned its way over a passage: what it saw and planned at each stop, and where it went."""
+"""Picture of a gap crossing: maps and plans at each stop, and the walked path."""
 
 import textwrap
 from collections.abc import Sequence
@@ -30,23 +30,23 @@ from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.wire.messages import UNKNOWN, PassageMap
 
 _SIZE, _DPI, _FONT = (16.0, 15.0), 100, 13
-_SECTIONS = ("#1f5fd0", "#8a2be2", "#00796b", "#b26a00", "#c2185b", "#455a64")  # colours, over again from the seventh on
+_SECTIONS = ("#1f5fd0", "#8a2be2", "#00796b", "#b26a00", "#c2185b", "#455a64")  # colours, repeated from the seventh section on
 _TRUE, _BAD, _MUTED = "#111111", "#b3261e", "#5f6368"
 _BEFORE, _AFTER, _SIDE = 0.35, 0.35, 0.45  # [m] shown before the start, after the goal, and to both sides
-_FURTHEST, _DEEPEST = 8, -5  # [cells] of the evaluation function, beyond which its colour changes no more
+_FURTHEST, _DEEPEST = 8, -5  # [cells] of the evaluation function beyond which its colour does not change
 _ROWS = 6  # stops in the table
-_SAME = 0.02  # [m] between the heights of ground that has not changed
+_SAME = 0.02  # [m] height difference below which ground counts as unchanged
 _DASHES = (0, (5, 3))
-_UNDER = 0.10  # [m] shown below the start's ground, from aside
+_UNDER = 0.10  # [m] shown below the start's ground, in the side view
 
 
 def draw(path: Path, report: Report, trace: Trace) -> None:
-    """Draw a run over a passage.
+    """Draw a run over a gap.
 
     Args:
-        path: Of the picture, 1600 x 1500 pixels, in the format of its suffix.
-        report: What it came to.
-        trace: How it went, with sections that were planned.
+        path: Output file, 1600 x 1500 pixels; its suffix is the format.
+        report: Report of the run.
+        trace: Trace of the run, with planned sections.
     """
     figure = figure_of(report, trace)
     whole_files.make_folder(path.parent)
@@ -54,7 +54,7 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
 
 
 def figure_of(report: Report, trace: Trace) -> Any:
-    """The same as a figure that is not saved yet."""
+    """Return the picture as a figure."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -69,20 +69,20 @@ def figure_of(report: Report, trace: Trace) -> Any:
         )
         _draw_planned(figure, planned, trace)
         _draw_walked(figure, walked, report, trace)
-        box = walked.get_position()  # by now with the map's proportions
+        box = walked.get_position()  # now with the map's proportions
         aside.set_position((box.x0, 0.230, box.width, 0.08))
         _draw_aside(aside, trace)
         _draw_sections(figure.add_axes((0.055, 0.015, 0.600, 0.165)), trace)
         draw_table(figure.add_axes((0.685, 0.015, 0.295, 0.165)), _numbers(report))
-        figure.draw_without_rendering()  # as long as its fonts are set
+        figure.draw_without_rendering()  # while the font settings are active
     return figure
 
 
-# -- from above
+# -- top views
 
 
 def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
-    """The evaluation function in colour, the trees, the footholds and stances that were planned."""
+    """Draw the evaluation function, search trees, planned footholds and stances."""
     from matplotlib.collections import LineCollection
 
     _frame(axes, trace)
@@ -95,7 +95,7 @@ def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
             _draw_way(axes, section, color)
             _draw_stance(axes, trace.profile, section, color)
     last = trace.sections[-1]
-    if last.plan.state == "no way":  # others before it were followed by another look or other samples
+    if last.plan.state == "no way":  # earlier failures were followed by another look or other samples
         _draw_dead_end(axes, trace.profile, last, _color(len(trace.sections) - 1))
     ways = [s.plan for s in trace.sections if s.plan.state != "no way"]
     for leg, color in enumerate(LEG_COLORS):
@@ -119,9 +119,10 @@ def _planned_legend(color: str) -> list[Any]:
 
 
 def _strips(maps: Sequence[PassageMap]) -> list[tuple[PassageMap, Array]]:
-    """A map of each strip, with the evaluation function (nx, ny) of all its maps [cells], NaN where nothing is known.
+    """Return a map of each strip with the evaluation function (nx, ny) [cells].
 
-    A newer one counts, but for ground that lies as high as when it was a better foothold: that is beside what it has forgotten.
+    It combines all maps of the strip; NaN is unknown. A newer map takes precedence, except where the height is unchanged and an
+    older map rated the cell as a better foothold: there the newer map has forgotten neighbouring cells.
     """
     strips: list[tuple[PassageMap, Array, Array]] = []
     for known in maps:
@@ -143,7 +144,7 @@ def _lies_as(a: PassageMap, b: PassageMap) -> bool:
 
 
 def _draw_evaluation(axes: Any, known: PassageMap, cells: Array) -> Any:
-    """A strip's evaluation function where it lies; what is unknown lets through what is below."""
+    """Draw a strip's evaluation function at its place; unknown cells are transparent."""
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.transforms import Affine2D
 
@@ -156,20 +157,23 @@ def _draw_evaluation(axes: Any, known: PassageMap, cells: Array) -> Any:
 
 
 def _evaluation_colors() -> Any:
-    """Pale enough for trees to be seen on them: green where a foot may stand, the more so the better, sand elsewhere."""
+    """Return a pale colour map, on which trees are visible.
+
+    Footholds are green, darker where better; all other cells are sand-coloured.
+    """
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("evaluation", ["#3fa796", "#d5eee9", "#fdf3e3", "#d3b48a"])
 
 
 def _draw_way(axes: Any, section: PlannedSection, color: str, **style: Any) -> None:
-    """The body's way from where it stood."""
+    """Draw the body path from its starting position."""
     path = np.vstack([section.p[:2], section.plan.body[:, :2]])
     axes.plot(path[:, 0], path[:, 1], color=color, **{"lw": 2.0, "zorder": 5} | style)
 
 
 def _draw_stance(axes: Any, profile: RobotProfile, section: PlannedSection, color: str, **style: Any) -> None:
-    """The body and its legs as they are to stand at a section's end, or where they stand if it has no step."""
+    """Draw body and legs at a section's end, or the current stance without steps."""
     plan = section.plan
     feet = stance_at_end(section)
     T = transform(rotation_z(plan.heading), plan.body[-1] if len(plan.body) else section.p)
@@ -182,7 +186,10 @@ def _draw_stance(axes: Any, profile: RobotProfile, section: PlannedSection, colo
 
 
 def stance_at_end(section: PlannedSection) -> Array:
-    """Foot centres (6, 3) [m] {start} at a section's end: the last foothold of each leg, or where it stood."""
+    """Return foot centres (6, 3) [m] {start} at a section's end.
+
+    They are the last foothold of each leg, or its starting position.
+    """
     feet = section.feet.copy()
     for leg, foothold in zip(section.plan.leg, section.plan.footholds, strict=True):
         if leg < len(LEGS):
@@ -191,7 +198,10 @@ def stance_at_end(section: PlannedSection) -> Array:
 
 
 def _draw_dead_end(axes: Any, profile: RobotProfile, section: PlannedSection, color: str) -> None:
-    """How far one would come where there was no way: path, footholds and stance, and the foot or body that fails a test."""
+    """Draw how far a failed search came.
+
+    It draws path, footholds and stance, and the foot or body that fails a test.
+    """
     plan = section.plan
     _draw_way(axes, section, _MUTED, lw=1.4, ls=_DASHES)
     _draw_stance(axes, profile, section, _MUTED, lw=1.3, ls=_DASHES)
@@ -212,7 +222,7 @@ def _draw_dead_end(axes: Any, profile: RobotProfile, section: PlannedSection, co
 
 
 def _draw_walked(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
-    """The mapped heights, the true pillars, and where feet and body went."""
+    """Draw the mapped heights, the true pillars, and the paths of feet and body."""
     low, high = _frame(axes, trace)
     if trace.mosaic is not None:
         draw_ground(figure, axes, trace.mosaic, low, high)
@@ -225,7 +235,7 @@ def _draw_walked(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
 
 
 def _frame(axes: Any, trace: Trace) -> tuple[Array, Array]:
-    """Lay out a view from above; returns its corners [m] {start}."""
+    """Set up a top view; return its corners [m] {start}."""
     low, high = extent_of(trace, _BEFORE, _AFTER, _SIDE)
     axes.set_facecolor(UNSEEN)
     axes.set_aspect("equal", anchor="W")
@@ -236,7 +246,7 @@ def _frame(axes: Any, trace: Trace) -> tuple[Array, Array]:
 
 def _bar(figure: Any, axes: Any, image: Any) -> None:
     axes.set_xlim(axes.get_xlim())
-    figure.canvas.draw()  # the map keeps its proportions, so only now its place is known
+    figure.canvas.draw()  # the map keeps its proportions, so its position is known only now
     box = axes.get_position()
     bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
     bar.set_label("evaluation [cells]:\na foothold below 0", size=11)
@@ -244,11 +254,11 @@ def _bar(figure: Any, axes: Any, image: Any) -> None:
     bar.outline.set_visible(False)
 
 
-# -- from aside
+# -- side view
 
 
 def _draw_aside(axes: Any, trace: Trace) -> None:
-    """Heights along the way: the highest ground of each strip, the feet, the body as planned and as it went."""
+    """Draw heights along the path: strips, feet, planned and walked body."""
     for section in trace.sections:
         if section.map is not None:
             x, top = _skyline(section.map)
@@ -271,7 +281,7 @@ def _draw_aside(axes: Any, trace: Trace) -> None:
 
 
 def _skyline(known: PassageMap) -> tuple[Array, NDArray[np.floating]]:
-    """Of a strip the places (n,) [m] {start} along x and the highest ground (n,) [m] there."""
+    """Return a strip's x positions (n,) [m] {start} and highest ground (n,) [m]."""
     seen = np.isfinite(known.elevation)
     top = np.where(seen.any(axis=1), np.where(seen, known.elevation, -np.inf).max(axis=1), np.nan)
     middle = known.resolution * (known.elevation.shape[1] - 1) / 2
@@ -279,11 +289,11 @@ def _skyline(known: PassageMap) -> tuple[Array, NDArray[np.floating]]:
     return x, top
 
 
-# -- in words and numbers
+# -- text and numbers
 
 
 def _draw_sections(axes: Any, trace: Trace) -> None:
-    """A row for each stop, the last ones where there are many, and below it why it did not get further."""
+    """Draw a table of the last stops, and below it why the last one ended."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)

@@ -1,19 +1,19 @@
-"""Height maps in their own colours, under a lamp: what people see at a glance."""
+"""Height maps in their own colours with hill shading."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-_LAMP = np.array([-0.5, 0.5, 1.0])  # toward it: from the upper left of a picture with x to the right and y up
-_AMBIENT = 0.55  # [1] of the light comes from everywhere
-_EXAGGERATION = 2.0  # of heights: steps of a centimetre should show
+_LAMP = np.array([-0.5, 0.5, 1.0])  # toward the light: from the upper left of a picture with x to the right and y up
+_AMBIENT = 0.55  # [1] share of ambient light
+_EXAGGERATION = 2.0  # of heights, so that steps of a centimetre are visible
 
 
 def shaded(rgb: NDArray[np.uint8], elevation: NDArray[np.float32], resolution: float) -> NDArray[np.uint8]:
-    """Colours of cells, lit by their slopes.
+    """Shade cell colours by their slopes.
 
     Args:
         rgb: (nx, ny, 3) colours of the ground.
-        elevation: (nx, ny) [m] heights, NaN where unknown: there and beside it the ground counts as level.
+        elevation: (nx, ny) [m] heights, NaN where unknown; unknown cells and their neighbours count as level.
         resolution: [m] cell edge.
 
     Returns:

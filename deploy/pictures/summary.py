@@ -1,4 +1,4 @@
-"""One picture of a run, for people, who look before they read: map, paths, footholds, and the walk over time."""
+"""Summary picture of a run: map, paths, footholds, and the walk over time."""
 
 import textwrap
 from collections import Counter
@@ -26,29 +26,29 @@ from sextant.shared.geometry import apply
 from sextant.shared.robot.profile import LEGS
 
 _WIDTH, _DPI, _FONT = 16.0, 100, 13  # [in], [1/in], [pt]
-_MAP, _LEGEND, _HISTORY = (3.3, 5.2), 0.75, (6.2, 7.6)  # [in] heights: the last without and with a moment that decided
-_LEFT, _RIGHT, _BAR = 0.055, 0.985, 0.06  # [1] of the width: the margins, and what the scale of heights takes
+_MAP, _LEGEND, _HISTORY = (3.3, 5.2), 0.75, (6.2, 7.6)  # [in] heights; the history's without and with a decisive moment
+_LEFT, _RIGHT, _BAR = 0.055, 0.985, 0.06  # [1] of the width: the margins, and the width of the height scale
 _GAP = 0.5  # [in] between the map's scale and the close-up
-_LINE = 0.235  # [in] of a line of words
+_LINE = 0.235  # [in] of a line of text
 _GOOD, _BAD, _AMBER = "#1a7f37", "#b3261e", "#9a6700"
 _ROUTE = "#1f5fd0"
 _NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
-_SIDE = 0.62  # [m] least of the map shown to both sides of the line
+_SIDE = 0.62  # [m] least part of the map shown to both sides of the line
 _BEFORE, _AFTER = 0.45, 0.45  # [m] of the map shown before the start and after the goal
-_AROUND = 0.42  # [m] to all sides of the body, shown of the moment that decided
-_OF_TRUTH = ("true", "misstep", "touchdowns raised", "falls", "pose error", "map error", "real-time")  # what only it can tell
-_LOOK_BACK = 3.0  # [s] before a fall in which the body has left what supported it
+_AROUND = 0.42  # [m] shown to all sides of the body in the close-up
+_OF_TRUTH = ("true", "misstep", "touchdowns raised", "falls", "pose error", "map error", "real-time")  # need ground truth
+_LOOK_BACK = 3.0  # [s] before a fall in which the body has left its support
 
 
 def draw(path: Path, report: Report, trace: Trace) -> None:
-    """Draw a run: the verdict in words; the map with what was walked, missed and refused; what was said; the walk over time.
+    """Draw a run: verdict, map with footholds, messages, and the walk over time.
 
-    Of a run that did not arrive the moment that decided it is marked through all of it, shown from near, and what led to it.
+    For a run that did not arrive, all parts mark the decisive moment; the picture also has a close-up and the precursors.
 
     Args:
-        path: Of the picture, 1600 pixels wide, in the format of its suffix.
-        report: What it came to.
-        trace: How it went; may be empty.
+        path: Output file, 1600 pixels wide; its suffix is the format.
+        report: Report of the run.
+        trace: Trace of the run; may be empty.
     """
     figure = figure_of(report, trace)
     whole_files.make_folder(path.parent)
@@ -56,7 +56,10 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
 
 
 def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
-    """The same as a figure that is not saved yet; without the truth nothing is said of a goal, nor whether it was reached."""
+    """Return the picture as a figure.
+
+    Without ground truth it shows neither the goal nor whether it was reached.
+    """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -69,7 +72,7 @@ def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
         "hatch.color": _HATCH,
     }
     moment = decisive_moment(report, trace)
-    if moment is not None and not truth and moment.words == ENDED:  # as every recording does
+    if moment is not None and not truth and moment.words == ENDED:  # every recording ends this way
         moment = None
     low, high = extent_of(trace)
     share = float((high[1] - low[1]) / (high[0] - low[0]))
@@ -101,15 +104,18 @@ def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
 
 
 def moment_color(report: Report) -> str:
-    """Of what decided a run: red, or where it was right to stop, amber."""
+    """Return the colour of the decisive moment: red, or amber for a correct refusal."""
     return _AMBER if report.success else _BAD
 
 
-# -- in words
+# -- text
 
 
 def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) -> list[tuple[str, float, str]]:
-    """The lines at the top, each with its size [pt] and colour: how it ended, why in at most so many lines, whose leg."""
+    """Return the lines at the top with size [pt] and colour.
+
+    They give the result, the reason in at most `most` lines, and the leg to look at.
+    """
     arrived = report.success and report.reason == ARRIVED
     word = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
     color = _GOOD if report.success else _BAD
@@ -127,21 +133,24 @@ def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) 
         found += [(line, 13.0, "#222222") for line in textwrap.wrap(words, 142, max_lines=2, placeholder=" …")]
     if moment is not None and (words := _whose(trace, moment)):
         found.append((words, 13.0, "#222222"))
-    gait = steps_walked(trace) if trace.sections else report.gait  # a passage is walked in steps of its own
+    gait = steps_walked(trace) if trace.sections else report.gait  # a gap crossing has its own steps
     walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {gait}" + (" · blind" if report.blind else "")
     found.append((walk, float(_FONT), "#5f6368"))
     return found
 
 
 def steps_walked(trace: Trace) -> str:
-    """How many steps were walked with how many legs in swing, the most frequent first."""
+    """Return the number of steps by legs in swing, most frequent first."""
     counts = Counter(int(np.count_nonzero(plan.swing)) for _, plan in trace.plans if plan.swing.any())
     kinds = (f"{count} steps with {legs} leg{'s' if legs > 1 else ''} in swing" for legs, count in counts.most_common())
     return ", ".join(kinds) or "no steps"
 
 
 def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> list[tuple[str, float, str]]:
-    """The lines at the top where nobody knows the truth: how far it believed to have come, and why it stood."""
+    """Return the lines at the top of a run without ground truth.
+
+    They give the estimated distance and why the robot stopped.
+    """
     words = f"Walked {report.distance_m:.2f} m" if trace.walking.any() else "Never walked"
     found = [(f"{words}, by its own account", 20.0, "#222222")]
     refused = refusal(trace) if moment is not None else None
@@ -152,7 +161,7 @@ def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> lis
 
 
 def _whose(trace: Trace, moment: Moment) -> str:
-    """Which leg to look at and why; empty where none stands out."""
+    """Return which leg to look at and why; empty if none stands out."""
     of_leg = [sign for sign in signs(trace, moment) if sign.leg == moment.leg and sign.t < moment.t]
     if moment.leg < 0 or not of_leg:
         return ""
@@ -161,7 +170,7 @@ def _whose(trace: Trace, moment: Moment) -> str:
 
 
 def head_height(lines: Sequence[tuple[str, float, str]]) -> float:
-    """Height [in] of the lines at the top."""
+    """Return the height [in] of the lines at the top."""
     return 0.25 + sum(_spacing(size) for _, size, _ in lines)
 
 
@@ -170,7 +179,7 @@ def _spacing(size: float) -> float:
 
 
 def title(figure: Any, lines: Sequence[tuple[str, float, str]]) -> None:
-    """The lines at the top."""
+    """Draw the lines at the top."""
     y = 0.25
     for text, size, color in lines:
         at = 1 - y / figure.get_figheight()
@@ -186,7 +195,7 @@ def draw_words(
     told: Sequence[Complaint],
     numbers: Sequence[tuple[str, str]],
 ) -> None:
-    """What led to the end, what was said, and with the room that is left the figures."""
+    """Draw precursors and messages and, in the remaining space, the figures."""
     left, bottom, width, height = box
     tall = figure.get_figheight()
     room = height * tall  # [in]
@@ -196,7 +205,7 @@ def draw_words(
         paragraphs.append(("What led to it", "time", [f"{sign.t - moment.t:+.1f} s\t{sign.words}" for sign in led]))
     if told:
         paragraphs.append(("What was said", "flag", [f"{k}\t{c.who}: {c.words}" for k, c in enumerate(told, 1)]))
-    spare = room - _LINE * 1.25 * 6 - 1.3 * _LINE * len(paragraphs)  # of all words
+    spare = room - _LINE * 1.25 * 6 - 1.3 * _LINE * len(paragraphs)  # for all text
     for heading, kind, rows_ in paragraphs:
         figure.text(left, bottom + height - y / tall, heading, size=13, weight="bold", va="top", color="#222222")
         y += 1.3 * _LINE
@@ -234,14 +243,14 @@ def draw_words(
         draw_table(figure.add_axes((left, bottom + height - y / tall - taken, width, taken)), numbers[:fitting])
 
 
-# -- the map
+# -- map
 
 
 def _draw_map(
     figure: Any, axes: Any, report: Report, trace: Trace, moment: Moment | None, told: Sequence[Complaint], truth: bool
 ) -> None:
     low, high = extent_of(trace)
-    axes.set_facecolor(UNSEEN)  # never seen
+    axes.set_facecolor(UNSEEN)  # colour of unseen ground
     axes.set_aspect("equal", anchor="W")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -275,7 +284,10 @@ def _draw_legend(figure: Any, report: Report, trace: Trace, truth: bool, top: fl
 def extent_of(
     trace: Trace, before: float = _BEFORE, after: float = _AFTER, side: float = _SIDE
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners [m] {start} of what is shown: the course with so much [m] around it, and wherever the robot went."""
+    """Return the corners [m] {start} of the map.
+
+    It contains the course with margins [m], and the whole path of the robot.
+    """
     low, high = np.array([-before, -side]), np.array([trace.goal_distance + after, side])
     if len(trace.t):
         path = trace.p_true[:, :2]
@@ -285,11 +297,11 @@ def extent_of(
 
 
 def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """The mapped ground between two corners [m] {start}, with its scale beside."""
+    """Draw the mapped ground between two corners [m] {start}, with its scale."""
     image = draw_cells(axes, mosaic, low, high)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    figure.canvas.draw()  # the map keeps its proportions, so only now its place is known
+    figure.canvas.draw()  # the map keeps its proportions, so its position is known only now
     box = axes.get_position()
     bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
     bar.set_label("mapped height [cm]" + (", where no colour is seen" if mosaic.color is not None else ""), size=11)
@@ -298,7 +310,10 @@ def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64]
 
 
 def draw_cells(axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> Any:
-    """The mapped ground in the colours of what lies between two corners [m] {start}; the image of its heights."""
+    """Draw the mapped ground; return the image of its heights.
+
+    The colours cover the heights between two corners [m] {start}.
+    """
     nx, ny = mosaic.elevation.shape
     first = mosaic.origin - mosaic.resolution / 2
     last = first + mosaic.resolution * np.array([nx, ny])
@@ -306,7 +321,7 @@ def draw_cells(axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArra
     shown = mosaic.elevation[_cells(mosaic, low, high)]
     known = shown[np.isfinite(shown)]
     bottom, top = np.percentile(known, [1, 99]).tolist() if len(known) else (0.0, 0.0)
-    middle, half = (bottom + top) / 2, max((top - bottom) / 2, 0.015)  # level ground is not to look like mountains
+    middle, half = (bottom + top) / 2, max((top - bottom) / 2, 0.015)  # level ground must not look mountainous
     image = axes.imshow(
         100 * mosaic.elevation.T,
         origin="lower",
@@ -340,7 +355,7 @@ def _cells(mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) 
 
 
 def draw_blocks(axes: Any, trace: Trace) -> None:
-    """Outlines of the true blocks, and those that give way."""
+    """Draw outlines of the true blocks, and mark those that give way."""
     from matplotlib.collections import PolyCollection
 
     if len(trace.blocks):
@@ -353,7 +368,7 @@ def draw_blocks(axes: Any, trace: Trace) -> None:
 
 
 def draw_course(axes: Any, trace: Trace) -> None:
-    """Start and goal."""
+    """Draw start and goal."""
     goal, side = trace.goal_distance, trace.corridor
     axes.plot([goal, goal], [-side, side], color=_GOOD, lw=4, solid_capstyle="butt", zorder=5)
     axes.annotate("goal", (goal, side), (0, 4), textcoords="offset points", color=_GOOD, weight="bold", ha="center", zorder=9)
@@ -362,7 +377,10 @@ def draw_course(axes: Any, trace: Trace) -> None:
 
 
 def draw_footholds(axes: Any, trace: Trace, size: float = 36.0) -> None:
-    """Where feet came down, by leg; which were moved, missed what was chosen, were mistaken, or felt no ground."""
+    """Draw touchdowns by leg, and mark special ones.
+
+    Marked are moved footholds, missed targets, missteps, and touchdowns without ground.
+    """
     downs = trace.touchdowns
     for leg, color in enumerate(LEG_COLORS):
         xy = downs.p[downs.leg == leg]
@@ -380,7 +398,10 @@ def draw_footholds(axes: Any, trace: Trace, size: float = 36.0) -> None:
 
 
 def draw_flags(axes: Any, trace: Trace, told: Sequence[Complaint]) -> None:
-    """Where the robot was when it complained, in numbers that lead to its words; those of one place together."""
+    """Draw numbered flags where the robot was when it complained.
+
+    Flags at the same place are combined.
+    """
     if not len(trace.t):
         return
     low, high = axes.get_ylim()
@@ -399,13 +420,16 @@ def draw_flags(axes: Any, trace: Trace, told: Sequence[Complaint]) -> None:
 
 
 def draw_moment(axes: Any, report: Report, moment: Moment | None) -> None:
-    """Where it was decided."""
+    """Mark the place of the decisive moment."""
     if moment is not None:
         axes.plot(*moment.p, marker="X", ms=14, mfc=moment_color(report), mec="white", mew=1.5, zorder=9)
 
 
 def _draw_near(axes: Any, report: Report, trace: Trace, moment: Moment, colors: tuple[Any, Any]) -> None:
-    """How the robot stood when it was decided: legs that carried, what supported the body, footholds that were wanted next."""
+    """Draw the robot at the decisive moment.
+
+    It shows loaded legs, the support polygon, and the next footholds.
+    """
     k = _instant(trace, moment)
     t = float(trace.t[k])
     middle = trace.p_true[k, :2]
@@ -450,7 +474,7 @@ def _draw_near(axes: Any, report: Report, trace: Trace, moment: Moment, colors: 
 
 
 def _instant(trace: Trace, moment: Moment) -> int:
-    """The sample that tells most of a moment: of a fall where the body left what supported it."""
+    """Return the sample to show: of a fall, where the body left its support."""
     k = min(int(np.searchsorted(trace.t, moment.t)), len(trace.t) - 1)
     if moment.words != "fell":
         return k
@@ -459,7 +483,7 @@ def _instant(trace: Trace, moment: Moment) -> int:
 
 
 def _until(trace: Trace, t: float) -> Trace:
-    """The run with the touchdowns of a second before a time, and none after."""
+    """Return the run with the touchdowns of the last seconds before a time."""
     downs, felt = trace.touchdowns, trace.no_ground
     kept, known = (downs.t <= t) & (downs.t > t - _LOOK_BACK), felt.t <= t
     chosen = Touchdowns(**{field.name: getattr(downs, field.name)[kept] for field in fields(downs)})
@@ -467,7 +491,7 @@ def _until(trace: Trace, t: float) -> Trace:
 
 
 def _wanted(trace: Trace, t: float) -> dict[int, NDArray[np.float64]]:
-    """Where legs were to come down by the newest plan at a time: [m] {start}, by leg."""
+    """Return leg -> touchdown [m] {start} of the newest plan at a time."""
     made = [plan for at, plan in trace.plans if at <= t]
     if not made:
         return {}
@@ -479,7 +503,7 @@ def _outline(size: tuple[float, float, float]) -> NDArray[np.float64]:
 
 
 def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, 2) in their order around their middle."""
+    """Return points (n, 2) sorted by angle around their mean."""
     if not len(points):
         return points
     out = points - points.mean(axis=0)
@@ -487,7 +511,7 @@ def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def draw_paths(axes: Any, trace: Trace, report: Report) -> None:
-    """Where the body went, in truth and by its own estimate, and where it was to go."""
+    """Draw the true, estimated and planned paths of the body."""
     for corners in trace.routes:
         axes.plot(corners[:, 0], corners[:, 1], color=_ROUTE, lw=1.1, alpha=0.8, zorder=3)
     axes.plot(trace.p_estimate[:, 0], trace.p_estimate[:, 1], color=ESTIMATE, lw=1.6, ls=(0, (4, 2)), zorder=5)
@@ -527,11 +551,11 @@ def _legend(report: Report, trace: Trace) -> list[Any]:
     return [*paths, *legs, *rest]
 
 
-# -- in numbers
+# -- numbers
 
 
 def draw_table(axes: Any, rows: Sequence[tuple[str, str]]) -> None:
-    """Rows of a name and a value."""
+    """Draw rows of a name and a value."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)

@@ -1,21 +1,21 @@
-"""A height map as triangles, for whoever draws in three dimensions."""
+"""Height map as a triangle mesh, for 3D viewers."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.wire.messages import TerrainMap
 
-_BEST, _WORST = np.array([60, 160, 80]), np.array([200, 60, 50])  # colours of a score of 0 and of 1, from where on none stands
+_BEST, _WORST = np.array([60, 160, 80]), np.array([200, 60, 50])  # of scores 0 and 1; above 1 no foothold
 _UNSCORED = 128.0
 
 
 def terrain_mesh(
     terrain: TerrainMap,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint8]]:
-    """A map as triangles between the centres of its known cells.
+    """Return a map as triangles between the centres of its known cells.
 
     Returns:
-        (n, 3) [m] {world} points, (m, 3) their indices, (n, 3) colours by score, grey where that is not known.
+        (n, 3) [m] {world} points, (m, 3) point indices, (n, 3) colours by score, grey where the score is unknown.
     """
     known = np.isfinite(terrain.elevation)
     number = np.full(known.shape, -1, dtype=np.int64)

@@ -1,6 +1,6 @@
-"""The walking tests of Lotriet 2024, chapter 8, in the figures of its text, beside those of a run.
+"""Walking tests of Lotriet 2024, chapter 8, compared with a run.
 
-His plots are not at hand; what is here is what sections 8.1 to 8.3 say of them.
+The data behind his plots are not available, so the values are those that the text of sections 8.1 to 8.3 reports.
 """
 
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ from sextant.deploy.judging.trace import Trace
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What the text says of one test; None where it gives no figure."""
+    """Reported values of one test; None where the text gives no figure."""
 
     section: str
     height_error_m: float | None = None  # constant, of the body
-    oscillation_m: float | None = None  # amplitude of the body's height, at most
-    tilt_deg: float | None = None  # roll and pitch stay below, for the most part
-    jumps_deg: float | None = None  # which they approach now and then
+    oscillation_m: float | None = None  # largest amplitude of the body height
+    tilt_deg: float | None = None  # roll and pitch mostly stay below this
+    jumps_deg: float | None = None  # they occasionally approach this
     stride_m: float | None = None  # from touchdown to touchdown
     step_height_m: float | None = None
 
@@ -30,26 +30,26 @@ TESTS: Mapping[str, Published] = MappingProxyType(
     {
         "lotriet_flat": Published("8.1", -0.010, 0.009, 0.5, None, 0.15, 0.10),
         "lotriet_stairs": Published("8.2", -0.010, None, 1.0, 2.0, 0.15, None),
-        "lotriet_organic": Published("8.3", -0.010, None, 1.0, 2.0, 0.15, None),  # "more severe" than these, in words alone
+        "lotriet_organic": Published("8.3", -0.010, None, 1.0, 2.0, 0.15, None),  # "more severe" than these, without figures
     }
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The same of a run, over the time it walked."""
+    """The same quantities of a run, while walking."""
 
     height_error_m: float
-    oscillation_m: float  # half of what lies between the 2.5th and the 97.5th percentile of the height off the command
-    tilt_deg: float  # 95th percentile of the larger of roll and pitch off level
+    oscillation_m: float  # half the range from the 2.5th to the 97.5th percentile of the height error
+    tilt_deg: float  # 95th percentile of the larger of roll and pitch, against level
     jumps_deg: float  # the largest
     off_command_deg: float  # 95th percentile, against the commanded attitude
     stride_m: float  # median
-    step_height_m: float  # median, over the higher of both ends
+    step_height_m: float  # median, above the higher of both ends
 
     @staticmethod
     def of(trace: Trace) -> "Measured":
-        """Of a run that has walked."""
+        """Measure a run that has walked."""
         walking = trace.walking
         off = (trace.p_true[:, 2] - trace.height_reference)[walking]
         low, high = np.nanpercentile(off, [2.5, 97.5])
@@ -67,7 +67,7 @@ class Measured:
 
 
 def side_by_side(published: Published, measured: Measured) -> list[tuple[str, str, str]]:
-    """Rows of what is compared, by the thesis and here; a dash where its text gives no figure."""
+    """Return rows of name, thesis and run; a dash where the thesis gives no figure."""
     rows = (
         ("body height error, mean", published.height_error_m, measured.height_error_m, 1e3, "mm"),
         ("height oscillation, amplitude", published.oscillation_m, measured.oscillation_m, 1e3, "mm"),
@@ -84,7 +84,7 @@ def side_by_side(published: Published, measured: Measured) -> list[tuple[str, st
 
 
 def _steps(trace: Trace) -> tuple[list[float], list[float]]:
-    """Lengths of the feet's ways from touchdown to touchdown, and how high they rise over the higher end, all [m]."""
+    """Return step lengths, and step heights above the higher end, all [m]."""
     downs = trace.touchdowns
     strides, heights = [], []
     for leg in range(6):

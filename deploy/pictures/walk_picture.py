@@ -1,4 +1,7 @@
-"""A walk in the plots of Lotriet 2024, chapter 8: body height, tilt, one foot's path, all feet from above and from aside."""
+"""The plots of Lotriet 2024, chapter 8: body height, tilt, and paths of the feet.
+
+The feet are shown from above and from the side.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -12,9 +15,9 @@ from sextant.deploy.pictures.thesis_figures import TESTS, Measured, Published, s
 from sextant.shared.files import whole_files
 from sextant.shared.robot.profile import LEGS
 
-LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
+LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # distinguishable for most colour-blind readers
 _SIZE, _DPI = (16.0, 15.0), 100
-_TABLE = 2.2  # [in] more, for what the thesis says
+_TABLE = 2.2  # [in] extra height for the thesis' figures
 _TRUE, _REFERENCE, _GROUND = "#111111", "#7f7f7f", "#8c6d46"
 _THESIS = "#1a7f37"
 _ROLL, _PITCH = "#0072b2", "#d55e00"
@@ -24,13 +27,13 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
     """Draw the plots of a run.
 
     Args:
-        path: Of the picture, 1600 x 1500 pixels, in the format of its suffix; taller for a test of the thesis, whose figures
-            then stand beside.
-        report: What it came to.
-        trace: How it went.
+        path: Output file, 1600 x 1500 pixels; its suffix is the format. It is taller for a test of the thesis, which adds a
+            table of the thesis' figures.
+        report: Report of the run.
+        trace: Trace of the run.
 
     Returns:
-        Whether there was anything to draw: a robot that never walked leaves no picture.
+        False if the robot never walked; then there is no picture.
     """
     if not trace.walking.any():
         return False
@@ -60,13 +63,13 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
 
 
 def steadiest_leg(trace: Trace) -> int:
-    """The leg whose path strays least to the side, as Lotriet chose his for Fig. 8.7."""
+    """Return the leg with the least lateral motion, as Lotriet chose for Fig. 8.7."""
     feet = trace.feet[trace.walking, :, 1]
     return int(np.argmin(np.ptp(feet, axis=0)))
 
 
 def draw_height(axes: Any, trace: Trace) -> None:
-    """Body height over time, while it walked."""
+    """Draw body height over time, while walking."""
     axes.plot(trace.t, 100 * trace.height_reference, color=_REFERENCE, lw=2.5, label="commanded")
     axes.plot(trace.t, 100 * trace.p_true[:, 2], color=_TRUE, lw=1.2, label="true")
     axes.set_ylabel("body height [cm]")
@@ -75,7 +78,7 @@ def draw_height(axes: Any, trace: Trace) -> None:
 
 
 def draw_tilt(axes: Any, trace: Trace) -> None:
-    """Roll and pitch over time, while it walked."""
+    """Draw roll and pitch over time, while walking."""
     for k, (name, color) in enumerate((("roll", _ROLL), ("pitch", _PITCH))):
         reference = np.degrees(trace.attitude_reference[:, k])
         axes.plot(trace.t, reference, color=color, lw=2.5, alpha=0.35, label=f"{name}, commanded")
@@ -95,7 +98,7 @@ def _as_it_walked(axes: Any, trace: Trace) -> None:
 
 
 def _as_published(height: Any, tilt: Any, table: Any, trace: Trace, published: Published) -> None:
-    """What the thesis says, as lines in the plots and as a table with what was measured."""
+    """Add the thesis' figures as lines, and a table that compares them with the run."""
     if published.height_error_m is not None:
         level = 100 * (trace.height_reference + published.height_error_m)
         height.plot(trace.t, level, color=_THESIS, lw=1.5, ls="--", label="with the thesis' constant error")
@@ -115,7 +118,7 @@ def _as_published(height: Any, tilt: Any, table: Any, trace: Trace, published: P
 
 
 def draw_one_foot(axes: Any, trace: Trace, leg: int) -> None:
-    """One foot's way from aside, over the ground."""
+    """Draw one foot's path from the side, above the ground."""
     feet = trace.feet[trace.walking, leg]
     axes.plot(feet[:, 0], 100 * trace.ground[trace.walking, leg], color=_GROUND, lw=2.0, label="ground under it")
     lowest = 100 * (feet[:, 2] - trace.profile.foot.radius)
@@ -124,7 +127,7 @@ def draw_one_foot(axes: Any, trace: Trace, leg: int) -> None:
 
 
 def draw_from_above(axes: Any, trace: Trace) -> None:
-    """The ways of all feet from above, their touchdowns and the body's way."""
+    """Draw paths and touchdowns of all feet from above, and the body path."""
     from matplotlib.collections import PolyCollection
 
     if len(trace.blocks):
@@ -143,7 +146,7 @@ def draw_from_above(axes: Any, trace: Trace) -> None:
 
 
 def draw_from_aside(axes: Any, trace: Trace) -> None:
-    """The ways of all feet from aside."""
+    """Draw the paths of all feet from the side."""
     for leg, color in enumerate(LEG_COLORS):
         feet = trace.feet[trace.walking, leg]
         axes.plot(feet[:, 0], 100 * (feet[:, 2] - trace.profile.foot.radius), color=color, lw=0.9, label=LEGS[leg])
@@ -166,7 +169,7 @@ def _ahead(trace: Trace) -> tuple[float, float]:
 
 
 def _zoom(axes: Any, values: NDArray[np.float64], least: float) -> None:
-    """Limits that show nearly all of some values, with room for a legend above."""
+    """Set limits that show nearly all values, with room for a legend above."""
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, [0.2, 99.8]).tolist()
     spare = max(least - (high - low), 0.0) / 2 + 0.08 * (high - low)

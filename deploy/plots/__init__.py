@@ -1,1 +1,1 @@
-"""Figures of recorded runs, one run by itself or several beside each other."""
+"""Figures of recorded runs, of one run or of several for comparison."""

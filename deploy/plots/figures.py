@@ -1,6 +1,6 @@
-"""The figures: those of the theses for one run, and of several runs overlaid or below each other.
+"""Figures of the theses for one run, and comparisons of several runs.
 
-A figure is a row of the table `FIGURES`: what it shows in words, and who draws it.
+A figure is a row of the table `FIGURES`: its description and its drawing function.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,13 +23,13 @@ from sextant.shared.robot.profile import JOINTS, LEGS
 
 Runs = Sequence[RecordedRun]
 
-RUN_COLORS = ("#0072b2", "#d55e00", "#1a7f37", "#cc79a7", "#8a6d00", "#56b4e9")  # over again from the seventh on
+RUN_COLORS = ("#0072b2", "#d55e00", "#1a7f37", "#cc79a7", "#8a6d00", "#56b4e9")  # repeated from the seventh run on
 _LIMIT = "#b3261e"
-_WIDTH, _DPI = 12.0, 100  # [in], and of pixels
-WINDOW_S = 4.0  # [s] of which the worst, or the mean, is drawn where every moment would be too much
-_ASIDE = 0.92 * _WIDTH  # [in] that a panel is wide
-_SHORTEST_S = 1e-3  # of an axis of time: a run may have a single moment
-_TICKS = 6  # at most: were there more where there is more room, the layout would find no rest
+_WIDTH, _DPI = 12.0, 100  # [in], [1/in]
+WINDOW_S = 4.0  # [s] window of the worst, or mean, value where single values would be too dense
+_ASIDE = 0.92 * _WIDTH  # [in] width of a panel
+_SHORTEST_S = 1e-3  # least length of a time axis, for a run with a single moment
+_TICKS = 6  # largest number of ticks; without this limit the layout would not converge
 _LEGEND = 0.7  # [in] below the maps
 _ROOM = 0.3  # [m] around a walk in a map
 
@@ -38,10 +38,10 @@ _ROOM = 0.3  # [m] around a walk in a map
 class Plot:
     """One kind of figure."""
 
-    shows: str  # in words
-    draw: Callable[[Runs], Any]  # a figure, or None where these runs have nothing to show
-    least: int = 1  # runs that it needs
-    most: int | None = None  # runs that it can show; None for any number
+    shows: str  # description
+    draw: Callable[[Runs], Any]  # returns a figure, or None if these runs have nothing to show
+    least: int = 1  # least number of runs
+    most: int | None = None  # largest number of runs; None for any number
 
 
 def draw(name: str, runs: Runs, path: Path) -> bool:
@@ -50,7 +50,7 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
     Args:
         name: One of `FIGURES`.
         runs: At least one.
-        path: Of the file, in the format of its suffix: svg, pdf or png. The same runs make the same file, byte for byte.
+        path: Output file; its suffix is the format: svg, pdf or png. The same runs give the same file, byte for byte.
 
     Returns:
         Whether these runs had anything to show.
@@ -69,7 +69,7 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
 
 
 def misfit(name: str, runs: int) -> str:
-    """Why a figure cannot be drawn of so many runs, in words; empty where it can."""
+    """Return why a figure does not suit a number of runs; empty if it does."""
     kind = FIGURES[name]
     if runs < kind.least:
         return f"{name} compares runs: at least {kind.least} expected, found {runs}"
@@ -82,7 +82,7 @@ def misfit(name: str, runs: int) -> str:
 
 
 def _height(runs: Runs) -> Any:
-    """Lotriet 2024, figures 8.2, 8.4 and 8.7, top."""
+    """Draw Lotriet 2024, figures 8.2, 8.4 and 8.7, top."""
     return _over_time(runs, walk_picture.draw_height, _overlaid_height, "body height [cm]")
 
 
@@ -93,7 +93,7 @@ def _overlaid_height(axes: Any, run: RecordedRun, color: str) -> None:
 
 
 def _tilt(runs: Runs) -> Any:
-    """Lotriet 2024, figures 8.2 and 8.4, centre, and 8.7, bottom."""
+    """Draw Lotriet 2024, figures 8.2 and 8.4, centre, and 8.7, bottom."""
     return _over_time(runs, walk_picture.draw_tilt, _overlaid_tilt, f"tilt off the command [deg],\nworst within {WINDOW_S:g} s")
 
 
@@ -122,12 +122,12 @@ def _stability(runs: Runs) -> Any:
         least = -worst(-1000 * run.margin, run.trace.t)
         axes.plot(run.trace.t - run.begin, least, color=color, lw=1.3, label=_label(run))
     _limit(axes, 0.0, "beside the feet that carry")
-    axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the names
+    axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend
     return _in_time(figure, axes, walked, f"stability margin [mm],\nleast within {WINDOW_S:g} s")
 
 
 def _pose(runs: Runs) -> Any:
-    """Lotriet 2024, figure 4.8, beside the truth."""
+    """Draw Lotriet 2024, figure 4.8, with the true path."""
     walked = _walked(runs)
     if not walked:
         return None
@@ -148,7 +148,7 @@ def _pose(runs: Runs) -> Any:
 def _over_time(
     runs: Runs, of_one: Callable[[Any, Any], None], overlaid: Callable[[Any, RecordedRun, str], None], label: str
 ) -> Any:
-    """What one run shows by itself, or several overlaid, from the first step on."""
+    """Draw one run alone, or several overlaid from their first step on."""
     walked = _walked(runs)
     if not walked:
         return None
@@ -166,7 +166,10 @@ def _over_time(
 
 
 def _limits(axes: Any) -> tuple[float, float]:
-    """Limits that show nearly all of what is drawn from the first step on: what a fall adds would hide the walk."""
+    """Return limits that show nearly all data from the first step on.
+
+    Outliers, as of a fall, would otherwise hide the walk.
+    """
     drawn = [line.get_ydata()[line.get_xdata() >= 0.0] for line in axes.get_lines()]
     values = np.concatenate([y[np.isfinite(y)] for y in drawn])
     low, high = np.percentile(values, [0.5, 99.5]).tolist()
@@ -175,18 +178,21 @@ def _limits(axes: Any) -> tuple[float, float]:
 
 
 def worst(values: Array, t: Array) -> Array:
-    """The highest (n,) of all values less than half a window away in time [s]; NaN counts for nothing."""
+    """Return the moving maximum (n,) over a window centred at each time [s].
+
+    NaN values are ignored.
+    """
     highest = _windows(np.where(np.isfinite(values), values, -np.inf), t, -np.inf).max(axis=1)
     return np.where(np.isfinite(values), highest, np.nan)
 
 
 def _rms(values: Array, t: Array) -> Array:
-    """Likewise the root of their mean square."""
+    """Return the moving root mean square over the same window."""
     return np.asarray(np.sqrt(np.nanmean(_windows(values**2, t, np.nan), axis=1)))
 
 
 def _windows(values: Array, t: Array, beyond: float) -> Array:
-    """For each of (n,) values those around it (n, m), something else beyond their ends."""
+    """Return the values (n, m) around each of (n,) values, padded with `beyond`."""
     half = round(WINDOW_S / 2 / float(np.median(np.diff(t)))) if len(t) > 1 else 0
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, constant_values=beyond), 2 * half + 1)
 
@@ -195,7 +201,7 @@ def _windows(values: Array, t: Array, beyond: float) -> Array:
 
 
 def _foot(runs: Runs) -> Any:
-    """Lotriet 2024, figures 8.2 and 8.4, bottom."""
+    """Draw Lotriet 2024, figures 8.2 and 8.4, bottom."""
 
     def one(axes: Any, run: RecordedRun) -> None:
         walk_picture.draw_one_foot(axes, run.trace, walk_picture.steadiest_leg(run.trace))
@@ -204,7 +210,7 @@ def _foot(runs: Runs) -> Any:
 
 
 def _feet(runs: Runs) -> Any:
-    """Lotriet 2024, figure 8.6."""
+    """Draw Lotriet 2024, figure 8.6."""
     walked = _walked(runs)
     if not walked:
         return None
@@ -218,13 +224,13 @@ def _feet(runs: Runs) -> Any:
 
 
 def _tall(places: Array) -> float:
-    """How much wider than long the area of some places (..., 2 or 3) [m] is."""
+    """Return width over length of the area of some positions (..., 2 or 3) [m]."""
     size = np.ptp(places.reshape(-1, places.shape[-1])[:, :2], axis=0) + 0.1
     return float(size[1] / size[0])
 
 
 def _footholds(runs: Runs) -> Any:
-    """Masri 2016, figures 6.3, 6.7 and 6.9: the traverse from above, on the map that was made on the way."""
+    """Draw Masri 2016, figures 6.3, 6.7 and 6.9: the walk on the map, from above."""
     shown = [run for run in runs if run.trace.mosaic is not None and len(run.trace.t)]
     if not shown:
         return None
@@ -245,7 +251,7 @@ def _footholds(runs: Runs) -> Any:
         axes.set_ylabel("left [m]")
         summary.draw_ground(figure, axes, trace.mosaic, low, high)
         summary.draw_blocks(axes, trace)
-        if not run.own_words:  # which has no goal that anybody knows
+        if not run.own_words:  # the goal of such a run is unknown
             summary.draw_course(axes, trace)
         summary.draw_footholds(axes, trace)
         summary.draw_paths(axes, trace, run.report)
@@ -254,7 +260,7 @@ def _footholds(runs: Runs) -> Any:
 
 
 def _marks() -> list[Any]:
-    """What is marked in a traverse, for two rows of seven columns."""
+    """Return the legend of such a figure, for two rows of seven columns."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -282,7 +288,7 @@ def _corners(run: RecordedRun) -> tuple[Array, Array]:
 
 
 def _joints(runs: Runs) -> Any:
-    """Which joints bear it: root mean square torque of each."""
+    """Draw the root mean square torque of each joint."""
     walked = _walked(runs)
     if not walked:
         return None
@@ -309,14 +315,14 @@ def _joints(runs: Runs) -> Any:
 
 
 def _layers(runs: Runs) -> Any:
-    """Lotriet 2024, figures 6.7 and 6.9; Masri 2016, figure 4.10."""
+    """Draw Lotriet 2024, figures 6.7 and 6.9; Masri 2016, figure 4.10."""
     if runs[0].terrain is None:
         return None
     trace = runs[0].trace
     way = np.tile(np.eye(4), (len(trace.p_estimate), 1, 1))
     way[:, :3, 3] = trace.p_estimate
     downs = trace.touchdowns
-    footholds = np.where(np.isfinite(downs.chosen), downs.chosen, downs.p)  # on the robot's own map, where it wanted them
+    footholds = np.where(np.isfinite(downs.chosen), downs.chosen, downs.p)  # the targets, which are on the robot's own map
     return layers_picture.figure_of(runs[0].terrain, way, [footholds[downs.leg == leg] for leg in range(len(LEGS))])
 
 
@@ -325,7 +331,7 @@ def _summary(runs: Runs) -> Any:
 
 
 def _passage(runs: Runs) -> Any:
-    """Masri 2016, chapter 6: what was planned at each stop, and how it was walked."""
+    """Draw Masri 2016, chapter 6: the plan at each stop, and the walked path."""
     if not runs[0].trace.sections:
         return None
     return passage_picture.figure_of(runs[0].report, runs[0].trace)
@@ -366,7 +372,7 @@ FIGURES = MappingProxyType(
 )
 
 
-# -- what figures have in common
+# -- common parts
 
 
 def _sheet(height: float) -> tuple[Any, Any]:
@@ -397,7 +403,7 @@ def _below_each_other(runs: Runs, one: Callable[[Any, RecordedRun], None], heigh
 
 
 def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
-    """A figure over time with its words."""
+    """Label a figure over time, and return it."""
     stepped = any(run.trace.walking.any() for run in runs)
     axes.set_xlabel("simulated time since the first step [s]" if stepped else "simulated time [s]")
     axes.set_ylabel(label)
@@ -413,7 +419,7 @@ def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
 
 
 def _stall(axes: Any, runs: Runs) -> None:
-    """The stall torque of each robot, by its name where there are several."""
+    """Draw the stall torque of each robot, with its name if there are several."""
     limits = {run.report.robot: run.trace.profile.servo.stall_torque for run in runs}
     for robot, stall in limits.items():
         _limit(axes, stall, "stall" if len(limits) == 1 else f"stall of {robot}")

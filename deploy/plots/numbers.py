@@ -1,11 +1,11 @@
-"""Several runs in numbers beside each other."""
+"""Comparison of several runs in numbers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sextant.deploy.plots.recorded import RecordedRun
 
-_ROWS = (  # words, place in the report, factor, digits, unit
+_ROWS = (  # label, path in the report, factor, digits, unit
     ("scenario", "scenario", None, 0, ""),
     ("seed", "seed", None, 0, ""),
     ("gait", "gait", None, 0, ""),
@@ -29,13 +29,16 @@ _NAME = 24  # characters of a run's name
 
 
 def comparison(runs: Sequence[RecordedRun]) -> list[list[str]]:
-    """A row of names, and one for each figure: its words, then its value in each run, a dash where it was not measured."""
+    """Return a header of run names, and a row per quantity with its value per run.
+
+    A dash means not measured.
+    """
     names = [run.name if len(run.name) <= _NAME else f"…{run.name[1 - _NAME :]}" for run in runs]
     return [["", *names], *([words, *(_value(run.numbers, *how) for run in runs)] for words, *how in _ROWS)]
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as a table in Markdown."""
+    """Format rows as a Markdown table."""
     header, *rest = rows
     lines = [f"| {' | '.join(row)} |" for row in rest]
     return "\n".join([f"| {' | '.join(header)} |", "|" + "---|" * len(header), *lines])

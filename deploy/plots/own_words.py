@@ -1,4 +1,4 @@
-"""A run whose truth nobody knows, as the robot itself saw it: its words in place of the truth, its maps as the ground."""
+"""Runs without ground truth: the robot's own estimates and maps replace it."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -13,10 +13,10 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, GroundTruth, T
 
 Frame = tuple[AnyTopic, bytes, int]  # topic, frame, time [ns]
 
-NAME, SEED = "recorded", 0  # of the scenario that such a run counts as
+NAME, SEED = "recorded", 0  # of the scenario that represents such a run
 WORDS = "no truth is known: what is called true is what the robot said of itself"
-_LEAST = 0.1  # [m] that a course is long
-_MAP_S = 2.0  # between two maps that are kept
+_LEAST = 0.1  # [m] least length of a course
+_MAP_S = 2.0  # [s] between two maps that are kept
 
 
 class MappedGround:
@@ -26,7 +26,7 @@ class MappedGround:
         self._maps = tuple(reversed(maps))
 
     def height_at(self, xy: Array) -> Array:
-        """Height (n,) [m] at (n, 2) [m] {world}; NaN where none of the maps knows it."""
+        """Return heights (n,) [m] at (n, 2) [m] {world}; NaN where no map is known."""
         z = np.full(len(xy), np.nan)
         for known in self._maps:
             open_ = np.flatnonzero(np.isnan(z))
@@ -39,7 +39,7 @@ class MappedGround:
 
 
 def ground_of(recording: Recording) -> MappedGround:
-    """The ground of a recorded run by its own maps."""
+    """Return the ground of a recorded run by its own maps."""
     maps: list[TerrainMap] = []
     for _, message, _ in recording.messages((topics.TERRAIN,)):
         if isinstance(message, TerrainMap) and (not maps or message.stamp_ns - maps[-1].stamp_ns >= _MAP_S * 1e9):
@@ -48,7 +48,10 @@ def ground_of(recording: Recording) -> MappedGround:
 
 
 def scenario_of(recording: Recording, robot: str) -> Scenario:
-    """What such a run counts as: as far over the ground as the body got from where it was first."""
+    """Return a scenario for such a run; its goal is the estimated distance.
+
+    The distance is the farthest x of the body relative to its first position.
+    """
     x: list[float] = []
     for _, message, _ in recording.messages((topics.BODY_POSE,)):
         if isinstance(message, BodyPose):
@@ -58,10 +61,10 @@ def scenario_of(recording: Recording, robot: str) -> Scenario:
 
 
 def with_truth(frames: Iterable[Frame], robot: str) -> Iterator[Frame]:
-    """What was said, and behind each word of the actuator the truth that it would be were it right.
+    """Yield all frames, and after each actuator state the truth it would imply.
 
     Raises:
-        DecodeError: A word of the actuator or a pose that this version cannot read.
+        DecodeError: An actuator state or a pose that this version cannot read.
     """
     correction: Array | None = None  # T_world_odom
     for topic, frame, at_ns in frames:

@@ -1,4 +1,4 @@
-"""A recorded run, heard again by the scorer that judged it: what its figures are drawn from."""
+"""A recorded run for figures, evaluated again by the scorer."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
@@ -30,37 +30,37 @@ _INSTEAD = "give the folder of a `sextant run`"
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """What the figures need of a run."""
+    """Data of a run for its figures."""
 
     name: str  # of its folder
-    report: Report  # its verdict, and what its recording tells
-    numbers: dict[str, Any]  # its report as a table: the one that the run has left behind, where it is there
+    report: Report  # its result, and what its recording contains
+    numbers: dict[str, Any]  # its report as a table: the file that the run wrote, if it exists
     trace: Trace
     margin: Array  # (n,) [m] stability margin at the times of the trace, NaN where it did not walk
     torque_rms: Array  # (6, 3) [N m] of each joint while it walked, NaN where it did not
-    torque_p95: Array  # (6, 3) [N m] likewise
+    torque_p95: Array  # (6, 3) [N m] of each joint while it walked, NaN where it did not
     terrain: TerrainMap | None  # its last map
-    own_words: bool  # no truth is known: what stands for it is what the robot said of itself
-    cut_off: bool  # its recording ends before its end
+    own_words: bool  # without ground truth; the robot's own estimates replace it
+    cut_off: bool  # its recording is truncated
 
     @property
     def begin(self) -> float:
-        """Time [s] of the trace at which the first step began; zero where none did."""
+        """Time [s] of the trace at which the first step began; 0 if there is none."""
         walking = self.trace.walking
         return float(self.trace.t[np.argmax(walking)]) if walking.any() else 0.0
 
 
 def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
-    """Hear a run again; where no truth is known, as the robot itself saw it.
+    """Evaluate a recorded run again; without truth, by the robot's estimates.
 
     Args:
-        path: Its folder, or its recording.
-        scenario: Name or TOML file of what was walked; empty for what the recording says.
+        path: Folder or recording of the run.
+        scenario: Name or TOML file of the scenario; empty for the one in the recording.
 
     Raises:
-        RecordingError: There is no recording, or none of a walk, or of another scenario; or the report beside is none, or
-            another version has written it.
-        ConfigError: There is no such scenario as is given.
+        RecordingError: There is no recording, it holds no walk or another scenario, or the report next to it is invalid or from
+            another version.
+        ConfigError: The given scenario does not exist.
     """
     recording = Recording(path)
     try:
@@ -73,14 +73,14 @@ def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
     folder = path if path.is_dir() else path.parent
     judged = scorer.result(in_a_hurry=True)
     left = _left_behind(folder)
-    if own_words:  # nobody can say of a foothold that it was truly none
+    if own_words:  # whether a foothold is a misstep is unknown without ground truth
         left, judged = {}, replace(judged, success=True, reason=WORDS)
     walk = scorer.walk
     torque = walk.torque[walk.walking] if walk.walking.any() else np.full((1, 6, 3), np.nan)
     verdict = {name: left[name] for name in ("success", "reason", "gait", "blind") if name in left}
     trace = scorer.trace
     if own_words:
-        downs = trace.touchdowns  # nor how far off the chosen place it was: by its load a foot is down before it is
+        downs = trace.touchdowns  # the distance from the target is unknown too: measured load reports contact before touchdown
         downs = replace(downs, misstep=np.zeros_like(downs.misstep), chosen=np.full_like(downs.chosen, np.nan))
         trace = replace(trace, touchdowns=downs, pose_error=np.full_like(trace.pose_error, np.nan))
     return RecordedRun(
@@ -98,7 +98,10 @@ def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
 
 
 def _heard(frames: Iterable[Frame], judge: Callable[[GroundTruth], Scorer]) -> tuple[Scorer | None, TerrainMap | None]:
-    """A scorer that has heard all, made for the first truth, and the last map; None where there was none."""
+    """Feed all frames to a scorer; return it and the last map.
+
+    The scorer is created at the first truth. Either result is None if there was none.
+    """
     inbox, scorer = Inbox(Scorer.reads, Stages()), None
     for topic, frame, at_ns in frames:
         if topic is not topics.TRUTH:
@@ -125,7 +128,7 @@ def _in_own_words(recording: Recording) -> tuple[Scorer, TerrainMap | None]:
 
 
 def _table(report: Report, own_words: bool) -> dict[str, Any]:
-    """A report as a table, without what only the truth could tell."""
+    """Return a report as a table, without the values that need ground truth."""
     table = reports.as_table(report)
     unknown: dict[str, Any] = dict.fromkeys(("scenario", "seed", "success", "missteps"))
     unknown |= {name: dict.fromkeys(table[name]) for name in ("map_error_m", "pose_error_m")}
@@ -133,7 +136,10 @@ def _table(report: Report, own_words: bool) -> dict[str, Any]:
 
 
 def _as_it_came(recording: Recording) -> Iterator[Frame]:
-    """(topic, frame, time [ns]) of what a scorer hears, when it hears it: in lockstep frames are recorded as they are sent."""
+    """Yield (topic, frame, time [ns]) of the scorer's topics at arrival.
+
+    Lockstep recordings hold the time of sending, so latency is added.
+    """
     wanted = {topic.key: topic for topic in (Scorer.paced_by, *Scorer.reads)}
     on_the_way: list[tuple[int, int, AnyTopic, bytes]] = []
     for number, (key, frame, at_ns) in enumerate(recording.frames()):
@@ -149,7 +155,7 @@ def _as_it_came(recording: Recording) -> Iterator[Frame]:
 
 
 def _scorer(recording: Recording, scenario: str, truth: GroundTruth) -> Scorer:
-    """Who judges the run that a first message of truth is of."""
+    """Return a scorer for the run to which a first truth message belongs."""
     try:
         walked = load_scenario(scenario or truth.scenario)
     except ConfigError:
@@ -165,7 +171,7 @@ def _scorer(recording: Recording, scenario: str, truth: GroundTruth) -> Scorer:
 
 
 def _left_behind(folder: Path) -> dict[str, Any]:
-    """The report of a run's folder as a table; empty where there is none: the run was killed."""
+    """Return the report of a run's folder as a table; empty if the run was killed."""
     path = folder / "report.json"
     if not path.exists():
         return {}

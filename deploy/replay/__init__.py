@@ -1,1 +1,1 @@
-"""Recordings through the real services: what comes of them now, beside what came of them then."""
+"""Replay of recordings through the real services, compared with the old results."""

@@ -1,5 +1,5 @@
-"""What is wrong with a recording that is to be replayed."""
+"""Error for recordings that cannot be replayed."""
 
 
 class ReplayError(ValueError):
-    """What in the recording does not fit, with the place."""
+    """A recording does not fit; the message states where."""

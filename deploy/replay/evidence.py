@@ -1,7 +1,7 @@
-"""What a replayed depth sequence proves, and what to change where it proves too little.
+"""Evidence for a replayed depth sequence, and advice where it is insufficient.
 
-A picture supports the trajectory when it registers and shows every direction of motion. Elsewhere the trajectory is the motion
-that was expected, which is a guess.
+A picture supports the trajectory if it registers and constrains every direction of motion. Elsewhere the trajectory is the
+expected motion, which is a guess.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,50 +17,50 @@ from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import BodyPose
 
 USUAL_SCALES = (1000.0, 5000.0, 10_000.0, 100.0)  # raw units per metre: mm, as in the TUM RGB-D benchmark, 0.1 mm, cm
-_SAMPLED = 4  # every how many rows and columns of a picture are counted
+_SAMPLED = 4  # step of the sampled rows and columns of a picture
 _PERCENTILES = (5, 50, 95)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """From when on a trajectory counts as supported."""
+    """Limits from which a trajectory counts as supported."""
 
-    min_share: float = 0.9  # of the pictures after the first that support it
-    max_gap_s: float = 0.5  # [s] between two pictures that support it, over others that do not
-    min_in_range: float = 0.5  # share of the depths in range, below which range or scale may be wrong
-    max_size_error: float = 0.1  # of the trajectory's size against the true one
-    max_error_share: float = 0.1  # of the true trajectory's extent that the rms error may be, and
-    max_error_m: float = 0.05  # [m] of it at least
+    min_share: float = 0.9  # [1] share of the pictures after the first that support it
+    max_gap_s: float = 0.5  # [s] between two supporting pictures, if others lie between them
+    min_in_range: float = 0.5  # [1] share of depths in range, below which range or scale may be wrong
+    max_size_error: float = 0.1  # [1] relative error of the trajectory's size
+    max_error_share: float = 0.1  # [1] allowed rms error, as a share of the true trajectory's extent
+    max_error_m: float = 0.05  # [m] allowed rms error at least
 
 
 @dataclass(frozen=True, slots=True)
 class DepthRange:
     """The depths of one picture against the range of a sensor."""
 
-    measured: float  # share of the picture's pixels with a return
-    in_range: float  # share of those within the range, which registration uses
-    depths: tuple[float, float, float]  # [m] 5th, 50th and 95th percentile of those with a return, NaN without one
-    at_scale: tuple[float, ...]  # share in range at each of the usual scales
+    measured: float  # [1] share of the picture's pixels with a return
+    in_range: float  # [1] share of those within the range, which registration uses
+    depths: tuple[float, float, float]  # [m] 5th, 50th and 95th percentile of the returns, NaN without one
+    at_scale: tuple[float, ...]  # [1] share in range at each of the usual scales
 
 
 @dataclass(frozen=True, slots=True)
 class PictureEvidence:
-    """What one picture adds to the trajectory."""
+    """Contribution of one picture to the trajectory."""
 
     stamp_s: float  # [s] since the first picture
     registered: bool
     reason: str  # why it did not register
-    overlap: float  # 0..1 share of its points that found a plane
-    unobservable: tuple[str, ...]  # directions that are left to the expected motion
+    overlap: float  # [1] share of its points that matched a plane
+    unobservable: tuple[str, ...]  # directions that only the expected motion determines
     depth: DepthRange
 
     @property
     def supports(self) -> bool:
-        """Whether it registered and shows every direction."""
+        """Whether it registered and constrains every direction."""
         return self.registered and not self.unobservable
 
     def as_table(self) -> dict[str, Any]:
-        """Plain table for JSON."""
+        """Return a plain table for JSON."""
         return {
             "stamp_s": rounded(self.stamp_s),
             "registered": self.registered,
@@ -78,13 +78,13 @@ class TrueComparison:
     """The estimated trajectory against the true one."""
 
     rms_m: float  # [m] error after rigid alignment
-    extent_m: float  # [m] largest distance of the true one from where it begins
-    size: float | None  # of the estimated one over the true one, None where they differ in shape
+    extent_m: float  # [m] largest distance of the true one from its beginning
+    size: float | None  # [1] estimated over true size; None if their shapes differ
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What all pictures of a sequence prove together."""
+    """Evidence of all pictures of a sequence together."""
 
     pictures: tuple[PictureEvidence, ...]
     sensor: DepthSensor  # with the range that registration uses
@@ -93,12 +93,15 @@ class Evidence:
 
     @property
     def supporting(self) -> int:
-        """Pictures after the first that support the trajectory; the first one only begins the map."""
+        """Number of supporting pictures after the first, which only begins the map."""
         return sum(p.supports for p in self.pictures[1:])
 
     @property
     def longest_gap_s(self) -> float:
-        """Longest time [s] from a supporting picture, or the first, to the next one or the end, over pictures that are none."""
+        """Longest time [s] without support, over pictures that give none.
+
+        It counts from a supporting picture, or the first, to the next one or the end.
+        """
         longest, since_s, broken = 0.0, 0.0, False
         for n, picture in enumerate(self.pictures):
             last = n == len(self.pictures) - 1
@@ -111,7 +114,10 @@ class Evidence:
 
     @property
     def unobservable(self) -> dict[str, int]:
-        """Direction -> registered pictures after the first that do not show it, most frequent first."""
+        """Direction -> registered pictures that do not constrain it, most frequent first.
+
+        The first picture does not count.
+        """
         counts: dict[str, int] = {}
         for picture in self.pictures[1:]:
             for name in picture.unobservable if picture.registered else ():
@@ -120,7 +126,10 @@ class Evidence:
 
     @property
     def depths(self) -> tuple[float, float, float]:
-        """Median over the pictures of their 5th, 50th and 95th percentile [m]; NaN without a return."""
+        """Median over the pictures of their 5th, 50th and 95th percentile [m].
+
+        NaN without a return.
+        """
         found = np.array([p.depth.depths for p in self.pictures if p.depth.measured > 0]).reshape(-1, 3)
         if not len(found):
             return (float("nan"),) * 3
@@ -129,17 +138,20 @@ class Evidence:
 
     @property
     def measured(self) -> float:
-        """Mean share of the pixels with a return."""
+        """Mean share [1] of the pixels with a return."""
         return float(np.mean([p.depth.measured for p in self.pictures])) if self.pictures else 0.0
 
     @property
     def used(self) -> float:
-        """Share of the pixels with a return that are in range, over all pictures."""
+        """Share [1] of the returns that are in range, over all pictures."""
         return self._in_range([p.depth.in_range for p in self.pictures])
 
     @property
     def fitting_scale(self) -> float | None:
-        """The usual depth scale that puts the most depths in range, where the given one puts few there and this one many."""
+        """The usual depth scale with the most depths in range.
+
+        None unless few depths are in range at the given scale and many at this one.
+        """
         if not self.pictures or self.used >= self.limits.min_in_range:
             return None
         shares = [self._in_range([p.depth.at_scale[k] for p in self.pictures]) for k in range(len(USUAL_SCALES))]
@@ -148,7 +160,7 @@ class Evidence:
 
     @property
     def problem(self) -> str:
-        """Why the trajectory is not supported and what to do; empty where it is."""
+        """Why the trajectory is not supported, and what to do; empty if it is."""
         after, limits = self.pictures[1:], self.limits
         if not after:
             return f"a trajectory needs at least 2 pictures, found {len(self.pictures)}; record a longer sequence"
@@ -156,7 +168,7 @@ class Evidence:
             return "no picture has a single depth other than 0; check that the images are 16-bit depth images"
         out_of_range = self.used < limits.min_in_range
         if out_of_range and self.depths[1] < self.sensor.min_range:
-            return self._out_of_range()  # nearer than the camera measures: what registers is no depth
+            return self._out_of_range()  # nearer than the camera measures, so what registers is not depth
         if self.supporting < limits.min_share * len(after) or self.longest_gap_s > limits.max_gap_s:
             lost = [p for p in after if not p.registered]
             if 2 * len(lost) < len(after) - self.supporting:
@@ -165,7 +177,7 @@ class Evidence:
         return self._against_truth()
 
     def as_table(self) -> dict[str, Any]:
-        """Plain table for JSON; the pictures are in `PictureEvidence.as_table`."""
+        """Return a plain table for JSON; the pictures are in `PictureEvidence.as_table`."""
         return {
             "supported": not self.problem,
             "problem": self.problem,
@@ -184,7 +196,7 @@ class Evidence:
         }
 
     def _in_range(self, shares: Sequence[float]) -> float:
-        """Mean of a share of the pixels with a return, weighted by their number in each picture."""
+        """Return the mean of a share of the returns, weighted by each picture's returns."""
         weights = np.array([p.depth.measured for p in self.pictures])
         return float(np.dot(shares, weights) / weights.sum()) if weights.any() else 0.0
 
@@ -233,7 +245,7 @@ class Evidence:
 
 
 def depth_range(raw: NDArray[np.uint16], sensor: DepthSensor) -> DepthRange:
-    """The depths of a raw picture (h, w), by a sample, against the range of a sensor."""
+    """Compare a sample of a raw picture's depths (h, w) with the range of a sensor."""
     sample = raw[::_SAMPLED, ::_SAMPLED]
     returns = sample[sample > 0]
     if not returns.size:
@@ -251,7 +263,7 @@ def depth_range(raw: NDArray[np.uint16], sensor: DepthSensor) -> DepthRange:
 
 
 def picture_evidence(stamp_ns: int, pose: BodyPose | None, depth: DepthRange) -> PictureEvidence:
-    """The evidence of a picture taken at a time [ns], by the pose that was found for it, if any."""
+    """Return the evidence of a picture at a time [ns], from its pose if there is one."""
     if pose is None or not pose.ok:
         reason = "no pose was estimated" if pose is None else pose.reason
         return PictureEvidence(stamp_ns * 1e-9, False, reason, 0.0 if pose is None else pose.overlap, AXES, depth)
@@ -259,7 +271,7 @@ def picture_evidence(stamp_ns: int, pose: BodyPose | None, depth: DepthRange) ->
 
 
 def in_words(table: Mapping[str, Any]) -> list[str]:
-    """`Evidence.as_table` for people, line by line."""
+    """Format `Evidence.as_table` as lines of text."""
     after, depth = table["pictures_after_first"], table["depth_m"]
     lines = [f"{table['pictures_supporting']} of {after} pictures after the first show every direction of motion"]
     if table["unobservable"]:
@@ -277,6 +289,6 @@ def in_words(table: Mapping[str, Any]) -> list[str]:
 
 
 def _percentiles(depths: tuple[float, float, float]) -> dict[str, float | None]:
-    """Plain table of the percentiles [m]; JSON has no NaN."""
+    """Return a plain table of the percentiles [m]; JSON has no NaN."""
     known = [rounded(depth) if np.isfinite(depth) else None for depth in depths]
     return dict(zip(("p5", "median", "p95"), known, strict=True))

@@ -1,4 +1,4 @@
-"""What a run through perception and mapper said: its poses, its newest map and its newest survey."""
+"""Listener for the outputs of perception and mapper: poses, map and passage map."""
 
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
@@ -6,15 +6,15 @@ from sextant.shared.wire.messages import BodyPose, PassageMap, TerrainMap
 
 
 class Listener:
-    """Keeps what is judged of a run; give `tap` to whoever moves the frames."""
+    """Stores the evaluated outputs of a run; `tap` receives the frames."""
 
     def __init__(self) -> None:
-        self.poses: list[BodyPose] = []  # all, in the order in which they were sent
+        self.poses: list[BodyPose] = []  # all, in the order of sending
         self.terrain: TerrainMap | None = None  # the newest
         self.passage: PassageMap | None = None  # the newest
 
     def tap(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
-        """See one frame."""
+        """Process one frame."""
         if topic is topics.BODY_POSE:
             self.poses.append(codec.decode(frame, BodyPose)[0])
         elif topic is topics.TERRAIN:

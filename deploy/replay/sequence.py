@@ -1,4 +1,4 @@
-"""A recorded depth sequence through the real perception and mapper."""
+"""Replay of a recorded depth sequence through the real perception and mapper."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -35,25 +35,25 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service, Stag
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 
-_FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
-_SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
+_FLAT = 0.05  # [m] least height range of a picture's colours, so that noise does not look like relief
+_SETTLE_NS = 500_000_000  # [ns] simulated time after the last frame, for messages in transit
 _SHOW_NS = 1_000_000_000
 _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
-_FARTHEST_M = 30.0  # [m] to which registration can be set
-_HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
-_HAND_SIGMA_UNKNOWN = 0.05  # [m] and [rad] of it where the one before is not known: 1.5 m/s and 86 deg/s at 30 Hz
-_HAND_DECAY_S = 0.15  # [s] in which an unobserved velocity of a hand falls to 1/e
+_FARTHEST_M = 30.0  # [m] largest registration range
+_HAND_SIGMA = 0.01  # [m] and [rad] change of a hand's motion from one picture to the next
+_HAND_SIGMA_UNKNOWN = 0.05  # [m] and [rad] of motion if the previous one is unknown: 1.5 m/s and 86 deg/s at 30 Hz
+_HAND_DECAY_S = 0.15  # [s] in which the unobserved velocity of a hand decays to 1/e
 
 
 @dataclass(frozen=True, slots=True)
 class HandHeld(Camera):
-    """A camera that nobody mounted: the body frame is level below it, as gravity says at the first picture."""
+    """A hand-held camera; the body frame is level, by gravity at the first picture."""
 
     down: tuple[float, float, float] = (0.0, 1.0, 0.0)  # {camera}
 
     @property
     def T_body_camera(self) -> Array:
-        """Optical frame in a body frame whose z is up and whose x is where the camera looks."""
+        """Optical frame in a body frame with z up and x in the viewing direction."""
         up = -np.array(self.down) / np.linalg.norm(self.down)
         ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
         if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its upper edge is ahead
@@ -63,9 +63,9 @@ class HandHeld(Camera):
 
 
 class Player:
-    """A camera that plays a sequence: a service that writes the pictures when their time has come.
+    """Service that plays a sequence: it publishes each picture at its time.
 
-    It also says where {odom} begins, for the guess of `ConstantVelocity` to start from.
+    It also publishes where {odom} begins, as the start of the guess of `ConstantVelocity`.
     """
 
     name = "player"
@@ -74,15 +74,15 @@ class Player:
     writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
 
     def __init__(self, sequence: tum.Recording, sensor: DepthSensor):
-        """Begin with the first picture.
+        """Start with the first picture.
 
         Args:
-            sequence: What is played.
-            sensor: Its range is what the depths are compared with.
+            sequence: The sequence.
+            sensor: Sensor with the range against which the depths are compared.
         """
         self.stages = Stages()
         self.played = 0
-        self.depth_ranges: dict[int, DepthRange] = {}  # stamp [ns] of each picture played -> its depths
+        self.depth_ranges: dict[int, DepthRange] = {}  # stamp [ns] of each played picture -> its depths
         self._sequence = sequence
         self._sensor = sensor
         self._color_due_ns = 0
@@ -94,7 +94,7 @@ class Player:
         return self.played == len(self._stamps_ns)
 
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
-        """The pictures that are due."""
+        """Yield the pictures that are due."""
         if self.played == 0:
             yield odometry(0, np.eye(4), 0.0, 0.0)
         while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
@@ -121,12 +121,15 @@ class Player:
             raise ReplayError(str(error)) from None
 
     def doing(self) -> str:
-        """How far it is."""
+        """Return the progress as text."""
         return f"playing picture {self.played} of {len(self._stamps_ns)}"
 
 
 class ConstantVelocity:
-    """Stands in for the legs where there are none: after each pose, where the next is if the motion goes on."""
+    """Replaces leg odometry: after each pose it predicts the next one.
+
+    The prediction assumes constant velocity.
+    """
 
     name = "constant velocity"
     paced_by = topics.BODY_POSE
@@ -141,7 +144,10 @@ class ConstantVelocity:
         self._turned = 0.0
 
     def step(self, pose: BodyPose, _: Inbox) -> Iterator[Message]:
-        """The expected pose one picture on, in {odom}: what registration corrected since is in `T_world_odom`."""
+        """Yield the pose expected one picture later, in {odom}.
+
+        Corrections by registration are in `T_world_odom`.
+        """
         self._prior.update(pose.stamp_ns, pose.T_world_body, pose.ok, pose.degenerate)
         T_next = self._prior.predict(self._period_ns * 1e-9)
         motion = inverse(pose.T_world_body) @ T_next
@@ -152,28 +158,28 @@ class ConstantVelocity:
         yield odometry(stamp_ns, T_odom_next, self._travelled, self._turned, reliable=self._prior.measured)
 
     def doing(self) -> str:
-        """How far it has come."""
+        """Return the progress as text."""
         return f"guessing, {self._travelled:.2f} m so far"
 
 
 def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float, reliable: bool = True) -> Odometry:
-    """Odometry (lengths [m], angles [rad]) of a body that does not stand on legs."""
+    """Return odometry (lengths [m], angles [rad]) of a body without legs."""
     return Odometry(stamp_ns, T_odom_body, travelled, turned, stance=np.zeros(6, dtype=np.bool_), reliable=reliable)
 
 
 def replay_folder(
     folder: Path, out: Path, progress: Progress, registration: Literal["projective", "kiss-icp"] = "projective"
 ) -> dict[str, Any]:
-    """Run perception and mapper on a depth sequence; there is no odometry, so perception expects constant velocity.
+    """Run perception and mapper on a depth sequence.
 
-    Writes to `out` the estimated camera trajectory (trajectory.txt, the layout of groundtruth.txt) and the last map with its
-    foothold layers (map.png, layers.png).
+    There is no odometry, so perception expects constant velocity. The estimated camera trajectory (trajectory.txt, in the
+    layout of groundtruth.txt) and the last map with its foothold layers (map.png, layers.png) are written to `out`.
 
     Returns:
         Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms, evidence (see
         `Evidence.as_table`) and pictures (see `PictureEvidence.as_table`).
     """
-    # 1. The sequence, and a profile that has its camera.
+    # 1. Load the sequence, and make a profile with its camera.
     try:
         sequence = tum.read_recording(folder)
     except (FileNotFoundError, ValueError) as unreadable:
@@ -181,7 +187,7 @@ def replay_folder(
     profile = profile_for(sequence)
     # 2. Play it to perception and mapper on simulated time.
     poses, pictures, terrain, stages = _play(sequence, profile, registration, progress)
-    # 3. Compare the camera's way with the truth, and judge what supports it.
+    # 3. Compare the camera's path with the truth, and evaluate the evidence.
     stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64) + sequence.stamps_ns[0]
     T_estimate = np.array([pose.T_world_body for pose in poses]).reshape(-1, 4, 4) @ profile.camera.T_body_camera
     pairs = _true_pairs(sequence.truth, stamps_ns, T_estimate)
@@ -192,7 +198,7 @@ def replay_folder(
         extent = float(np.linalg.norm(p_true - p_true[0], axis=1).max())
         truth = TrueComparison(error.rms, extent, relative_size(p_estimate, p_true))
     found = Evidence(tuple(pictures), _registered_range(profile, registration), truth)
-    # 4. Leave trajectory and map behind.
+    # 4. Write trajectory and map.
     with whole_files.reported(progress.say):
         tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
         if terrain is not None:
@@ -212,9 +218,10 @@ def replay_folder(
 
 
 def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: DepthSensor) -> PerceptionSettings:
-    """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees.
+    """Return perception settings for a hand-held camera.
 
-    A sensor that states a longer range than usual, or one that begins where registration usually ends, is used to its end.
+    The constant-velocity guess has the uncertainty of a hand's motion, and the map has the range of a Kinect. A sensor that
+    states a longer range than usual, or whose range begins where registration usually ends, is used up to its full range.
     """
     usual = PerceptionSettings().registration_range
     whole = sensor.max_range > DepthSensor().max_range or sensor.min_range >= usual
@@ -224,7 +231,7 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: 
         settle_s=0.0,
         scan_rate_hz=1e3,  # every picture counts: the guess reaches from one to the next
         method=registration,
-        blocks_across=320,  # rooms are full of small things
+        blocks_across=320,  # rooms contain many small objects
         scan_range=3.0,
         odometry_drift=0.1,
         odometry_turn=0.1,
@@ -233,15 +240,15 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: 
         unreliable_way=_HAND_SIGMA_UNKNOWN,
         unreliable_turn=_HAND_SIGMA_UNKNOWN,
         unreliable_level=_HAND_SIGMA_UNKNOWN,
-        tilt_s=1e-6,  # the guess takes the correction at its word, and a hand has no two tripods to average over
+        tilt_s=1e-6,  # the guess adopts each correction at once: no two tripods to average over
     )
 
 
 def profile_for(sequence: tum.Recording) -> RobotProfile:
-    """The default robot with the sequence's camera in its hand."""
+    """Return the default robot with the sequence's camera, held in a hand."""
     camera = sequence.camera
     T_first = sequence.truth.at(int(sequence.stamps_ns[0])) if sequence.truth is not None else None
-    down = np.array([0.0, 1.0, 0.0])  # held upright, where nothing is known
+    down = np.array([0.0, 1.0, 0.0])  # assume an upright camera if its pose is unknown
     if T_first is not None:
         gravity = np.array([0.0, 0.0, -1.0]) if camera.gravity_world is None else camera.gravity_world
         down = T_first[:3, :3].T @ gravity
@@ -257,7 +264,7 @@ def profile_for(sequence: tum.Recording) -> RobotProfile:
 
 
 def in_words(table: dict[str, Any]) -> str:
-    """A replay's result for people."""
+    """Format a replay's result as text."""
     lines = [f"{table['source']}:"]
     lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone")
     lines += [f"  {line}" for line in replay_evidence.in_words(table["evidence"])]
@@ -283,7 +290,7 @@ def _play(
         "mapper": lambda: Mapper(profile, MapperSettings(cells=_HAND_CELLS)),
         "constant velocity": lambda: ConstantVelocity(round(1e9 / profile.camera.sensor.rate_hz)),
     }
-    # The guess must be there before the next picture, as a hand-held camera's perception would make it by itself.
+    # The guess must arrive before the next picture, as if a hand-held camera's perception made it itself.
     lockstep = Lockstep(makers, heard.tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
     try:
         while not player.finished:
@@ -301,14 +308,17 @@ def _play(
 
 
 def _registered_range(profile: RobotProfile, registration: Literal["projective", "kiss-icp"]) -> DepthSensor:
-    """The camera's sensor with the range of the depths that registration uses."""
+    """Return the camera's sensor with the depth range that registration uses."""
     sensor = profile.camera.sensor
     settings = hand_held_settings(registration, sensor)
     return replace(sensor, max_range=min(sensor.max_range, settings.registration_range))
 
 
 def _true_pairs(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> tuple[Array, Array] | None:
-    """Estimated and true poses (n, 4, 4) where the truth covers the camera's way; None where it does so for less than three."""
+    """Return estimated and true poses (n, 4, 4) where the truth covers the path.
+
+    None if there are fewer than three.
+    """
     if truth is None:
         return None
     pairs = [
@@ -320,8 +330,10 @@ def _true_pairs(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_es
 
 
 def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
-    """The map as a picture, x up and y left, unknown grey, the camera's way in white: in its own colours under a lamp where it
-    has some, else heights from blue to red."""
+    """Draw the map with x up and y left, unknown cells grey, the camera path white.
+
+    The map has its own colours with hill shading if it has any, else heights from blue to red.
+    """
     scale = max(1, math.ceil(640 / max(terrain.elevation.shape)))
     known = np.isfinite(terrain.elevation)
     low, high = np.percentile(terrain.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)

@@ -1,4 +1,7 @@
-"""What the depth camera of a simulated run sees and where it truly is, in the TUM RGB-D layout that `sextant replay` reads."""
+"""Recorder of a simulated depth camera and its true poses, in TUM RGB-D layout.
+
+`sextant replay` reads this layout.
+"""
 
 from collections import deque
 from pathlib import Path
@@ -23,10 +26,10 @@ _DOWN = np.array([0.0, 0.0, -1.0])  # gravity in the simulator's world
 
 
 class DepthRecorder:
-    """Writes depth.txt, groundtruth.txt and camera.toml out of a run's frames; a context manager.
+    """Writes depth.txt, groundtruth.txt and camera.toml from a run's frames.
 
-    Give `tap` to whoever moves the frames. A picture is written once the truth around it is known; pictures that the truth does
-    not reach any more are written without a pose.
+    A context manager; `tap` receives the frames. A picture is written once the truth around it is known. Pictures after the
+    last truth are written without a pose.
     """
 
     def __init__(self, folder: Path, profile: RobotProfile):
@@ -55,7 +58,7 @@ class DepthRecorder:
         self.close()
 
     def tap(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """See one frame of the run; all but the camera's and the truth's are passed over.
+        """Process one frame of the run; only depth and truth are used.
 
         Raises:
             WriteError: It cannot be written; the recording has ended.
@@ -75,7 +78,7 @@ class DepthRecorder:
             self._pose_waiting(truth.stamp_ns, truth.T_world_body)
 
     def close(self) -> None:
-        """Write the frames that wait; safe to call twice.
+        """Write the waiting pictures; safe to call twice.
 
         Raises:
             WriteError: They cannot be written.
@@ -84,7 +87,7 @@ class DepthRecorder:
             self._writer.add(*self._waiting.popleft())
 
     def _pose_waiting(self, stamp_ns: int, T_world_body: Array) -> None:
-        """Write the pictures up to a moment of truth, their poses between it and the one before."""
+        """Write the pictures up to a truth message, with interpolated poses."""
         before_ns, T_before = self._truth or (stamp_ns, T_world_body)
         self._truth = stamp_ns, T_world_body
         while self._waiting and self._waiting[0][0] <= stamp_ns:
@@ -100,8 +103,8 @@ def record_tum(scenario: Scenario, seed: int, folder: Path, duration_s: float) -
     """Walk a scenario in lockstep and record its depth camera.
 
     Args:
-        scenario: The course and the way to walk it.
-        seed: Of everything random.
+        scenario: The course and how to walk it.
+        seed: Random seed of the run.
         folder: Made if missing; must not hold a recording already.
         duration_s: [s] simulated.
 

@@ -1,4 +1,7 @@
-"""A recorded run through the real mapper and planner: what came of what they heard then, and what comes of it now."""
+"""Replay of a recorded run through the real mapper and planner.
+
+The results are compared with the recorded ones.
+"""
 
 import difflib
 import heapq
@@ -27,55 +30,55 @@ from sextant.shared.runtime.service import AnyTopic, Service
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Message, StepPlan, TerrainMap
 
-_SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
+_SETTLE_NS = 500_000_000  # [ns] simulated time after the last frame, for messages in transit
 _SHOW_FRAMES = 5000
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How far what is made now may be off what a live run made; what a lockstep run made is met exactly."""
+    """Allowed differences from a live run; a lockstep run is reproduced exactly."""
 
     map_rmse_m: float = 0.01
-    map_coverage: float = 0.9  # share of the recorded cells that are known now
+    map_coverage: float = 0.9  # [1] share of the recorded cells that are known now
     touchdown_p50_m: float = 0.02
 
 
-Change = Callable[[AnyTopic, Message, int], Iterable[tuple[Message, int]]]  # message, time [ns] -> what is fed in its place
+Change = Callable[[AnyTopic, Message, int], Iterable[tuple[Message, int]]]  # message, time [ns] -> messages to feed instead
 
 
 def as_recorded(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
-    """Everything as it was and when it came."""
+    """Return each message unchanged, at its time."""
     return ((message, at_ns),)
 
 
 def replay_recording(
     path: Path, out: Path, progress: Progress, only: Sequence[str] = (), change: Change = as_recorded
 ) -> dict[str, Any]:
-    """Run mapper and planner on what they heard in a recorded run; compare maps and plans with the recorded ones.
+    """Run mapper and planner on the recorded inputs; compare maps and plans.
 
-    Draws the last map with its foothold layers (layers.png) to `out`.
+    The last map with its foothold layers (layers.png) is written to `out`.
 
     Args:
         path: The recording.
         out: Folder for the picture.
-        progress: Where to show it.
-        only: Keys of the recorded topics that are fed; none for all that the services do not make themselves. A service is
-            left out where what it makes is fed.
-        change: What is fed in place of each message, in the order of time; for tests that break something.
+        progress: Display of the progress.
+        only: Keys of the recorded topics to feed; empty for all that the services do not publish. A service does not run if one
+            of its outputs is fed.
+        change: Returns what to feed instead of each message, in the order of time; for fault tests.
 
     Returns:
-        Plain table: topics with their counts, maps and plans compared, map_error_m and plan_error_m of the new ones against
-        the recorded ones, stages_ms, and evidence: whether the replay supports what was recorded, or the problem.
+        Plain table: topics with their counts, compared maps and plans, map_error_m and plan_error_m of the new ones against the
+        recorded ones, stages_ms, and evidence: whether the replay supports the recording, or the problem.
     """
-    # 1. What there is, and who hears it now.
+    # 1. Read the recording.
     recording = Recording(path)
     replay: _Replay | None = None
     counts: dict[str, int] = {}
     for topic, message, at_ns in recording.messages():
         counts[topic.key] = counts.get(topic.key, 0) + 1
-        if replay is None:  # now it is known whose run this was
+        if replay is None:  # the recording's robot is known from here on
             replay = _Replay(recording, _fed(only))
-        # 2. Feed it at its time.
+        # 2. Feed each message at its time.
         replay.hear(topic, message, at_ns, change)
         if sum(counts.values()) % _SHOW_FRAMES == 0:
             progress.say(f"{sum(counts.values())} messages, {len(replay.maps)} maps, {len(replay.plans)} plans")
@@ -84,7 +87,7 @@ def replay_recording(
     if not recording.complete:
         progress.say(f"{path} was cut off; replayed as far as it goes")
     replay.settle()
-    # 3. Compare what came of it.
+    # 3. Compare the results.
     maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
     if replay.maps:
         with whole_files.reported(progress.say):
@@ -108,11 +111,13 @@ def replay_recording(
 
 
 def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits | None = None) -> str:
-    """Why a replay does not support what was recorded, and what to do; empty where it does.
+    """Return why a replay does not support the recording, and what to do.
+
+    It is empty if the replay does.
 
     Args:
-        table: As `replay_recording` returns it.
-        everything: Whether all topics were fed, so that maps and plans are both to be met.
+        table: Result of `replay_recording`.
+        everything: Whether all topics were fed, so that both maps and plans must be reproduced.
         limits: For a live run.
     """
     maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
@@ -149,7 +154,7 @@ def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits
 
 
 class _Replay:
-    """Mapper and planner on simulated time, and what they make of what they hear."""
+    """Mapper and planner on simulated time, and their outputs."""
 
     def __init__(self, recording: Recording, only: frozenset[str]):
         profile = load_profile(recording.about.get("robot", "phantomx_mk2"))
@@ -161,7 +166,7 @@ class _Replay:
         self._running = {
             name: service
             for name, service in every.items()
-            if not any(topic.key in only for topic in service.writes)  # what it makes is fed
+            if not any(topic.key in only for topic in service.writes)  # one of its outputs is fed
         }
         made = {topic.key for service in self._running.values() for topic in service.writes}
         self._feeds = frozenset(only or {topic.key for topic in topics.TOPICS}) - made
@@ -170,16 +175,16 @@ class _Replay:
         self.recorded_maps: dict[int, TerrainMap] = {}
         self.plans: list[StepPlan] = []
         self.recorded_plans: list[StepPlan] = []
-        self.said: dict[str, int] = {}  # how often the planner said what of its state
-        # A lockstep run records frames as they are sent, a live one as they come.
+        self.said: dict[str, int] = {}  # planner state as text -> number of reports
+        # A lockstep run records frames when they are sent, a live one when they arrive.
         late = recording.about.get("run") == "lockstep"
         latency_s = {} if late else dict.fromkeys(self._feeds, 0.0)
         self._lockstep = Lockstep({n: lambda s=s: s for n, s in self._running.items()}, self._take, latency_s)  # type: ignore[misc]
-        self._waiting: list[tuple[int, int, Any]] = []  # time [ns] at which it is fed, order, message
+        self._waiting: list[tuple[int, int, Any]] = []  # feeding time [ns], order, message
         self._order = itertools.count()
 
     def hear(self, topic: AnyTopic, message: Message, at_ns: int, change: Change) -> None:
-        """What was recorded next: fed to the services, or kept to compare with."""
+        """Feed the next recorded message to the services, or keep it for comparison."""
         if isinstance(message, TerrainMap):
             self.recorded_maps[message.stamp_ns] = message
         if isinstance(message, StepPlan):
@@ -192,7 +197,7 @@ class _Replay:
         self._feed(at_ns)
 
     def _feed(self, until_ns: float) -> None:
-        """Let everything be said whose time has come."""
+        """Send all messages that are due."""
         while self._waiting and self._waiting[0][0] <= until_ns:
             at_ns, _, message = heapq.heappop(self._waiting)
             self._lockstep.run(max(at_ns, self._lockstep.now_ns))
@@ -200,19 +205,19 @@ class _Replay:
             self._lockstep.say(self._as_walked(message) if walking else message)
 
     def settle(self) -> None:
-        """Let what is still on its way arrive."""
+        """Let messages in transit arrive."""
         self._feed(math.inf)
         self._lockstep.run(self._lockstep.now_ns + _SETTLE_NS)
 
     def services(self) -> Iterable[Service]:
-        """Who has heard it."""
+        """Return the services that run."""
         return self._running.values()
 
     def compared_maps(self) -> list[tuple[TerrainMap, TerrainMap]]:
-        """Recorded maps, with those made now of the same moment.
+        """Return pairs of recorded and new maps of the same time.
 
         Raises:
-            ReplayError: None has the cells of those that are made now.
+            ReplayError: No pair has the same cells.
         """
         pairs = [(a, b) for a in self.recorded_maps.values() if (b := self._map_of(a.stamp_ns)) is not None]
         if pairs and not any(_same_cells(before, after) for before, after in pairs):
@@ -223,13 +228,19 @@ class _Replay:
         return pairs
 
     def _map_of(self, stamp_ns: int) -> TerrainMap | None:
-        """The map made now of a moment, or of one scan before or after: a mapper tells of every second scan that it mapped."""
+        """Return the new map at a time, or at one scan before or after it.
+
+        A mapper publishes the map of every second scan.
+        """
         nearest = min(self.maps, key=lambda stamp: abs(stamp - stamp_ns), default=None)
         near_ns = 1.5e9 / topics.SCAN.rate_hz
         return None if nearest is None or abs(nearest - stamp_ns) > near_ns else self.maps[nearest]
 
     def _as_walked(self, state: ActuatorState) -> ActuatorState:
-        """The state, as if the legs walked the plan made now of the step that they did walk: the planner follows its own."""
+        """Return the state with the new plan's stamp in place of the recorded plan's.
+
+        Both plans are of the same step. The planner then sees its own plan being executed.
+        """
         walked = next((p for p in reversed(self.recorded_plans) if p.stamp_ns == state.plan_ns), None)
         if walked is None or any(p.stamp_ns == state.plan_ns for p in self.plans):
             return state
@@ -237,7 +248,7 @@ class _Replay:
         return replace(state, plan_ns=own[-1].stamp_ns) if own else state
 
     def _take(self, topic: AnyTopic, frame: bytes, _: int) -> None:
-        """A frame that somebody has sent; those that are fed are of no interest."""
+        """Store an output of the services; fed topics are ignored."""
         if topic.key in self._feeds:
             return
         if topic is topics.TERRAIN:
@@ -252,8 +263,10 @@ class _Replay:
 
 
 def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, float | None]:
-    """How far the second map of each pair is off the first: errors [m] over cells known to both, coverage the share of the
-    first's cells that the second knows."""
+    """Compare the second map of each pair with the first.
+
+    Errors [m] are over cells known to both. Coverage is the share of the first map's cells that the second one knows.
+    """
     differences, known, shared_cells = [], 0, 0
     for before, after in pairs:
         if not _same_cells(before, after):
@@ -274,9 +287,9 @@ def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, 
 
 
 def compared_plans(recorded: Iterable[StepPlan], made: Iterable[StepPlan]) -> list[tuple[StepPlan, StepPlan]]:
-    """The last plan of each step that was recorded, with the last that was made now for the same legs.
+    """Return pairs of the last recorded and the last new plan of each step.
 
-    What is made after the recording's end, of what was under way then, has nothing to be compared with.
+    New plans after the last recorded one are ignored.
     """
     recorded = list(recorded)
     end_ns = max((plan.stamp_ns for plan in recorded), default=0)
@@ -285,7 +298,10 @@ def compared_plans(recorded: Iterable[StepPlan], made: Iterable[StepPlan]) -> li
 
 
 def plan_difference(pairs: Sequence[tuple[StepPlan, StepPlan]]) -> dict[str, float | None]:
-    """How far touchdowns [m], in the ground's plane and in height, and the body's goals are off in the second of each pair."""
+    """Return touchdown and body goal differences [m] of plan pairs.
+
+    Touchdowns differ in all three axes.
+    """
     if not pairs:
         return {"touchdown_p50": None, "touchdown_p95": None, "touchdown_max": None, "body_max": None}
     feet = [np.linalg.norm((a.touchdown - b.touchdown)[a.swing], axis=1) for a, b in pairs]
@@ -300,7 +316,7 @@ def plan_difference(pairs: Sequence[tuple[StepPlan, StepPlan]]) -> dict[str, flo
 
 
 def in_words(table: Mapping[str, Any]) -> str:
-    """A replay's result for people."""
+    """Format a replay's result as text."""
     lines = [f"{table['source']}:"]
     lines += [f"  {key:<20} {count:>6} messages" for key, count in table["topics"].items()]
     maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
@@ -325,10 +341,10 @@ def in_words(table: Mapping[str, Any]) -> str:
 
 
 def _fed(only: Sequence[str]) -> frozenset[str]:
-    """The keys that were asked for.
+    """Return the requested keys.
 
     Raises:
-        ReplayError: One that is not in the topic table.
+        ReplayError: A key is not in the topic table.
     """
     known = [topic.key for topic in topics.TOPICS]
     for key in only:
@@ -344,7 +360,7 @@ def _last_of_each_step(plans: Iterable[StepPlan]) -> dict[tuple[int, int, bytes]
 
 
 def _step_of(plan: StepPlan) -> tuple[int, int, bytes]:
-    """Which step a plan is a revision of: of one {odom}, by number, with the legs that swing."""
+    """Identify the step that a plan belongs to: {odom} epoch, number and swing legs."""
     return plan.epoch, plan.step, plan.swing.tobytes()
 
 
@@ -360,7 +376,7 @@ def _cells(terrain: TerrainMap) -> str:
 
 
 def _map_settings(recording: Recording) -> MapperSettings:
-    """The mapper's settings of a recorded run; older recordings say nothing of them."""
+    """Return the mapper's settings of a recorded run; old recordings lack them."""
     about, usual = recording.about, MapperSettings()
     try:
         return MapperSettings(
@@ -373,7 +389,7 @@ def _map_settings(recording: Recording) -> MapperSettings:
 
 
 def _planner_settings(recording: Recording) -> PlannerSettings:
-    """Likewise of the planner."""
+    """Return the planner's settings of a recorded run; old recordings lack them."""
     usual = PlannerSettings()
     blind = recording.about.get("walk.blind", str(usual.blind)) == "True"
     try:

@@ -1,1 +1,4 @@
-"""A ROS 2 node without ROS: what Sextant says in CDR on the keys of rmw_zenoh, and velocities from there. See docs/ros2.md."""
+"""A ROS 2 node without ROS: CDR messages over rmw_zenoh. See docs/ros2.md.
+
+It publishes Sextant's state and subscribes to velocities.
+"""

@@ -1,4 +1,4 @@
-"""The bridge as a service: hears Sextant, speaks as a node of ROS 2, and leads the robot by the Twists that it gets."""
+"""ROS 2 bridge: a service that republishes Sextant's state and drives by Twists."""
 
 import math
 from collections import deque
@@ -19,11 +19,11 @@ from sextant.shared.wire.messages import Message, Odometry, Tick
 
 RATE_HZ = 50.0
 MAX_TWIST_BYTES = 1024  # of a Twist with a header whose frame has a long name
-_WORD_S = 1.0  # [s] for which the actuator's last word counts
-_WAITING = 64  # Twists that may wait to be read
+_WORD_S = 1.0  # [s] for which the actuator's last message is valid
+_WAITING = 64  # most Twists that may wait to be read
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-# Topic, message type, and how many messages a subscriber is told that we keep.
+# Topic, message type, and history depth of the QoS profile.
 PUBLISHED = (
     ("odom", "nav_msgs/msg/Odometry", 10),
     ("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10),
@@ -40,27 +40,27 @@ SUBSCRIBED = (("cmd_vel", TWIST, 10), ("cmd_vel_stamped", TWIST_STAMPED, 10))
 
 
 class Publisher(Protocol):
-    """Puts bytes on a key of ROS."""
+    """Publishes bytes on a key of ROS."""
 
     def send(self, payload: bytes, attachment: bytes) -> None:
-        """Publish, never blocking."""
+        """Publish; never blocks."""
         ...
 
     def wanted(self) -> bool:
-        """Whether anybody is subscribed."""
+        """Return whether there is a subscriber."""
         ...
 
 
 class Wire(Protocol):
-    """The session among ROS nodes; `sextant.shared.wire.transport` has the one for Zenoh."""
+    """The Zenoh session for ROS nodes; implemented in `sextant.shared.wire.transport`."""
 
     @property
     def id(self) -> str:
-        """Of the session."""
+        """Id of the session."""
         ...
 
     def announce(self, token: str) -> None:
-        """Declare a liveliness token, for as long as the session lasts."""
+        """Declare a liveliness token for the lifetime of the session."""
         ...
 
     def publisher(self, key: str) -> Publisher:
@@ -68,15 +68,15 @@ class Wire(Protocol):
         ...
 
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
-        """Have the payloads of a key handed over, from a thread of the session."""
+        """Call `receive` with each payload of a key, from a thread of the session."""
         ...
 
 
 class Outlet:
-    """One topic that is published."""
+    """One published topic."""
 
     def __init__(self, wire: Wire, node: Node, entity: int, topic: str, kind: str, depth: int, wall: Callable[[], int]):
-        """Declare it, as the publisher of a number."""
+        """Declare the topic, as publisher number `entity`."""
         token = node.endpoint_token(entity, "MP", topic, kind, depth)
         self._publisher = wire.publisher(node.key(topic, kind))
         self._kind, self._gid, self._wall = kind, gid(token), wall
@@ -84,17 +84,17 @@ class Outlet:
         wire.announce(token)
 
     def wanted(self) -> bool:
-        """Whether anybody is subscribed: what nobody wants need not be made."""
+        """Return whether there is a subscriber; otherwise no message need be made."""
         return self._publisher.wanted()
 
     def publish(self, value: converted.Value) -> None:
-        """Send one message."""
+        """Publish one message."""
         self._sent += 1
         self._publisher.send(cdr.encode(self._kind, value), attachment(self._sent, self._wall(), self._gid))
 
 
 class Bridge:
-    """A node of ROS 2 that says where the robot is and what it sees, and passes Twists on."""
+    """ROS 2 node that publishes poses and maps, and forwards Twists."""
 
     name = "ros2"
     reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.BODY_POSE, topics.TERRAIN, topics.PREVIEW)
@@ -110,20 +110,20 @@ class Bridge:
         say: Callable[[str], None] = lambda _words: None,
         pictures: bool = False,
     ):
-        """Make the node known.
+        """Announce the node.
 
         Args:
             profile: Of the robot.
-            wire: Session among the ROS nodes.
-            node: What it is there.
-            lead: What becomes of Twists.
+            wire: Session for the ROS nodes.
+            node: Identity of the node.
+            lead: Converts Twists to velocity commands.
             wall: Time of day [ns].
-            say: Takes what has come about, in words.
-            pictures: Also pass the camera's small pictures on, which are made only for who asks.
+            say: Receives log lines.
+            pictures: Also forward the camera previews, which are made only for subscribers.
         """
         self.paced_by = Every.hz(RATE_HZ)
         self.stages = Stages()
-        self.refused = 0  # Twists that were none
+        self.refused = 0  # invalid Twists
         self.last_refusal = ""
         if not pictures:
             self.reads = tuple(topic for topic in self.reads if topic is not topics.PREVIEW)
@@ -143,12 +143,12 @@ class Bridge:
             wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
 
     def doing(self) -> str:
-        """Whether it leads, and what it could not read."""
+        """Return whether a Twist drives the robot, and the number of refused Twists."""
         words = "a Twist leads the robot" if self._lead.leading else "passing on what the robot says, listening to cmd_vel"
         return f"{words}; {self.refused} Twists refused: {self.last_refusal}" if self.refused else words
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """One beat: pass on what has come, either way."""
+        """Run one cycle: forward messages in both directions."""
         now = tick.stamp_ns
         self._pass_odometry(inbox)
         self._pass_state(inbox)
@@ -163,7 +163,7 @@ class Bridge:
             self._tell(words)
 
     def release(self, now_ns: int) -> list[Message]:
-        """What is still to be said before this ends."""
+        """Return the messages to send before the bridge ends."""
         return self._lead.release(now_ns)
 
     # ---------------------------------------------------------------------------------------------------------- to ROS
@@ -200,7 +200,7 @@ class Bridge:
                     self._publish(topic, converted.jpeg, data, self._at(message))
 
     def _at(self, message: Message) -> int:
-        """When the world was as a message says, as time of day [ns]."""
+        """Return the stamp of a message as time of day [ns]."""
         self._time.learn(message.stamp_ns, self._wall())
         return self._time.of(message.stamp_ns)
 
@@ -227,10 +227,12 @@ class Bridge:
 
 
 def read_twist(kind: str, payload: bytes) -> tuple[Array, float]:
-    """Velocity (2,) [m/s] {body} and rate of turn [rad/s] of a Twist, or of a stamped one; the rest of it is not for walkers.
+    """Return velocity (2,) [m/s] {body} and yaw rate [rad/s] of a Twist.
+
+    `kind` may be the stamped type. The other components are ignored.
 
     Raises:
-        CdrError: It is none, or not finite.
+        CdrError: It is malformed or not finite.
     """
     if len(payload) > MAX_TWIST_BYTES:
         raise cdr.CdrError(f"{kind}: at most {MAX_TWIST_BYTES} bytes expected, found {len(payload)}")

@@ -1,8 +1,8 @@
-"""ROS 2 messages <-> bytes: plain CDR of XCDR version 1, as rmw_zenoh and the DDS ones put it on the wire.
+"""CDR codec for ROS 2 messages: plain CDR of XCDR version 1.
 
-A message is a mapping from field names to values: numbers, texts, mappings, lists, and NumPy arrays for arrays of numbers.
-After four bytes that say how the rest is written, everything stands at a multiple of its own size, counted from behind
-those four.
+rmw_zenoh and the DDS implementations use this format. A message is a mapping from field names to values: numbers, strings,
+mappings, lists, and NumPy arrays for arrays of numbers. A header of four bytes states the encoding. Each value is aligned to
+its own size, counted from the end of the header.
 
 Source: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR) and 7.6.3.1.2 (encapsulation).
 """
@@ -17,7 +17,7 @@ from sextant.deploy.ros2.interface import Field, fields
 
 Value = Mapping[str, Any]
 
-# Letters of plain numbers, alike for struct and NumPy behind a mark of the byte order.
+# Type codes of plain numbers for struct and NumPy, without the byte order.
 _NUMBERS = {
     "bool": "?",
     "int8": "b",
@@ -37,18 +37,18 @@ _PADDING = 3  # bytes that may follow the last field, up to a multiple of four
 
 
 class CdrError(ValueError):
-    """Bytes that are not the message that was expected, with the reason in words."""
+    """Bytes are not the expected message; the text states why."""
 
 
 def encode(name: str, value: Value) -> bytes:
-    """A message as bytes, little-endian.
+    """Encode a message, little-endian.
 
     Args:
         name: Of the message, e.g. "geometry_msgs/msg/Twist".
-        value: Its fields, no more and no fewer.
+        value: Exactly the fields of the message.
 
     Raises:
-        ValueError: A field is missing or strange, or an array is not as long as defined.
+        ValueError: A field is missing or unknown, or an array does not have the defined length.
     """
     out = bytearray(_LITTLE + b"\0\0")
     _write(out, name, value)
@@ -56,10 +56,10 @@ def encode(name: str, value: Value) -> bytes:
 
 
 def decode(name: str, data: bytes) -> dict[str, Any]:
-    """The message of some bytes of either byte order; arrays of numbers are NumPy's.
+    """Decode a message of either byte order; arrays of numbers are NumPy arrays.
 
     Raises:
-        CdrError: They are not such a message, from the first to the last.
+        CdrError: The bytes are not exactly such a message.
     """
     if len(data) < _HEAD or data[:2] not in (_LITTLE, _BIG):
         raise CdrError(f"{name}: plain CDR expected, which begins with 00 01 or 00 00, found {data[:4].hex(' ') or 'nothing'}")
@@ -119,7 +119,7 @@ def _write_one(out: bytearray, base: str, value: Any, where: str) -> None:
 
 
 class _Reader:
-    """Goes through bytes once, from the front."""
+    """Reads bytes once, from the front."""
 
     def __init__(self, data: bytes, order: str, name: str):
         self.at = _HEAD
@@ -134,7 +134,7 @@ class _Reader:
             raise CdrError(f"{self._name}: at most {field.length} values of {field.name} expected, found {count}")
         if field.base in _NUMBERS:
             return self._numbers(field.base, count)
-        if count > len(self._data) - self.at:  # the smallest of them takes a byte
+        if count > len(self._data) - self.at:  # each of them takes at least a byte
             raise CdrError(f"{self._name}: {count} values of {field.name} do not fit its {len(self._data)} bytes")
         return [self._one(field.base) for _ in range(count)]
 

@@ -1,18 +1,18 @@
-"""Stamps of the robot's monotonic clock as times of day, which ROS goes by."""
+"""Conversion of the robot's monotonic stamps to time of day, as ROS uses it."""
 
-_WINDOW_NS = 5_000_000_000  # [ns] over which the least delay is looked for, and half of what it is kept for
-_JUMP_NS = 10_000_000_000  # [ns] no message takes so long: one of the clocks has begun anew, or was set
+_WINDOW_NS = 5_000_000_000  # [ns] window of the least delay; a minimum is kept for two windows
+_JUMP_NS = 10_000_000_000  # [ns] no message takes this long: one of the clocks restarted or was set
 
 
 class TimeOfDay:
-    """Learns by how much two clocks differ, from messages as they come: the one that took the shortest is the nearest to it."""
+    """Estimates the offset of two clocks from the message with the least delay."""
 
     def __init__(self) -> None:
-        self._offsets_ns: list[int] = []  # the least of this window, and of the one before
+        self._offsets_ns: list[int] = []  # least offset of this window, and of the previous one
         self._until_ns = 0
 
     def learn(self, stamp_ns: int, now_ns: int) -> None:
-        """Take in that a message stamped so [ns, robot] is here now [ns, time of day]."""
+        """Update with a message of this stamp [ns, robot] received now [ns, time of day]."""
         offset = now_ns - stamp_ns
         if self._offsets_ns and abs(offset - min(self._offsets_ns)) > _JUMP_NS:
             self._offsets_ns = []
@@ -22,5 +22,5 @@ class TimeOfDay:
         self._offsets_ns[0] = min(self._offsets_ns[0], offset)
 
     def of(self, stamp_ns: int) -> int:
-        """A stamp [ns, robot] as time of day [ns], once something has been learnt."""
+        """Convert a stamp [ns, robot] to time of day [ns]; call `learn` first."""
         return stamp_ns + min(self._offsets_ns)

@@ -1,7 +1,7 @@
-"""Sextant's messages as ROS 2 has them. Pure: stamps come in.
+"""Conversion of Sextant's messages to ROS 2 messages; pure functions.
 
-Frames by REP 105: {world} is `map`, {odom} is `odom`, {body} is `base_link`; axes and units are those of REP 103 already, x
-forward, y left, z up, metres and radians. The camera's is an optical frame: z forward, x right, y down.
+Frames follow REP 105: {world} is `map`, {odom} is `odom`, {body} is `base_link`. Axes and units already follow REP 103: x
+forward, y left, z up, metres and radians. The camera frame is an optical frame: z forward, x right, y down.
 """
 
 from typing import Any
@@ -17,18 +17,18 @@ MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_depth_optical_fram
 JOINT_NAMES = tuple(f"{leg.replace(' ', '_')}_{joint}" for leg in LEGS for joint in JOINTS)
 _FLOAT32 = 7  # of sensor_msgs/msg/PointField
 _NOT_KNOWN = np.zeros(36)
-_LONG_NS = 500_000_000  # [ns] between two messages of odometry, over which no velocity is told
+_LONG_NS = 500_000_000  # [ns] between two odometry messages, above which the velocity is zero
 
 Value = dict[str, Any]
 
 
 def stamp(ns: int) -> Value:
-    """A time [ns] as builtin_interfaces/msg/Time."""
+    """Convert a time [ns] to builtin_interfaces/msg/Time."""
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
 
 
 def header(at_ns: int, frame: str) -> Value:
-    """std_msgs/msg/Header."""
+    """Make a std_msgs/msg/Header."""
     return {"stamp": stamp(at_ns), "frame_id": frame}
 
 
@@ -47,7 +47,10 @@ def _pose(T: Array) -> Value:
 
 
 def transforms(at_ns: int, *found: tuple[str, str, Array]) -> Value:
-    """tf2_msgs/msg/TFMessage of (frame, child frame, transform that takes the child's coordinates to the frame)."""
+    """Make a tf2_msgs/msg/TFMessage of (frame, child frame, transform).
+
+    The transform takes coordinates of the child frame to the frame.
+    """
     return {
         "transforms": [
             {
@@ -61,7 +64,10 @@ def transforms(at_ns: int, *found: tuple[str, str, Array]) -> Value:
 
 
 def joint_state(state: ActuatorState, at_ns: int) -> Value:
-    """sensor_msgs/msg/JointState: measured angles [rad] and torques [N m]; velocities are not measured."""
+    """Make a sensor_msgs/msg/JointState: measured angles [rad] and torques [N m].
+
+    Velocities are not measured.
+    """
     return {
         "header": header(at_ns, ""),
         "name": list(JOINT_NAMES),
@@ -72,9 +78,9 @@ def joint_state(state: ActuatorState, at_ns: int) -> Value:
 
 
 def odometry(newest: Odometry, before: Odometry | None, at_ns: int) -> Value:
-    """nav_msgs/msg/Odometry: the pose in `odom`, the twist in `base_link` by the way since the message before.
+    """Make a nav_msgs/msg/Odometry: pose in `odom`, twist in `base_link`.
 
-    Covariances are all zero, which says that they are not known.
+    The twist is the motion since the message before. Covariances are zero, which means unknown.
     """
     return {
         "header": header(at_ns, ODOM),
@@ -85,7 +91,10 @@ def odometry(newest: Odometry, before: Odometry | None, at_ns: int) -> Value:
 
 
 def twist(newest: Odometry, before: Odometry | None) -> Value:
-    """geometry_msgs/msg/Twist {body} between two messages of odometry; zero where there is none before, or long ago."""
+    """Make a geometry_msgs/msg/Twist {body} between two odometry messages.
+
+    It is zero if there is no message before, or only an old one.
+    """
     moved = np.zeros(6)
     if before is not None and 0 < newest.stamp_ns - before.stamp_ns <= _LONG_NS:
         moved = log_se3(inverse(before.T_odom_body) @ newest.T_odom_body) / ((newest.stamp_ns - before.stamp_ns) * 1e-9)
@@ -93,7 +102,7 @@ def twist(newest: Odometry, before: Odometry | None) -> Value:
 
 
 def pose(found: BodyPose, at_ns: int) -> Value:
-    """geometry_msgs/msg/PoseWithCovarianceStamped in `map`."""
+    """Make a geometry_msgs/msg/PoseWithCovarianceStamped in `map`."""
     return {
         "header": header(at_ns, MAP),
         "pose": {"pose": _pose(found.T_world_body), "covariance": found.covariance.ravel()},
@@ -101,10 +110,10 @@ def pose(found: BodyPose, at_ns: int) -> Value:
 
 
 def grid_map(terrain: TerrainMap, at_ns: int) -> Value:
-    """grid_map_msgs/msg/GridMap in `map`; NaN where nothing is known.
+    """Make a grid_map_msgs/msg/GridMap in `map`; NaN is unknown.
 
     Layers: `elevation` [m], `variance` [m^2], `score` (0 best, above 1 no foothold) and `evaluation` (Masri's function [cells],
-    negative where a foot may stand). There cell (0, 0) lies at the largest x and y, and rows go along x, columns along y.
+    negative where a foot may stand). In a GridMap cell (0, 0) lies at the largest x and y, rows go along x, columns along y.
     """
     nx, ny = terrain.elevation.shape
     edge = terrain.resolution
@@ -133,7 +142,10 @@ def grid_map(terrain: TerrainMap, at_ns: int) -> Value:
 
 
 def _float_array(layer: NDArray[Any]) -> Value:
-    """std_msgs/msg/Float32MultiArray of cells (nx, ny), column by column from the largest x and y on."""
+    """Make a std_msgs/msg/Float32MultiArray of cells (nx, ny).
+
+    The order is column by column, from the largest x and y on.
+    """
     rows, columns = layer.shape
     dims = [
         {"label": "column_index", "size": columns, "stride": rows * columns},
@@ -143,7 +155,10 @@ def _float_array(layer: NDArray[Any]) -> Value:
 
 
 def points(terrain: TerrainMap, at_ns: int) -> Value:
-    """sensor_msgs/msg/PointCloud2 in `map`: a point with its score in the middle of every cell whose height is known."""
+    """Make a sensor_msgs/msg/PointCloud2 in `map`.
+
+    Each cell of known height gives a point at its centre, with its score.
+    """
     i, j = np.nonzero(np.isfinite(terrain.elevation))
     xy = terrain.origin + terrain.resolution * np.column_stack([i, j])
     cloud = np.column_stack([xy, terrain.elevation[i, j], terrain.score[i, j]]).astype("<f4")
@@ -165,5 +180,5 @@ def points(terrain: TerrainMap, at_ns: int) -> Value:
 
 
 def jpeg(data: NDArray[np.uint8], at_ns: int) -> Value:
-    """sensor_msgs/msg/CompressedImage of a JPEG."""
+    """Make a sensor_msgs/msg/CompressedImage of a JPEG."""
     return {"header": header(at_ns, CAMERA), "format": "jpeg", "data": data}

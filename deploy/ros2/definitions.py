@@ -1,7 +1,9 @@
-"""The ROS 2 messages that are spoken, by their published definitions: fields alone, without comments, constants and defaults.
+"""Definitions of the ROS 2 messages in use: fields only.
+
+Comments, constants and defaults are left out.
 
 Sources: ros2/common_interfaces and ros2/rcl_interfaces (Jazzy and later), ros2/geometry2 for tf2_msgs, ANYbotics/grid_map
-(branch rolling). A test holds them to published type hashes, and to the definitions that come with another reader.
+(branch rolling). A test compares them with published type hashes, and with the definitions of another reader.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Message definitions read as types, and the hash by which ROS 2 tells whether two sides mean the same one.
+"""Message definitions as types, and their ROS 2 type hash.
 
 Source: REP 2016, type descriptions and their hash RIHS01; the interface definition language of .msg files.
 """
@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from sextant.deploy.ros2.definitions import DEFINITIONS
 
-# Number of a plain type in a type description; arrays add to it.
+# Type id of a plain type in a type description; arrays add to it.
 _NESTED = 1
 _PLAIN = {
     "int8": 2,
@@ -38,9 +38,9 @@ class Field:
     """One field of a message."""
 
     name: str
-    base: str  # a plain type, or the whole name of a message
+    base: str  # a plain type, or the full name of a message
     array: Literal["", "fixed", "bounded", "sequence"]
-    length: int  # of a fixed array, or at most of a bounded one
+    length: int  # of a fixed array, or the most values of a bounded one
 
     @property
     def nested(self) -> bool:
@@ -50,10 +50,10 @@ class Field:
 
 @functools.cache
 def fields(name: str) -> tuple[Field, ...]:
-    """The fields of a message, e.g. of "geometry_msgs/msg/Twist".
+    """Return the fields of a message, e.g. of "geometry_msgs/msg/Twist".
 
     Raises:
-        ValueError: Nobody has defined it, or a line of its definition is none.
+        ValueError: The message is unknown, or a line of its definition is invalid.
     """
     if name not in DEFINITIONS:
         raise ValueError(f"one of {', '.join(DEFINITIONS)} expected, found {name!r}")
@@ -72,7 +72,7 @@ def _field(line: str, name: str) -> Field:
 
 
 def _whole_name(base: str, within: str) -> str:
-    """A type as a definition names it, with its package."""
+    """Return the full name of a type in a definition, with its package."""
     if base in _PLAIN:
         return base
     package, _, kind = base.rpartition("/")
@@ -81,7 +81,10 @@ def _whole_name(base: str, within: str) -> str:
 
 @functools.cache
 def type_hash(name: str) -> str:
-    """RIHS01 of a message: SHA-256 of its type description, with those it refers to, as JSON."""
+    """Compute RIHS01 of a message: SHA-256 of its type description as JSON.
+
+    The description includes the types that it refers to.
+    """
     referred = sorted(set(_referred(name)))
     description = {"type_description": _described(name), "referenced_type_descriptions": [_described(one) for one in referred]}
     text = json.dumps(description, separators=(", ", ": "), ensure_ascii=True)

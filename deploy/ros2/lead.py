@@ -1,8 +1,8 @@
-"""Twists from ROS as an operator's stick: held while they come, let go when they stop. Pure: time comes in.
+"""Driving by Twists from ROS, with a dead-man timeout; pure, time is an argument.
 
-Whoever sends them takes the lease by the rules of all operators, while it is free, and loses it to who takes over. A Twist of
-nothing but zeros begins nothing. What was refused or taken away moves nothing until the Twists have paused or were zero.
-Times are this machine's, stamps and numbers of what goes out the robot's, wherever this runs.
+A sender takes the lease by the rules of all operators while it is free, and loses it to another operator who takes over. A zero
+Twist does not start driving. After a refusal or a loss of the lease, Twists have no effect until they have paused or were zero.
+Times are this machine's; stamps and sequence numbers of outgoing messages are the robot's, wherever this runs.
 """
 
 import math
@@ -15,34 +15,34 @@ from sextant.deploy.robot_time import RobotTime
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
-DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the stick is let go
-_REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
-_LEASE_NS = 1_000_000_000  # [ns] within which the actuator gives the lease, or does not mean to
-_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least
-_FASTEST_TURN = 1.0  # [rad/s]; what the robot can is the planner's matter
-_LED = (Mode.HOLD, Mode.WALK)  # modes in which leading begins
-_GOES_ON = (*_LED, Mode.FAULT)  # and in which it goes on: a fault stops the legs by itself
+DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the robot stops
+_REPEAT_NS = 500_000_000  # [ns] between two messages of an order, which keeps the lease
+_LEASE_NS = 1_000_000_000  # [ns] within which the actuator should grant the lease
+_VELOCITY_NS = 40_000_000  # [ns] least time between two velocity commands
+_FASTEST_TURN = 1.0  # [rad/s]; the planner limits it to the robot's capability
+_LED = (Mode.HOLD, Mode.WALK)  # modes in which driving may start
+_GOES_ON = (*_LED, Mode.FAULT)  # modes in which it continues: a fault stops the legs by itself
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """How the robot is to walk; a Twist does not say."""
+    """Walk parameters that a Twist does not contain."""
 
     max_speed: float  # [m/s] of the robot
     body_height: float  # [m] over the floor
-    lift: float = 0.04  # [m] clearance of swinging feet
+    lift: float = 0.04  # [m] clearance of swing feet
     gait: GaitName = "tripod"
 
 
 @dataclass(slots=True)
 class Lead:
-    """Takes Twists, and says what goes out; one call of `beat` every few hundredths of a second."""
+    """Converts Twists to messages; call `beat` every few hundredths of a second."""
 
     walk: Walk
     holder: str = "ros2"
     leading: bool = False
-    _begun_ns: int = 0  # since when it leads, or waits for the lease
-    _lapsed: bool = False  # the Twists that come now move nothing
+    _begun_ns: int = 0  # since when it drives, or waits for the lease
+    _lapsed: bool = False  # current Twists have no effect
     _heard_ns: int = -DEAD_MAN_NS - 1
     _velocity: Array = field(default_factory=lambda: np.zeros(2))
     _yaw_rate: float = 0.0
@@ -50,12 +50,12 @@ class Lead:
     _sequence: int = 0
     _order: ModeCommand | None = None
     _velocity_ns: int = 0
-    _new: list[Message] = field(default_factory=list)  # to go out at the next beat
+    _new: list[Message] = field(default_factory=list)  # to send at the next beat
     _words: list[str] = field(default_factory=list)
     _robot: RobotTime = field(default_factory=RobotTime)
 
     def twist(self, velocity: Array, yaw_rate: float, now_ns: int) -> None:
-        """Take in a Twist.
+        """Process a Twist.
 
         Args:
             velocity: (2,) [m/s] {body} forward, left; finite.
@@ -84,7 +84,10 @@ class Lead:
         self._yaw_rate = min(max(yaw_rate, -_FASTEST_TURN), _FASTEST_TURN)
 
     def beat(self, now_ns: int, state: ActuatorState | None) -> list[Message]:
-        """What goes out now [ns], by the actuator's newest word; None where it has not said one for a while."""
+        """Return the messages to send now [ns].
+
+        `state` is the actuator's newest state; None if there was none for a while.
+        """
         self._state = state
         if void := self._robot.see(now_ns, None if state is None else state.stamp_ns):
             self._sequence = 0
@@ -101,19 +104,19 @@ class Lead:
         return [replace(message, stamp_ns=self._robot()) for message in out]
 
     def release(self, now_ns: int) -> list[Message]:
-        """What is to be said before nobody asks any more: the robot stops, if it was led."""
+        """Return the messages to send at the end: they stop the robot if it is driven."""
         if self.leading:
             self._let_go(now_ns, "the bridge ends")
         out, self._new = [replace(message, stamp_ns=self._robot()) for message in self._new], []
         return out
 
     def drain_words(self) -> list[str]:
-        """What has come about since this was last asked, for the log."""
+        """Return the log lines since the last call."""
         words, self._words = self._words, []
         return words
 
     def _refused(self) -> str:
-        """Why the robot cannot be led now, in words, or nothing."""
+        """Return why the robot cannot be driven now, or an empty string."""
         state = self._state
         if state is None:
             return "no word from the actuator; is it up?"
@@ -135,7 +138,7 @@ class Lead:
             self._lapse(f"the robot is led no more: {state.mode}: {state.reason}")
 
     def _let_go(self, now_ns: int, why: str = f"no Twist for {DEAD_MAN_NS * 1e-9:.1f} s") -> None:
-        """The robot stops: a velocity of zero once, and the order to stop, and then silence."""
+        """Stop the robot: send a zero velocity and the stop order once."""
         self.leading = False
         self._words.append(f"the robot is stopped: {why}")
         self._new.append(self._command(now_ns, np.zeros(2), 0.0))
@@ -146,7 +149,7 @@ class Lead:
         self._words.append(why)
 
     def _say(self, mode: Literal["walk", "stop"], now_ns: int) -> None:
-        self._sequence = max(self._sequence + 1, self._robot())  # above those of a bridge that ran before, anywhere
+        self._sequence = max(self._sequence + 1, self._robot())  # larger than those of an earlier bridge on any machine
         self._order = ModeCommand(now_ns, mode, self._sequence, self.holder)
         self._new.append(self._order)
 

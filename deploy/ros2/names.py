@@ -1,7 +1,7 @@
-"""The keys of rmw_zenoh: where a topic's messages travel, how nodes make themselves known, and what goes with each message.
+"""Keys of rmw_zenoh: message keys, liveliness tokens and message attachments.
 
 Source: ros2/rmw_zenoh, docs/design.md (rolling) and `rmw_zenoh_cpp/src/detail/`: liveliness_utils.cpp at commit 3411fde,
-attachment_helpers.cpp at commit 534747d; alike in Jazzy, Kilted and Rolling.
+attachment_helpers.cpp at commit 534747d; the same in Jazzy, Kilted and Rolling.
 """
 
 import re
@@ -14,17 +14,17 @@ import xxhash
 from sextant.deploy.ros2.interface import type_hash
 
 Kind = Literal["MP", "MS"]  # a publisher, a subscription
-_ATTACHMENT = struct.Struct("<qqB16s")  # number, time, length of what follows, gid
+_ATTACHMENT = struct.Struct("<qqB16s")  # number, time, length of the gid, gid
 _NAME = r"[A-Za-z_]\w*"
 _NAMESPACE = re.compile(rf"/|(/{_NAME})+", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One node of a ROS graph."""
+    """A node of a ROS graph."""
 
     domain: int  # ROS_DOMAIN_ID
-    session: str  # id of the Zenoh session that it lives in
+    session: str  # id of the node's Zenoh session
     name: str
     namespace: str = "/"
 
@@ -37,23 +37,25 @@ class Node:
             raise ValueError(f"a ROS node name of letters, digits and _ expected, found {self.name!r}")
 
     def full(self, topic: str) -> str:
-        """Whole name of a topic: one that begins with / is itself, others stand in the namespace."""
+        """Return a topic's full name: names without leading / are in the namespace."""
         return topic if topic.startswith("/") else f"{self.namespace.rstrip('/')}/{topic}"
 
     def key(self, topic: str, kind: str) -> str:
-        """Where the messages of a topic travel."""
+        """Return the key of a topic's messages."""
         return f"{self.domain}/{self.full(topic)[1:]}/{dds_name(kind)}/{type_hash(kind)}"
 
     def token(self) -> str:
-        """Makes the node known for as long as it is declared."""
+        """Return the liveliness token that announces the node."""
         return f"@ros2_lv/{self.domain}/{self.session}/0/0/NN/{self._place()}"
 
     def endpoint_token(self, entity: int, end: Kind, topic: str, kind: str, depth: int) -> str:
-        """Makes a publisher or a subscription known: reliable, volatile, keeping the last few.
+        """Return the liveliness token that announces a publisher or subscription.
+
+        Its QoS is reliable, volatile, keep last.
 
         Args:
             entity: Its number within the session, from 1 on.
-            end: What it is.
+            end: Publisher or subscription.
             topic: Its topic.
             kind: Message type, e.g. "sensor_msgs/msg/JointState".
             depth: Messages that it keeps.
@@ -62,11 +64,11 @@ class Node:
         return f"@ros2_lv/{self.domain}/{self.session}/0/{entity}/{end}/{self._place()}/{about}"
 
     def _place(self) -> str:
-        return f"%/{_mangled(self.namespace)}/{self.name}"  # the enclave, which is the root's, first
+        return f"%/{_mangled(self.namespace)}/{self.name}"  # first the enclave, which is the root
 
 
 def dds_name(kind: str) -> str:
-    """A message type as DDS calls it."""
+    """Return a message type's name in DDS."""
     package, _, name = kind.split("/")
     return f"{package}::msg::dds_::{name}_"
 
@@ -76,12 +78,12 @@ def _mangled(name: str) -> str:
 
 
 def gid(token: str) -> bytes:
-    """Id of an endpoint, 16 bytes: the hash of the token that makes it known."""
+    """Return the id (16 bytes) of an endpoint: the hash of its liveliness token."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
 
 
 def attachment(number: int, at_ns: int, source: bytes) -> bytes:
-    """What goes with a message.
+    """Return the attachment of a message.
 
     Args:
         number: Of the message, from 1 on.

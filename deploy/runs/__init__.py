@@ -1,1 +1,1 @@
-"""A whole run from start to report, in lockstep or live, with who attends it."""
+"""One run from start to report, in lockstep or live, with its observers."""

@@ -1,4 +1,4 @@
-"""Who attends a run beside the robot's own services: operator, scorer and monitor; and what is left behind at its end."""
+"""Observers of a run: operator, scorer and monitor; and the run's files."""
 
 import math
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ from sextant.shared.wire import topics
 
 RECORDING = "recording.mcap"
 PICTURES = ("summary.png", "passage.png", "walk.png")
-_LATE_S = 2.0  # [s] of late inputs in a run, from which a failure names them
-_LAST_LOOK_S = 6.0  # [s] simulated that the scorer has for its verdict once the operator is done
+_LATE_S = 2.0  # [s] of late inputs in a run from which a failure report mentions them
+_LAST_LOOK_S = 6.0  # [s] simulated time for the scorer's verdict after the operator is done
 
 
 class Attendance:
-    """Commands, judges and watches one run, however the services are run."""
+    """Commands, scores and monitors one run, live or in lockstep."""
 
     def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int, live: bool = False, linked: bool = False):
         self.operator = Operator(profile, scenario)
@@ -34,11 +34,14 @@ class Attendance:
         self._operator_done_s: float | None = None
 
     def services(self) -> Mapping[str, Service]:
-        """The three, by name."""
+        """Return the three services by name."""
         return {"operator": self.operator, "scorer": self.scorer, "monitor": self.monitor}
 
     def over(self) -> bool:
-        """Whether the run has come to its end: the scorer's verdict, or its time is up after the operator was done."""
+        """Return whether the run is over.
+
+        It is over when the scorer has a verdict, or some time after the operator is done.
+        """
         if self.scorer.finished:
             return True
         if self.operator.finished and self._operator_done_s is None:
@@ -46,21 +49,24 @@ class Attendance:
         return self._operator_done_s is not None and self.monitor.view.time_s > self._operator_done_s + _LAST_LOOK_S
 
     def kept_up(self) -> float:
-        """Share [1] of real time that a live simulator has simulated: where it falls behind, truth is missing."""
+        """Return the share [1] of real time that a live simulator has simulated.
+
+        Ground truth is missing where the simulator falls behind.
+        """
         try:
             t = self.scorer.trace.t
-        except ValueError:  # no truth came
+        except ValueError:  # no ground truth arrived
             return math.nan
         return float((len(t) - 1) / (topics.TRUTH.rate_hz * (t[-1] - t[0]))) if len(t) > 1 else math.nan
 
     def judge(self, real_time_factor: float, ended_by: str = "", in_a_hurry: bool = False, slowed_down: str = "") -> Report:
-        """The verdict.
+        """Compute the report of the run.
 
         Args:
-            real_time_factor: Simulated over elapsed time.
-            ended_by: What ended the run from outside, in words: it has failed then, for that reason.
-            in_a_hurry: Leave out what takes long to judge.
-            slowed_down: That simulated time ran slower than real time, in words, or nothing.
+            real_time_factor: Simulated time over elapsed time.
+            ended_by: External reason for the end of the run, which then counts as failed; else empty.
+            in_a_hurry: Skip evaluations that take long.
+            slowed_down: A sentence if simulated time ran slower than real time, else empty.
         """
         lateness = self.monitor.lateness
         stages = {name: StageTime(p50, p99) for name, (p50, p99) in self.monitor.stages_ms().items()}
@@ -79,12 +85,12 @@ class Attendance:
         return report
 
     def leave_behind(self, report: Report, out: Path, picture: bool = True) -> list[str]:
-        """Write report.json and, if asked for and where there is anything to see, pictures into a folder.
+        """Write report.json and, if `picture` is set, pictures into a folder.
 
-        They are summary.png; walk.png of a robot that walked; and passage.png of one that planned its way over a passage.
+        The pictures are summary.png, walk.png if the robot walked, and passage.png if it planned over a gap.
 
         Returns:
-            Why files are missing that could not be written, a sentence each.
+            A sentence for each file that could not be written.
         """
         problems: list[str] = []
         for write in (reports.write, *((self._draw,) if picture else ())):
@@ -98,11 +104,11 @@ class Attendance:
         from sextant.deploy.pictures import passage_picture, walk_picture
         from sextant.deploy.pictures import (
             summary as summaries,
-        )  # takes a second to import, which an interrupted run does not have
+        )  # takes a second to import, which an interrupted run avoids
 
         try:
             trace = self.scorer.trace
-        except ValueError:  # the run ended before the simulator said a word
+        except ValueError:  # the run ended before the simulator sent a message
             return
         summary, passage, walk = (out / name for name in PICTURES)
         summaries.draw(summary, report, trace)
@@ -112,7 +118,7 @@ class Attendance:
 
 
 def clear(out: Path) -> None:
-    """Make a folder ready for a run: the verdict and pictures of an earlier one do not belong to it.
+    """Prepare a folder for a run: remove the report and pictures of an earlier one.
 
     Raises:
         WriteError: The folder cannot be made, or its files cannot be removed.
@@ -124,7 +130,10 @@ def clear(out: Path) -> None:
 
 
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
-    """What a recording says about its run, the size of its map and what it walks by included: replays do likewise."""
+    """Return the metadata of a recording.
+
+    It includes the map size and the planner's settings, which a replay uses too.
+    """
     size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
     walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
     return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk}

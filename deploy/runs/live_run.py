@@ -1,4 +1,4 @@
-"""A whole run over Zenoh at real time: the services in processes of their own, the attendants in this one."""
+"""Live run over Zenoh in real time: services as processes, observers here."""
 
 import contextlib
 import os
@@ -33,22 +33,22 @@ from sextant.shared.scenario.scenario import Fault, Scenario
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _LOG = "services.log"
-_LOOK_S = 0.1  # between two looks at the run
-_SHOW_S = 0.25  # between two views of it
-_START_S = 180.0  # within which the robot must have come up
-_SPEED_OVER_NS = 3_000_000_000  # the newest speed of simulated time is the mean over these seconds
-_NAMED = 2  # services that simulated time waited for, in the sentence about it
-_REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real time
-# [1] of real time. Passing the bytes of the servo bus between processes takes time on a fast computer, too: `sextant demo` on
-# two idle cores runs at some 0.85. A computer is called too slow below this, or where a service was waited for.
+_LOOK_S = 0.1  # [s] interval of polling the run
+_SHOW_S = 0.25  # [s] interval of showing progress
+_START_S = 180.0  # [s] within which the robot must come up
+_SPEED_OVER_NS = 3_000_000_000  # the current speed of simulated time is the mean over this window
+_NAMED = 2  # most services that the slow-down message names
+_REAL_TIME = 0.95  # [1] share of real time from which simulated time counts as real time
+# [1] share of real time. Passing the servo bus's bytes between processes takes time on a fast computer, too: `sextant demo` on
+# two idle cores runs at about 0.85. A computer counts as too slow below this, or where simulated time waited for a service.
 _TOO_SLOW = 0.75
-_WARM_S = 10.0  # the warm-up takes less when everything is compiled already
+_WARM_S = 10.0  # [s] the warm-up takes less when everything is compiled already
 _WARM_UP = Command("warm-up", ("-m", "sextant.deploy.warm_up"), ENVIRONMENT)
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a live run came to."""
+    """Result of a live run."""
 
     report: Report
     interrupted: bool  # the operator ended it
@@ -65,21 +65,23 @@ def run_live_scenario(
     started: Callable[[Launcher], None] = lambda _: None,
     slow_down: bool = False,
 ) -> Outcome:
-    """Run a scenario over Zenoh to its end, leaving report.json, pictures, recording.mcap and services.log in `out`.
+    """Run a scenario over Zenoh to its end.
+
+    Write report.json, pictures, recording.mcap and services.log to `out`.
 
     Args:
-        scenario: The course and the way to walk it.
-        source: Its name or path, for the simulator.
-        seed: Of the simulator's randomness.
-        out: Folder, made where it is missing.
-        progress: Where to show it.
-        interrupts: The operator's wish to end it; entered by the caller, in the main thread.
-        attach: Where services that somebody else started are met; None starts them.
-        started: Is given the launcher once all runs, for tests that break something.
-        slow_down: Let simulated time wait for services that this computer runs too late, in place of real time.
+        scenario: The course and how to walk it.
+        source: Name or path from which the simulator loads the scenario.
+        seed: Random seed of the simulator.
+        out: Output folder, made if it is missing.
+        progress: Display of the progress.
+        interrupts: The operator's interrupts; entered by the caller, in the main thread.
+        attach: Endpoints of services that already run; None starts them.
+        started: Receives the launcher once all processes run, for tests that inject faults.
+        slow_down: Let simulated time wait for services that are late on this computer, instead of real time.
 
     Raises:
-        ValueError: `slow_down` of services that somebody else started.
+        ValueError: `slow_down` with services that already run.
     """
     if attach and slow_down:
         raise ValueError("services that somebody else started go by their own time")
@@ -93,8 +95,8 @@ def run_live_scenario(
         rows = () if attach else process_table.rows("all", simulated=True)
         simulated_time = stack.enter_context(_shared_time(rows)) if slow_down else None
         time_file = simulated_time.path if simulated_time else None
-        # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
-        #    services start, so that the recording has the first word.
+        # 2. Record, command, score and monitor from this process, each over its own link. They connect before the services
+        # start, so that the recording has every message.
         profile = load_profile(scenario.robot)
         sink = _sink(out / RECORDING, about(scenario, seed, "live"), profile)
         recording = stack.enter_context(_recording(sink, endpoints))
@@ -104,14 +106,14 @@ def run_live_scenario(
         stack.callback(lambda: launcher.stop(interrupts.insisted))
         launcher.__enter__()
         started(launcher)
-        # 3. Watch until something ends it, breaking what the scenario wants broken.
+        # 3. Watch until the run ends, and inject the scenario's faults.
         speed = Speed()
         ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts, speed)
         slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end when asked and was killed")
-    # 5. Judge it and write what it leaves behind.
+    # 5. Evaluate the run and write its files.
     report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), slowed_down)
     unwritten = attendance.leave_behind(report, out, picture=not interrupts.asked())
     for problem in filter(None, (recording.problem, _loss(recording.dropped), log.problem, *unwritten)):
@@ -121,7 +123,11 @@ def run_live_scenario(
 
 
 def warm_up(progress: Progress, interrupts: Interrupts) -> str:
-    """Compile what is compiled at first use, in a process of its own; returns what went wrong, in words, or nothing."""
+    """Compile everything that is compiled at first use, in a separate process.
+
+    Returns:
+        The error as text, or an empty string.
+    """
     began = time.monotonic()
     with Launcher([_WARM_UP]) as launcher:
         told = False
@@ -137,9 +143,9 @@ def warm_up(progress: Progress, interrupts: Interrupts) -> str:
 
 
 class Attendants:
-    """Services that run in threads of this process, each over its own link; a context manager.
+    """Services that run in threads of this process, each over its own link.
 
-    An exception in one of them comes out of `check`, in the thread that asks.
+    A context manager. `check` raises an exception of a service in the caller's thread.
     """
 
     def __init__(self, services: Mapping[str, Service], endpoints: Endpoints):
@@ -168,7 +174,7 @@ class Attendants:
             thread.join(2.0)
 
     def check(self) -> None:
-        """Raise what has gone wrong in one of them."""
+        """Raise the first exception of a service."""
         if self._errors:
             raise self._errors[0]
 
@@ -177,19 +183,19 @@ class Attendants:
             with ZenohLink(self._endpoints) as link:
                 self._ready.release()
                 run_live(service, link, self._stop)
-        except Exception as error:  # noqa: BLE001 - it is raised again by check, in the thread that watches
+        except Exception as error:  # noqa: BLE001 - `check` raises it again, in the watching thread
             self._errors.append(error)
             self._ready.release()
 
 
 class Faults:
-    """Breaks running processes when their time has come, and mends those that hang."""
+    """Injects a scenario's process faults when due, and continues frozen processes."""
 
     def __init__(self, faults: tuple[Fault, ...]):
         self._due: list[tuple[float, str, str]] = []  # time [s], act, service
         for fault in faults:
             if fault.of_camera:
-                continue  # the simulator's own
+                continue  # the simulator injects it
             if fault.kind == "kill":
                 self._due.append((fault.at_s, "kill", fault.service))
             else:
@@ -197,7 +203,7 @@ class Faults:
         self._due.sort()
 
     def act(self, time_s: float, launcher: Launcher) -> list[str]:
-        """Do what is due at a time [s]; says what it did."""
+        """Inject the faults that are due at a time [s]; return a log line for each."""
         done: list[str] = []
         while self._due and self._due[0][0] <= time_s:
             _, act, service = self._due.pop(0)
@@ -222,7 +228,7 @@ def _watch(
     interrupts: Interrupts,
     speed: "Speed",
 ) -> str:
-    """Watch a run; returns what ended it from outside, in words, or nothing."""
+    """Watch a run; return what ended it from outside, or an empty string."""
     began = shown = time.monotonic()
     while not attendance.over():
         for ended in launcher.wait(_LOOK_S):
@@ -246,21 +252,21 @@ def _watch(
 
 
 class Speed:
-    """How fast the time that services go by runs against real time."""
+    """Speed of the services' time relative to real time."""
 
     def __init__(self, clock: Callable[[], int] = now_ns, machine: Callable[[], int] = time.monotonic_ns):
-        """Measure nothing yet.
+        """Initialise without a measurement.
 
         Args:
-            clock: [ns] that services go by.
-            machine: [ns] of real time.
+            clock: [ns] time of the services.
+            machine: [ns] real time.
         """
         self._clock, self._machine = clock, machine
         self._looks: deque[tuple[int, int]] = deque()  # real and shared time [ns]; the first one stays
         self._first: tuple[int, int] | None = None
 
     def update(self) -> None:
-        """Take a look at both clocks."""
+        """Read both clocks."""
         look = self._machine(), self._clock()
         self._first = self._first or look
         self._looks.append(look)
@@ -268,18 +274,18 @@ class Speed:
             self._looks.popleft()
 
     def mean(self) -> float:
-        """Share [1] of real time since the first look; 1 before there are two."""
+        """Return the mean share [1] of real time; 1 before there are two readings."""
         return _rate(self._first, self._looks[-1]) if self._first else 1.0
 
     def newest(self) -> float:
-        """The same over the newest seconds."""
+        """Return the share [1] of real time over the newest window."""
         return _rate(self._looks[0], self._looks[-1]) if self._looks else 1.0
 
     def words(self, waited_s: Mapping[str, float]) -> str:
-        """State that time ran slower than real time since the computer is too slow; empty where it is not.
+        """Describe how far time ran slower than real time; empty if the computer keeps up.
 
         Args:
-            waited_s: Service -> real time [s] for which it has waited lest inputs or cycles of that one come late.
+            waited_s: Service -> real time [s] that simulated time waited for its inputs or cycles.
         """
         mean = self.mean()
         if mean >= _REAL_TIME:
@@ -297,7 +303,7 @@ def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
 
 @contextlib.contextmanager
 def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
-    """A simulated time that this process and the ones it starts go by."""
+    """Create a simulated time that this process and its children share."""
     with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
         path = Path(folder) / "simulated_time"
         names = [SERVO_BUS, *(p.name for p in rows if p.side != "simulation")]
@@ -307,7 +313,7 @@ def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
 
 
 def _sink(path: Path, said: Mapping[str, str], profile: RobotProfile) -> Sink:
-    """A recorder; what its file cannot hold ends the recording, not the run."""
+    """Return a recorder; an unwritable file ends the recording, not the run."""
     try:
         return Recorder(path, said, Foxglove(profile))
     except WriteError as error:
@@ -315,10 +321,13 @@ def _sink(path: Path, said: Mapping[str, str], profile: RobotProfile) -> Sink:
 
 
 class ServiceLog:
-    """Writes the lines that services print into a file, from any thread; lines that cannot be written are dropped."""
+    """Writes the output lines of services to a file, from any thread.
+
+    Lines that cannot be written are dropped.
+    """
 
     def __init__(self, path: Path):
-        self.problem = ""  # why lines are missing, in a sentence
+        self.problem = ""  # why lines are missing, as a sentence
         self._path, self._lock = path, threading.Lock()
         self._file: FileIO | None = None
         try:
@@ -336,7 +345,7 @@ class ServiceLog:
                     self._fail(error)
 
     def close(self) -> None:
-        """Close the file; lines that come later are dropped."""
+        """Close the file; later lines are dropped."""
         with self._lock:
             if self._file is not None:
                 self._file.close()

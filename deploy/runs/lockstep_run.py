@@ -1,6 +1,6 @@
-"""A whole run in one process on simulated time: the same services, as fast as the machine allows.
+"""Lockstep run: all services in one process on simulated time, at full speed.
 
-The same frames, too, but for depth frames that nobody would look at: where it changes nothing they are not made.
+The messages are those of a live run. Depth frames that no service uses are not rendered where that changes nothing.
 """
 
 import contextlib
@@ -47,7 +47,7 @@ from sextant.shared.scenario.scenario import Fault, Scenario
 from sextant.shared.wire.messages import Message
 
 CRASH = "crash.txt"  # in a run's folder: the traceback of a service that failed
-_LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
+_LOOK_NS = 250_000_000  # simulated time between two checks whether the run is over
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ def _rehearse_passage(robot: str) -> None:
 
 
 class LockstepRun:
-    """The services of a run on simulated time, with those who attend it."""
+    """The services of a run on simulated time, with its observers."""
 
     def __init__(
         self,
@@ -75,18 +75,18 @@ class LockstepRun:
     ):
         keep_memory()
         if scenario.goal.passage:
-            _rehearse_passage(scenario.robot)  # no time of planning is to hold compiling
+            _rehearse_passage(scenario.robot)  # compile now, so that no planning time includes compilation
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
         self._lockstep: Lockstep | None = None
         self._socket: _Socket | None = None
         looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
         frames_per_picture = 1
-        # Colours are laid over every frame, and what a fault does depends on the frame that it comes upon.
+        # Colour needs every frame, and the effect of a fault depends on the frame that it hits.
         if not (every_frame or guests or scenario.faults or profile.camera.color):
             rate_hz = profile.camera.sensor.rate_hz
             frames_per_picture = looks.frames_per_scan(rate_hz)
-            looks = replace(looks, scan_rate_hz=rate_hz)  # it uses all that are left
+            looks = replace(looks, scan_rate_hz=rate_hz)  # it uses every rendered frame
         simulator = Simulator(
             profile, SimulatorSettings(seed=seed, bridge=scenario.bridge, frames_per_picture=frames_per_picture), scenario
         )
@@ -109,16 +109,16 @@ class LockstepRun:
         self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until}, radio=radio)
 
     def now_ns(self) -> int:
-        """Simulated time [ns]."""
+        """Return the simulated time [ns]."""
         return 0 if self._lockstep is None else self._lockstep.now_ns
 
     def run(self, until_ns: int) -> None:
-        """Let simulated time pass up to and including an instant."""
+        """Advance simulated time up to and including an instant [ns]."""
         assert self._lockstep is not None
         self._lockstep.run(until_ns)
 
     def service(self, name: str) -> Service:
-        """The object that runs now under a name."""
+        """Return the object that currently runs under a name."""
         assert self._lockstep is not None
         return self._lockstep.service(name)
 
@@ -134,16 +134,22 @@ class LockstepRun:
         return make
 
     def _busy_until(self) -> int:
-        """Until when [ns] the actuator waits for its bus; with the first port it has done so before time begins."""
+        """Return until when [ns] the actuator waits for its bus.
+
+        The wait for the first port is over before time begins.
+        """
         return 0 if self._socket is None or self._socket.is_first else self._socket.now_ns()
 
     def lose(self, outage: Outage) -> None:
-        """Let a service be away between two times, beside those of the scenario."""
+        """Add an outage of a service to those of the scenario."""
         assert self._lockstep is not None
         self._lockstep.lose(outage)
 
     def say(self, message: Message, topic: AnyTopic | None = None) -> None:
-        """Send a message now, as none of the services; `topic` is that of another role than the robot."""
+        """Send a message now that is from none of the services.
+
+        `topic` is given if the message's role is another than the robot.
+        """
         assert self._lockstep is not None
         self._lockstep.say(message, topic)
 
@@ -158,17 +164,19 @@ def assemble(
     around: Mapping[str, Callable[[Service], Service]] | None = None,
     stop_port: str = "",
 ) -> LockstepRun:
-    """All services of a run in this process, the actuator's port being the other end of the simulator's servo bus.
+    """Assemble all services of a run in this process.
+
+    The actuator's port is the other end of the simulator's servo bus.
 
     Args:
-        scenario: The course and the way to walk it.
-        seed: Of everything random.
+        scenario: The course and how to walk it.
+        seed: Random seed of the run.
         profile: The robot.
-        tap: Sees every frame as it is sent, with the simulated time [ns].
+        tap: Receives every frame as it is sent, with the simulated time [ns].
         guests: Further services that take part.
-        every_frame: Make the depth frames, too, that nobody but the tap would look at; it costs a tenth of the run.
-        around: Name of a service -> what takes its place, made of it.
-        stop_port: The stop path takes part, its latch being that of such a port.
+        every_frame: Also render the depth frames that only the tap receives; this costs a tenth of the run.
+        around: Service name -> function that wraps the service.
+        stop_port: Run the estop process, with the latch of this port; empty: without.
     """
     return LockstepRun(scenario, seed, profile, tap, guests, every_frame, around, stop_port)
 
@@ -183,11 +191,11 @@ def run_lockstep(
     """Run a scenario in lockstep to its end.
 
     Args:
-        scenario: The course and the way to walk it.
-        seed: Of everything random; one seed makes one report, its timing fields apart.
-        out: Folder for report.json, pictures and recording.mcap; None leaves nothing behind.
-        progress: Where to show it.
-        taps: Each sees every frame as it is sent, with the simulated time [ns].
+        scenario: The course and how to walk it.
+        seed: Random seed of the run; a seed gives the same report each time, except for its timing fields.
+        out: Folder for report.json, pictures and recording.mcap; None writes nothing.
+        progress: Display of the progress.
+        taps: Each receives every frame as it is sent, with the simulated time [ns].
     """
     progress = progress or Silent()
     profile = load_profile(scenario.robot)
@@ -196,7 +204,7 @@ def run_lockstep(
         progress.say(f"warning: {problem}")
 
     with contextlib.ExitStack() as stack:
-        # 1. Assemble the services, and a recorder that hears all they say.
+        # 1. Assemble the services, and a recorder of all messages.
         hear = list(taps)
         if out is not None:
             clear(out)
@@ -207,16 +215,16 @@ def run_lockstep(
             for hears in tuple(hear):
                 try:
                     hears(topic, frame, at_ns)
-                except WriteError as error:  # ends what is written, not the walk
+                except WriteError as error:  # ends the recording, not the walk
                     hear.remove(hears)
                     warn(f"a recording ended early: {error}")
 
         run = assemble(scenario, seed, profile, tell, every_frame=bool(taps))
-        # 2. Let simulated time pass until the run is over.
+        # 2. Advance simulated time until the run is over.
         began_ns = stopwatch_ns()
         ended_by = _run_to_the_end(run, progress, out)
         elapsed = (stopwatch_ns() - began_ns) * 1e-9
-    # 3. Judge it and write what it leaves behind.
+    # 3. Evaluate the run and write its files.
     report = run.attendance.judge(run.now_ns() * 1e-9 / elapsed, ended_by)
     if out is not None:
         for problem in run.attendance.leave_behind(report, out):
@@ -229,7 +237,10 @@ def run_lockstep(
 def _recorder(
     path: Path, said: Mapping[str, str], profile: RobotProfile, warn: Callable[[str], None]
 ) -> Iterator[Recorder | None]:
-    """A recorder; None where its file cannot be written. What it cannot write at its end is only warned of."""
+    """Yield a recorder, or None if its file cannot be written.
+
+    A write error at its end only gives a warning.
+    """
     try:
         recorder = Recorder(path, said, Foxglove(profile))
     except WriteError as error:
@@ -246,12 +257,12 @@ def _recorder(
 
 
 def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> str:
-    """Run; return what ended it other than the scorer, as a sentence, or nothing.
+    """Run to the end; return what ended it other than the scorer, or nothing.
 
-    A service that raises an exception ends this run, as the death of its process would. The traceback goes into the log and
-    into the run's folder.
+    An exception in a service ends this run, as a crash of its process would end a live one. The traceback goes to the log and
+    to the run's folder.
     """
-    # The scorer ends it at the time limit; twice that is for a run whose robot never came up.
+    # The scorer ends the run at the time limit. Twice that limit covers a robot that never came up.
     limit_ns = round(2e9 * run.scenario.time_limit_s)
     while not run.attendance.over():
         if run.now_ns() >= limit_ns:
@@ -262,7 +273,7 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
             text = "".join(traceback.format_exception(error.__cause__))
             _log.error("%s\n%s", error, text)
             if out is not None:
-                with contextlib.suppress(WriteError):  # it is in the log
+                with contextlib.suppress(WriteError):  # in the log already
                     whole_files.write_text(out / CRASH, text)
             return str(error)
         progress.update(run.attendance.monitor.view)
@@ -279,12 +290,15 @@ def _map_settings(scenario: Scenario) -> MapperSettings:
 
 
 class _Socket:
-    """Where the actuator opens the emulated bus, again where it was unplugged; one clock for all of its ports."""
+    """Opens the emulated bus for the actuator, also after a disconnection.
+
+    All of its ports share one clock.
+    """
 
     def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float):
         self._simulator, self._clock, self._timeout = simulator, clock, timeout
         self._port: MemoryPort | None = None
-        self.is_first = clock() == 0  # whether no port has been open before this one
+        self.is_first = clock() == 0  # whether no port was opened before this one
 
     def now_ns(self) -> int:
         return self._clock() if self._port is None else self._port.now_ns()

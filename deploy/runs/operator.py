@@ -1,6 +1,6 @@
-"""Commands a run as a person would: stand, walk straight to the goal by stick or tell the planner where it is, stop.
+"""Scripted operator: stand up, walk to the goal by velocity or by plan, stop.
 
-It knows the estimated pose alone.
+It knows only the estimated pose.
 """
 
 from collections.abc import Iterator
@@ -18,32 +18,32 @@ from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 
-_OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
-_BY_TOUCH = 0.15  # [m] further for a robot that has counted its steps in the dark
-_LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre beside it
-_MAX_COURSE = radians(25.0)  # off the line's direction
-_HEADING_GAIN = 0.5  # [1/s] turn per heading error
+_OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body passes the line too
+_BY_TOUCH = 0.15  # [m] further overshoot for a robot that walks blind by odometry
+_LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre of lateral offset
+_MAX_COURSE = radians(25.0)  # [rad] off the line's direction
+_HEADING_GAIN = 0.5  # [1/s] yaw rate per heading error
 _MAX_YAW_RATE = 0.15  # [rad/s]
-_APPROACH = 0.15  # [m] before the end the speed begins to fall
-_CREEP = 0.4  # [1] share of the speed that is left at the end
+_APPROACH = 0.15  # [m] before the end, where the speed begins to fall
+_CREEP = 0.4  # [1] share of the speed that remains at the end
 _TOLERANCE = 0.03  # [m] from the end of a route
 _GOAL_NS = round(1e9 / topics.GOAL.rate_hz)
-_ORDER_NS = 500_000_000  # [ns] orders are repeated, so that an actuator that restarts learns them
+_ORDER_NS = 500_000_000  # [ns] interval of repeated orders, so that a restarted actuator receives them
 _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
-_NO_POSE_S = 5.0  # [s] patience without a pose, once there was one
-_START_NS = 60_000_000_000  # [ns] patience for the first word of a service
-_LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
+_NO_POSE_S = 5.0  # [s] patience without a pose, after the first one
+_START_NS = 60_000_000_000  # [ns] patience for the first message of a service
+_LOST_NS = 2_000_000_000  # [ns] the planner waits without scans before it is asked to walk blind, if the scenario allows
 _AGAIN_NS = (
-    1_000_000_000  # [ns] that a robot lies ready after it was to stand, or stands and did not rise, until it is ordered again
+    1_000_000_000  # [ns] in READY after the order to stand, or in HOLD without having risen, until the order is repeated
 )
 _FAULT_NS = 10_000_000_000  # [ns] patience with an actuator that is in fault or off
-_UNHEARD_S = 10.0  # [s] patience with a planner that rests while it is told to walk
+_UNHEARD_S = 10.0  # [s] patience with a planner that rests although it is ordered to walk
 
 
 class Operator:
-    """Walks the robot along the line from its start to the goal, or has the planner find the way there.
+    """Drives the robot along the line to the goal, or sends the planner the goal.
 
-    {world} is fixed where the robot started with x along its heading, so the line is the x axis.
+    {world} has its origin where the robot started, with x along its heading, so the line is the x axis.
     """
 
     name = "operator"
@@ -51,19 +51,19 @@ class Operator:
     writes = (topics.VELOCITY, topics.GOAL, topics.MODE)
 
     def __init__(self, profile: RobotProfile, scenario: Scenario, no_pose_s: float = _NO_POSE_S):
-        """Prepare.
+        """Prepare the operator.
 
         Args:
-            profile: Of the robot.
-            scenario: Where to, and how.
-            no_pose_s: Patience [s] without a pose, once there was one; infinite for a link that may be cut at will.
+            profile: The robot.
+            scenario: The goal, and how to walk there.
+            no_pose_s: Patience [s] without a pose, after the first one; infinite for a link that may be cut at will.
         """
         self._no_pose_s = no_pose_s
-        self._robot = RobotTime()  # what it orders is stamped by, wherever it is
+        self._robot = RobotTime()  # the robot's clock, which stamps the orders
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.finished = False
-        self.reason = ""  # why it is finished, in words
+        self.reason = ""  # why it is finished, as text
         self.progress = "waiting for the actuator"
         self._line = scenario.goal.distance
         self._goal = self._line + _OVERSHOOT
@@ -78,11 +78,11 @@ class Operator:
         self._order_due_ns = 0
         self._rising = False
         self._arrived_ns: int | None = None
-        self._by_touch = False  # whether it has been asked for
-        self._since: dict[str, int] = {}  # since when something that must not last has lasted
+        self._by_touch = False  # whether blind walking was requested
+        self._since: dict[str, int] = {}  # condition -> since when [ns] it has lasted
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """One beat: look, order, steer."""
+        """Run one cycle: read the inputs, order a mode, steer."""
         now = tick.stamp_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
         if self._robot.see(now, None if state is None else state.stamp_ns):
@@ -92,7 +92,7 @@ class Operator:
         pose = inbox.latest(topics.BODY_POSE)
         steerable = inbox.fresh(topics.BODY_POSE) is not None
         status = inbox.latest(topics.PLANNER_STATUS)
-        if self._by_touch and pose is not None and state is not None:  # nobody else says where it is
+        if self._by_touch and pose is not None and state is not None:  # while walking blind, odometry is the only pose
             pose, steerable = replace(pose, T_world_body=pose.T_world_odom @ state.T_odom_body), True
         if state is not None and self._is_to_repeat(state):
             self._give(self._order)
@@ -120,15 +120,15 @@ class Operator:
             self.progress = self._words(state, status, pose.T_world_body if pose else None)
 
     def doing(self) -> str:
-        """What it is about, in words."""
+        """Return the current activity as text."""
         return self.reason or self.progress
 
     def _choose_order(self, now: int, state: ActuatorState | None, posed: bool) -> None:
-        """Stand first, anew if something came between; walk once the robot has risen and knows where it is."""
+        """Order stand until the robot has risen; order walk once it also has a pose."""
         if self._order == "walk" or state is None:
             return
         self._rising |= state.mode is Mode.STAND
-        # One that walked when this operator came has taken the order for a stop.
+        # A robot that was walking when this operator connected treats the order as a stop.
         if state.mode is not (Mode.READY if self._rising else Mode.HOLD):
             self._since.pop("waits", None)
         elif now - self._since.setdefault("waits", now) >= _AGAIN_NS:
@@ -139,18 +139,24 @@ class Operator:
             self._give("walk")
 
     def _is_to_repeat(self, state: ActuatorState) -> bool:
-        """Whether the actuator asks for the order anew, since it heard it late, and nobody has let go meanwhile."""
+        """Return whether the actuator requests a repeated order.
+
+        It does so when an order arrived late, unless torque off was ordered in the meantime.
+        """
         refused = f"`{self._order}` of operator refused: "
         asked = [words for words in state.warnings if words.startswith(refused) and words.endswith("; order it anew")]
         late = [words for words in asked if "ordered off" not in words]
         return bool(late) and not self.finished and state.stamp_ns - self._given_ns > _ORDER_NS
 
     def _give(self, order: Literal["stand", "walk"]) -> None:
-        """Order that from now on."""
+        """Give a new order from now on."""
         self._order, self._given_ns, self._order_due_ns = order, max(self._given_ns + 1, self._robot()), 0
 
     def _ask_for_touch(self, now: int, status: PlannerStatus | None) -> None:
-        """Where the scenario allows it, have the robot go on by touch once it has stood for want of sight; for good."""
+        """Request blind walking once the robot has waited too long for scans.
+
+        Only where the scenario allows it; the request is permanent.
+        """
         waits = self._walk.by_touch and self._order == "walk" and status is not None and status.state == "waiting"
         if not waits:
             self._since.pop("sight", None)
@@ -195,7 +201,7 @@ class Operator:
                 return
 
     def _steer(self, now: int, T_world_body: Array | None) -> VelocityCommand:
-        """The velocity command; it rests while the pose is unknown and once the goal is reached."""
+        """Return the velocity command; zero without a pose and once the goal is reached."""
         velocity, yaw_rate = np.zeros(2), 0.0
         if T_world_body is not None and self._arrived_ns is None:
             x, y, yaw = float(T_world_body[0, 3]), float(T_world_body[1, 3]), yaw_of(T_world_body)
@@ -214,7 +220,7 @@ class Operator:
 
     def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
         if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:
-            return  # the planner has not heard of the stop yet
+            return  # the planner may not have received the stop yet
         planner_rests = status is None or status.state != "stepping"
         if planner_rests and state is not None and state.mode is not Mode.WALK:
             self._finish("at the goal by the estimated pose")

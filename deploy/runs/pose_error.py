@@ -1,10 +1,10 @@
-"""A localiser that errs as recorded ones have erred, in simulation: for walks under somebody else's pose estimates.
+"""Simulated localisation errors with the statistics of recorded SLAM systems.
 
-Lotriet 2024, section 3.4, tested his walks by adding estimation noise to the pose. Here the noise goes on what perception
-publishes, poses and scans alike, before anybody reads it: perception itself stays as it is, and nobody else can tell.
+Lotriet 2024, section 3.4, tested his walks by adding estimation noise to the pose. Here the noise is added to the poses and
+scans that perception publishes. Perception is unchanged, and no subscriber can tell the difference.
 
-An error has six axes: position and rotation vector, {world}. Each is the sum of a slow and a fast Ornstein-Uhlenbeck process,
-with autocorrelation  share * exp(-t / slow) + (1 - share) * exp(-t / fast).
+An error has six axes: position and rotation vector, {world}. Each axis is the sum of a slow and a fast Ornstein-Uhlenbeck
+process, with autocorrelation  share * exp(-t / slow) + (1 - share) * exp(-t / fast).
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,15 +17,15 @@ from sextant.shared.geometry import Array, apply, exp_so3, transform
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service
 from sextant.shared.wire.messages import BodyPose, Message, Scan
 
-_LONGEST_LAG_S = 2.0  # [s] to which autocorrelations are compared
+_LONGEST_LAG_S = 2.0  # [s] longest lag at which autocorrelations are compared
 _AXES = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Correlation:
-    """How an error hangs together over time."""
+    """Correlation of an error over time."""
 
-    share: float  # [1] of its variance that changes slowly
+    share: float  # [1] share of the variance that changes slowly
     slow_s: float  # [s]
     fast_s: float  # [s]
 
@@ -34,13 +34,13 @@ class Correlation:
             raise ValueError(f"a share of 0 to 1 and 0 < fast_s <= slow_s expected, found {self}")
 
     def at(self, t: Array) -> Array:
-        """Autocorrelation [1] at lags t [s]."""
+        """Return the autocorrelation [1] at lags t [s]."""
         return np.asarray(self.share * np.exp(-t / self.slow_s) + (1.0 - self.share) * np.exp(-t / self.fast_s))
 
 
 @dataclass(frozen=True, slots=True)
 class PoseErrorModel:
-    """How far a localiser is off."""
+    """Statistics of a localisation error."""
 
     position_m: tuple[float, float, float]  # [m] standard deviations {world}
     rotation_rad: tuple[float, float, float]  # [rad]
@@ -53,10 +53,10 @@ class PoseErrorModel:
         return np.array([*self.position_m, *self.rotation_rad])
 
 
-# `fitted` on error series of two visual SLAM systems against motion capture (TUM RGB-D benchmark): RGB-D SLAM on fr1/xyz,
-# 786 poses in 27 s, and ORB-SLAM on fr2/desk, 2225 poses in 99 s. tests/unit/deploy/runs/test_pose_error.py derives them
-# again. The model follows the second's autocorrelation within 0.03; the first's swings with the camera's motion, below zero
-# after 1 s.
+# `fitted` to error series of two visual SLAM systems against motion capture (TUM RGB-D benchmark): RGB-D SLAM on fr1/xyz, 786
+# poses in 27 s, and ORB-SLAM on fr2/desk, 2225 poses in 99 s. tests/unit/deploy/runs/test_pose_error.py derives them again. The
+# model follows the autocorrelation of the second within 0.03. That of the first oscillates with the camera's motion, and is
+# negative after 1 s.
 MODELS: Mapping[str, PoseErrorModel] = {
     "rgbdslam": PoseErrorModel(
         (0.0100, 0.0076, 0.0048), (0.0088, 0.0064, 0.0039), Correlation(0.15, 0.40, 0.355), Correlation(0.03, 0.40, 0.355)
@@ -68,10 +68,10 @@ MODELS: Mapping[str, PoseErrorModel] = {
 
 
 class PoseError:
-    """One course of an error over time."""
+    """One realisation of an error over time."""
 
     def __init__(self, model: PoseErrorModel, rng: np.random.Generator):
-        """Begin with an error as likely as any later one."""
+        """Draw the first error from the stationary distribution."""
         self._sigma = model.sigma
         both = (model.position, model.rotation)
         self._share = np.repeat([[c.share, 1.0 - c.share] for c in both], 3, axis=0).T  # (2, 6) slow, fast
@@ -81,7 +81,10 @@ class PoseError:
         self._stamp_ns: int | None = None
 
     def at(self, stamp_ns: int) -> Array:
-        """The error (6,) [m, rad] at a time [ns] not before the last; the same for the same time."""
+        """Return the error (6,) [m, rad] at a time [ns]; the same for the same time.
+
+        Times must not decrease.
+        """
         if self._stamp_ns is None:
             self._stamp_ns = stamp_ns
         passed_s = (stamp_ns - self._stamp_ns) * 1e-9
@@ -93,7 +96,7 @@ class PoseError:
 
 
 class Erring:
-    """A perception whose poses are off, and everything that it places by them."""
+    """A perception service with errors in its poses and everything placed by them."""
 
     def __init__(self, perception: Service, model: PoseErrorModel, seed: int):
         """Wrap a perception; the error's generator is `default_rng([seed, 6])`."""
@@ -101,29 +104,29 @@ class Erring:
         self._inner = perception
         self._error = PoseError(model, np.random.default_rng([seed, 6]))
         self._covariance = np.diag(model.sigma**2)
-        self._T: Array = np.eye(4)  # what the last pose was moved by, {world}
+        self._T: Array = np.eye(4)  # transform of the last pose, {world}
 
     @property
     def paced_by(self) -> AnyTopic | Every:
-        """Of the service within."""
+        """Trigger of the wrapped service."""
         return self._inner.paced_by
 
     @property
     def reads(self) -> tuple[AnyTopic, ...]:
-        """Of the service within."""
+        """Topics that the wrapped service subscribes to."""
         return self._inner.reads
 
     @property
     def writes(self) -> tuple[AnyTopic, ...]:
-        """Of the service within."""
+        """Topics that the wrapped service publishes."""
         return self._inner.writes
 
     def doing(self) -> str:
-        """Of the service within."""
+        """Return the status of the wrapped service."""
         return self._inner.doing()
 
     def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
-        """What perception says, moved by the error of the moment."""
+        """Yield perception's messages, moved by the current error."""
         return self._moved(self._inner.step(message, inbox))
 
     def _moved(self, messages: Iterable[Message]) -> Iterator[Message]:
@@ -137,19 +140,25 @@ class Erring:
                     covariance=made.covariance + self._covariance,
                 )
             elif isinstance(made, Scan):
-                yield moved_scan(made, self._T, self._covariance)  # it follows the pose by which it was placed
+                yield moved_scan(made, self._T, self._covariance)  # moved with the pose by which it was placed
             else:
                 yield made
 
 
 def moved_by(error: Array, T_world_body: Array) -> Array:
-    """What (4, 4) moves a body pose by an error (6,) of its position [m] and its rotation about itself [rad], {world}."""
+    """Return the transform (4, 4) that moves a body pose by an error (6,), {world}.
+
+    The error is a position [m] and a rotation about the body's own position [rad].
+    """
     R, p = exp_so3(error[3:]), T_world_body[:3, 3]
     return transform(R, p + error[:3] - R @ p)
 
 
 def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
-    """A scan placed by a pose that is off: all moves by T (4, 4); points that leave the millimetres' range are left out."""
+    """Move a scan by T (4, 4), as if its pose had an error.
+
+    Points outside the range of 16-bit millimetres are dropped.
+    """
     points, sights = (np.rint((apply(T, points) - scan.origin) * 1e3) for points in (scan.points, scan.sights))
     kept, kept_sights = ((np.abs(mm) < 32767).all(axis=1) for mm in (points, sights))
     return replace(
@@ -165,7 +174,9 @@ def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
 
 
 def fitted(t: Array, position: Array, rotation: Array) -> PoseErrorModel:
-    """The model of a recorded error series: its standard deviations, and the correlation nearest to its own by least squares.
+    """Fit a model to a recorded error series.
+
+    It has the series' standard deviations and the least-squares fit of its autocorrelation.
 
     Args:
         t: (n,) [s] rising.
@@ -178,7 +189,10 @@ def fitted(t: Array, position: Array, rotation: Array) -> PoseErrorModel:
 
 
 def autocorrelation(t: Array, x: Array) -> tuple[Array, Array]:
-    """Lags [s] up to 2 s and the autocorrelation at them of a series (n, k) of unit variance, averaged over its columns."""
+    """Return lags [s] up to 2 s and the autocorrelation at them.
+
+    The series (n, k) has unit variance; the result is the mean over its columns.
+    """
     step = float(np.median(np.diff(t)))
     lags, values = [], []
     for lag in range(1, int(_LONGEST_LAG_S / step)):

@@ -1,8 +1,9 @@
-"""The radio between a robot and its base, as lockstep has it: delay, rate, loss, and a queue for each lane and way.
+"""Radio between robot and base in lockstep: delay, rate, loss and queues.
 
-Both lanes are streams over TCP: what is lost comes again, later, and all behind it waits. A loss among several packets is
-noticed once three have followed, after one time there and back, or else by the timer of the kernel. What finds the queue of its
-lane full is dropped, as Zenoh drops it. Rates are shared: a lane sends when the air is free.
+There is a queue for each lane and direction. Both lanes are TCP streams: a lost packet is sent again, and everything behind it
+waits. A loss among several packets is detected after three later packets and one round trip, or else by the kernel's timer. A
+message that finds the queue of its lane full is dropped, as Zenoh does. The lanes share the rate: a lane sends when the channel
+is free.
 """
 
 import numpy as np
@@ -11,24 +12,24 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.scenario.scenario import Link
 from sextant.shared.wire.topics import Lane
 
-BASE = frozenset({"mapper", "planner", "console", "recorder", "operator"})  # who is there; all others are on the robot
+BASE = frozenset({"mapper", "planner", "console", "recorder", "operator"})  # services on the base; all others are on the robot
 _PACKET = 1400  # [bytes]
-_OVERHEAD = 80  # [bytes] of TCP, IP and Zenoh about a message
+_OVERHEAD = 80  # [bytes] of TCP, IP and Zenoh per message
 _TIMER_NS = 200_000_000  # [ns] least retransmission timeout of Linux
-_FOLLOWED = 3  # packets behind a loss by which it is noticed
-_STEADY = 0.1  # share of the newest gap in the mean of those between a stream's messages
+_FOLLOWED = 3  # packets after a loss by which it is detected
+_STEADY = 0.1  # [1] weight of the newest gap in the mean gap between a stream's messages
 _WAITING = 128 * 1024  # [bytes] of bulk that may wait: the kernel's buffer, and one more message
 
 
 class Radio:
-    """When messages arrive that cross it; deterministic."""
+    """Arrival times of messages that cross the radio; deterministic."""
 
     def __init__(self, link: Link, seed: int):
-        """Of a scenario's link.
+        """Initialise from a scenario's link.
 
         Args:
-            link: What it is like.
-            seed: Of what is lost.
+            link: Properties of the link.
+            seed: Random seed of the losses.
         """
         self._delay_ns = round(link.delay_ms * 1e6)
         self._ns_per_byte = 8e3 / link.mbit if link.mbit else 0.0
@@ -40,18 +41,18 @@ class Radio:
         self._stream_ns: dict[tuple[Lane, bool], float] = {}  # when the newest message of a stream arrives
 
     def crosses(self, sender: str, reader: str) -> bool:
-        """Whether what one says reaches another by radio."""
+        """Return whether messages from sender to reader cross the radio."""
         return (sender in BASE) != (reader in BASE)
 
     def arrival_ns(self, topic: AnyTopic, sender: str, size: int, now_ns: int) -> int | None:
-        """When a message of some bytes arrives that is sent now [ns], or None where there is no room for it."""
+        """Return when [ns] a message of `size` [bytes] arrives, or None if dropped."""
         stream = topic.lane, sender in BASE
         size += _OVERHEAD
         self._note(stream, now_ns)
         waits_ns = max(self._air_free_ns - now_ns, 0.0)
         if topic.lane is Lane.BULK and waits_ns > _WAITING * self._ns_per_byte:
             return None
-        # Commands have a link of their own, whose packets go between those of the other.
+        # Commands have a separate connection; its packets are interleaved with those of the bulk lane.
         begin_ns = now_ns + (waits_ns if topic.lane is Lane.BULK else min(waits_ns, _PACKET * self._ns_per_byte))
         self._air_free_ns = max(self._air_free_ns, now_ns) + size * self._ns_per_byte
         there_ns = begin_ns + size * self._ns_per_byte + self._delay_ns
@@ -64,7 +65,7 @@ class Radio:
         return round(there_ns)
 
     def _note(self, stream: tuple[Lane, bool], now_ns: int) -> None:
-        """Take note of how close upon each other a stream's messages are."""
+        """Update the mean gap between a stream's messages."""
         before_ns = self._sent_ns.get(stream)
         self._sent_ns[stream] = now_ns
         if before_ns is not None:

@@ -1,7 +1,7 @@
-"""Many runs of one scenario, a seed each: how often it succeeds, and how sure that is.
+"""Trials: many runs of one scenario, one seed each, and the success rate.
 
-Every finished seed is a line of JSON in `trials.jsonl`, so a batch that was stopped goes on where it was. Lines of another
-scenario, or of the same one changed since, or of another version of the program, are not counted.
+Every finished seed is a line of JSON in `trials.jsonl`, so an interrupted batch continues where it stopped. Lines of another
+scenario, of an earlier form of this scenario, or of another version of the program are not counted.
 """
 
 import hashlib
@@ -32,12 +32,12 @@ Runner = Callable[[Scenario, int], Report]
 
 
 class ChangedError(ValueError):
-    """The program on disk is no longer the one that was begun with, in words."""
+    """The program on disk has changed since this process started."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One quantity over the runs that measured it, NaN where none did."""
+    """One quantity over the runs that measured it; NaN if none did."""
 
     median: float
     worst: float
@@ -45,61 +45,61 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Passages:
-    """What a batch came to in which a gap was crossed on pillars."""
+    """Results of a batch in which a gap was crossed on pillars."""
 
     feet_off: int  # of all runs
     pillar_touchdowns: int
     foothold_edge_m: Figure  # median of a run; the worst is the least
-    foothold_edge_p05_m: Figure  # of a run, likewise
-    stops: Figure  # to plan, of a run
+    foothold_edge_p05_m: Figure  # 5th percentile of a run; the worst is the least
+    stops: Figure  # stops for planning per run
     generated: Figure  # nodes of a section, Masri's n_g
-    expanded: Figure  # of them, his n_e
-    planning_p50_ms: float  # over all sections; those without a way count with all that was spent on them
+    expanded: Figure  # expanded nodes, Masri's n_e
+    planning_p50_ms: float  # over all sections; failed searches count with their full time
     planning_p99_ms: float
     expansions_per_s: float  # of all sections together
-    passable: int  # grounds on which there is a way, where the seed decides
-    crossed: int  # runs over those that came to their goal
+    passable: int  # grounds that have a way, where the seed decides
+    crossed: int  # runs on passable grounds that reached the goal
     impassable: int
-    entered_in_vain: int  # runs on pillars of those on which there is none
-    undecided: int  # grounds of which the search cannot tell, beside others of which it can
+    entered_in_vain: int  # runs on impassable grounds that stepped on a pillar
+    undecided: int  # grounds that the search cannot decide, if it decides others
 
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """What a batch came to."""
+    """Results of a batch."""
 
     scenario: str
     robot: str
     gait: str
     blind: bool
     success: Rate
-    refusals: int  # runs that are a success because the robot stood and said why
-    collisions: int  # runs in which it walked into something
+    refusals: int  # successful runs in which the robot stopped and gave the reason
+    collisions: int  # runs with a collision
     falls: int
     runs_with_shutdown: int
     mean_speed_mps: float  # of the successful runs
     block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
-    missteps: Figure  # of a run, touchdowns on what is truly no foothold
+    missteps: Figure  # of a run, touchdowns off the true footholds
     missteps_per_step: float  # [1] of all runs together
     tilt_p95_deg: Figure  # against the commanded attitude
     commanded_tilt_p95_deg: Figure
-    height_error_m: Figure  # mean of a run, its size
+    height_error_m: Figure  # absolute mean of a run
     height_rms_m: Figure
     slip_p50_m: Figure  # per step
     stability_margin_m: Figure  # least of a run; the worst is the least
     torque_rms_nm: Figure  # of the worst joint
     height_oscillation_m: Figure
-    final_pose_error: Figure  # [1] share of the way
+    final_pose_error: Figure  # [1] share of the distance
     map_rmse_m: Figure  # of the whole course; see `sextant.deploy.judging.report.CourseMap`
     map_off_edges_m: Figure
-    map_bias_m: Figure  # its size
+    map_bias_m: Figure  # absolute value
     map_edge_m: Figure
     map_coverage: Figure  # [1] the worst is the least
-    real_time_factor: Figure  # with other jobs beside it
-    failures: dict[str, int]  # reason without its figures -> runs, most frequent first
+    real_time_factor: Figure  # while other jobs run
+    failures: dict[str, int]  # reason without its numbers -> runs, most frequent first
     failed_seeds: tuple[int, ...]
     made: Made
-    passages: Passages | None = None  # None where nobody stood on pillars or planned for them
+    passages: Passages | None = None  # None if no run stepped on pillars or planned for them
 
 
 def run_trials(
@@ -112,21 +112,22 @@ def run_trials(
     run: Runner | None = None,
     keep_in: Path | None = None,
 ) -> Trials:
-    """Run every seed that has not been run yet, each in lockstep.
+    """Run every seed that has no result yet, each in lockstep.
 
     Args:
-        scenario: The course and the way to walk it.
-        seeds: Of the runs; each counts once.
-        jobs: How many at a time, each in a process of its own; 1 runs them in this process.
+        scenario: The course and how to walk it.
+        seeds: Seeds of the runs; duplicates count once.
+        jobs: Number of parallel processes; 1 runs in this process.
         out: Folder for `trials.jsonl`.
         blind: Run the baseline without a map.
-        say: Hears a line per seed.
-        run: What runs one seed, `sextant.deploy.runs.lockstep_run.run_lockstep` by default.
-        keep_in: A file that also gets a short line of every run, whose runs count as done; see `sextant.deploy.trials.kept`.
+        say: Receives a line per seed.
+        run: Function that runs one seed, `sextant.deploy.runs.lockstep_run.run_lockstep` by default.
+        keep_in: A file that also gets a short line of every run, and whose runs count as done; see
+            `sextant.deploy.trials.kept`.
 
     Raises:
-        ValueError: No seeds, no jobs, or a line on file that is none.
-        ChangedError: The program has changed since this process first ran trials: new processes would run another one.
+        ValueError: No seeds, no jobs, or an invalid line on file.
+        ChangedError: The program has changed since this process first ran trials, so new processes would run another version.
     """
     wanted = sorted(set(seeds))
     if not wanted or jobs < 1:
@@ -157,12 +158,15 @@ def run_trials(
 
 
 def compare(seeing: Trials, blind: Trials) -> Difference:
-    """How much more often the robot gets there with a map than without."""
+    """Return the difference of the success rates with and without a map."""
     return difference(seeing.success, blind.success)
 
 
 def summarise(runs: Sequence[Run]) -> Trials:
-    """What a batch came to, from its runs: one at least, all of one scenario, robot and gait, sighted or blind."""
+    """Summarise at least one run.
+
+    All runs have the same scenario, robot and gait, and are all sighted or all blind.
+    """
     good = [run for run in runs if run.success]
     failures = Counter(_without_figures(run.reason) for run in runs if not run.success)
     first = runs[0]
@@ -229,7 +233,7 @@ def _passages(runs: Sequence[Run]) -> Passages | None:
 
 
 def to_json(trials: Trials, baseline: Trials | None = None) -> str:
-    """A batch as JSON text, beside its blind baseline and the difference of the two when there is one."""
+    """Format a batch as JSON, with its blind baseline and their difference if given."""
     table: dict[str, Any] = reports.plain(trials)
     if baseline is not None:
         table |= {"baseline": reports.plain(baseline), "compared": reports.plain(compare(trials, baseline))}
@@ -237,7 +241,7 @@ def to_json(trials: Trials, baseline: Trials | None = None) -> str:
 
 
 def words(trials: Trials, baseline: Trials | None = None) -> str:
-    """A batch in a few lines for people."""
+    """Format a batch as a few lines of text."""
     lines = [_rate_words(trials)]
     lines.append(
         f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, walked into something {trials.collisions}, "
@@ -299,7 +303,7 @@ def _passage_words(p: Passages) -> list[str]:
 
 
 def in_words(figure: Figure, unit: float, form: str) -> str:
-    """A figure as `median (worst)` in a unit, a dash where nothing was measured."""
+    """Format a figure as `median (worst)` in a unit; a dash if nothing was measured."""
     if not np.isfinite(figure.median):
         return "-"
     worst = f" ({unit * figure.worst:{form}})" if np.isfinite(figure.worst) else ""
@@ -307,7 +311,10 @@ def in_words(figure: Figure, unit: float, form: str) -> str:
 
 
 def fingerprint(scenario: Scenario) -> str:
-    """Changes with whatever decides about a run but its seed: the scenario, the files that it names, and the program."""
+    """Return a digest of all that determines a run except its seed.
+
+    It covers the scenario, the files that the scenario names, and the program.
+    """
     table = config.as_table(replace(scenario, folder="."))
     digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
     named = [part.path(Path(scenario.folder)) for part in scenario.terrain if isinstance(part, HeightMap)]
@@ -319,15 +326,15 @@ def fingerprint(scenario: Scenario) -> str:
 
 @cache
 def _begun_by() -> tuple[bytes, str]:
-    """The program, and its commit, as this process first found them: those of all its runs."""
+    """Return the program's digest and commit as this process first found them."""
     return _program(), provenance.commit()
 
 
 def refuse_another_program() -> None:
-    """Remember the program as it is now, the first time; see from then on that it is still the same.
+    """Remember the program at the first call; later check that it is unchanged.
 
     Raises:
-        ChangedError: It is another one.
+        ChangedError: The program on disk has changed.
     """
     begun_by, commit = _begun_by()
     if _program() != begun_by:
@@ -335,7 +342,7 @@ def refuse_another_program() -> None:
 
 
 def _program() -> bytes:
-    """A digest of Sextant's code, profiles and scenarios, as they are on disk now."""
+    """Return a digest of Sextant's code, profiles and scenarios on disk."""
     digest = hashlib.blake2s()
     root = Path(__file__).parents[2]
     for package in _PACKAGES:
@@ -346,13 +353,16 @@ def _program() -> bytes:
 
 
 def _run_lockstep(scenario: Scenario, seed: int) -> Report:
-    from sextant.deploy.runs.lockstep_run import run_lockstep  # brings in every service
+    from sextant.deploy.runs.lockstep_run import run_lockstep  # imports every service
 
     return run_lockstep(scenario, seed)
 
 
 def _done(path: Path, keep_in: Path | None, mark: str, wanted: Iterable[int]) -> dict[int, Run]:
-    """Wanted runs on file, by seed; those that only a batch's own file has are kept with the others from now on."""
+    """Return the wanted runs on file, by seed.
+
+    Runs that are only in the batch's own file are appended to `keep_in`.
+    """
     here = {run.seed: run for run in kept.read(path, mark)}
     if keep_in is not None:
         there = {run.seed: run for run in kept.read(keep_in, mark)}
@@ -377,7 +387,7 @@ def _rate_words(trials: Trials) -> str:
 
 
 def _without_figures(reason: str) -> str:
-    """A reason with its numbers taken out, so that alike ones count together."""
+    """Replace the numbers of a reason, so that similar reasons count together."""
     out = "".join("#" if c.isdigit() else c for c in reason)
     while "##" in out or "#.#" in out:
         out = out.replace("#.#", "#").replace("##", "#")
@@ -398,5 +408,5 @@ def _over(reduce: Callable[[list[float]], Any], values: Sequence[float]) -> floa
 
 
 def _speed(speed_mps: float) -> str:
-    """A speed in words; without a successful run there is none."""
+    """Format a speed as text; a dash without a successful run."""
     return f"{100 * speed_mps:.1f} cm/s" if math.isfinite(speed_mps) else "-"

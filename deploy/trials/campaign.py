@@ -1,4 +1,4 @@
-"""The same trials on every terrain that can be walked, one after the other."""
+"""Campaign: the same trials on several terrains, one after the other."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from sextant.shared.scenario.scenario import HeightMap, Scenario, load_scenario
 
 @dataclass(frozen=True, slots=True)
 class _Leaving:
-    """Runs a seed in lockstep; one of them leaves its folder behind, pictures and all."""
+    """Runs a seed in lockstep; the run of `seed` also writes its folder with pictures."""
 
     seed: int
     out: Path
 
     def __call__(self, scenario: Scenario, seed: int) -> Report:
-        from sextant.deploy.runs.lockstep_run import run_lockstep  # brings in every service
+        from sextant.deploy.runs.lockstep_run import run_lockstep  # imports every service
 
         return run_lockstep(scenario, seed, self.out if seed == self.seed else None)
 
@@ -37,19 +37,19 @@ def run_campaign(
     run: Runner | None = None,
     table: str = "walks",
 ) -> Campaign:
-    """Run the trials of every terrain in turn, going on where an earlier campaign in the same folder stopped.
+    """Run the trials of every terrain in turn, continuing an earlier campaign.
 
     Args:
-        names: Of the scenarios.
-        seeds: Of each terrain's runs.
-        jobs: How many at a time.
-        out: Folder; each terrain has one of its own in it, the first seed's run with its pictures inside. Every run
-            has a line in its `campaign.jsonl`; those that have one already, from here or elsewhere, are not run again.
-        blind: Run the baseline without a map, too.
-        asked: Makes of a scenario what is walked in its place: by another robot, in another gait.
-        say: Hears a line per seed.
-        run: What runs one seed, in lockstep by default.
-        table: Which table of them is written, of `sextant.deploy.trials.campaign_table.TABLES`.
+        names: Names of the scenarios.
+        seeds: Seeds of each terrain's runs.
+        jobs: Number of parallel processes.
+        out: Folder with a folder per terrain, in which the run of the first seed leaves its pictures. Every run has a line in
+            its `campaign.jsonl`; runs that are there already, from here or elsewhere, are not repeated.
+        blind: Also run the baseline without a map.
+        asked: Returns the scenario to run for a scenario, for example with another robot or gait.
+        say: Receives a line per seed.
+        run: Function that runs one seed, in lockstep by default.
+        table: Name of the table to write, of `sextant.deploy.trials.campaign_table.TABLES`.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     whole_files.make_folder(out)
@@ -79,7 +79,7 @@ def run_campaign(
 
 
 def _lacking(scenario: Scenario) -> str:
-    """What of a scenario's files is not there, in words, or nothing."""
+    """Return which file of a scenario is missing, as text, or an empty string."""
     for part in scenario.terrain:
         if isinstance(part, HeightMap):
             try:

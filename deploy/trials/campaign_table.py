@@ -1,4 +1,4 @@
-"""The public table: how often it works, terrain by terrain, of a campaign just run or of runs that were kept."""
+"""Success rates per terrain as a table, of a new campaign or of stored runs."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping
@@ -13,7 +13,7 @@ from sextant.deploy.trials.kept import Run
 from sextant.deploy.trials.statistics import Rate, wilson
 from sextant.shared.files import whole_files
 
-# The courses of the public table, in its order, and what they are, in words.
+# Courses of the public table in its order, with a description.
 WALKED: Mapping[str, str] = {
     "flat": "level ground",
     "slope": "10 deg",
@@ -26,7 +26,7 @@ WALKED: Mapping[str, str] = {
     "mixed": "ramps, rubble, stairs, stones in a row",
     "stair_map": "a real staircase at a quarter of its height",
 }
-# The gaps that are crossed on pillars, likewise.
+# Gaps that are crossed on pillars, with a description.
 PASSAGES: Mapping[str, str] = {
     "passage1": "two straight rows of three pillars",
     "passage2": "the middle ones further inward",
@@ -36,7 +36,7 @@ PASSAGES: Mapping[str, str] = {
     "passage_gives_way": "a pillar that sinks under a foot",
     "pillar_field": "pillars strewn by the seed, with a way or without",
 }
-# What goes wrong on the way, and where it does.
+# Disturbances during the walk, and the courses on which they occur.
 TROUBLES: Mapping[str, str] = {
     "sun": "no depth for 10 s, twice",
     "legs": "a person crosses the view every 5 s",
@@ -87,7 +87,7 @@ TABLES: Mapping[str, Columns] = {"walks": _WALKS, "reached": {}, "missteps": _MI
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One terrain's trials by one robot in one gait, beside its blind baseline where that was run."""
+    """Trials of one terrain, robot and gait, and their blind baseline if it was run."""
 
     seeing: Trials
     blind: Trials | None = None
@@ -95,14 +95,17 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """The trials of many terrains, and what had to be left out."""
+    """The trials of many terrains, and what was left out."""
 
     entries: tuple[Entry, ...]
-    left_out: tuple[str, ...]  # why, in words
+    left_out: tuple[str, ...]  # reasons, as text
 
 
 def of_runs(runs: Iterable[Run]) -> Campaign:
-    """A campaign of runs on file, in the public table's order; where only blind walks are on file they stand for themselves."""
+    """Summarise runs on file as a campaign, in the public table's order.
+
+    Blind runs without sighted ones form their own entry.
+    """
     found, older = kept.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
     places = {name: place for place, name in enumerate([*WALKED, *PASSAGES, *TROUBLED])}
@@ -114,11 +117,11 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
 
 
 def markdown(campaign: Campaign, table: str = "walks") -> str:
-    """The campaign as a Markdown table, a row per terrain; median (worst) of the runs.
+    """Format a campaign as a Markdown table, a row per terrain: median (worst).
 
     Args:
-        campaign: Of which the table tells.
-        table: Which of TABLES; `reached` has the blind baseline beside, the others have it in a row of its own, below.
+        campaign: The campaign.
+        table: Name of a table in TABLES. `reached` has the blind baseline in a column; the others have it in a separate row.
     """
     if table == "reached":
         headings = ["course", "goal reached", "with the map switched off"]
@@ -131,7 +134,7 @@ def markdown(campaign: Campaign, table: str = "walks") -> str:
 
 
 def to_json(campaign: Campaign) -> str:
-    """The campaign as JSON text: a table of trials per terrain, and what was left out."""
+    """Format a campaign as JSON: trials per terrain, and what was left out."""
     terrains: dict[str, Any] = {
         _name(campaign, entry.seeing): json.loads(batches.to_json(entry.seeing, entry.blind)) for entry in campaign.entries
     }
@@ -139,7 +142,7 @@ def to_json(campaign: Campaign) -> str:
 
 
 def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
-    """Write table.md, which of TABLES is wanted, and campaign.json."""
+    """Write table.md, which is the table of TABLES with that name, and campaign.json."""
     whole_files.write_text(out / "table.md", markdown(campaign, table))
     whole_files.write_text(out / "campaign.json", to_json(campaign), durable=True)
 
@@ -155,7 +158,7 @@ def _walked(campaign: Campaign) -> list[Trials]:
 
 
 def _name(campaign: Campaign, t: Trials) -> str:
-    """What a row is about: the terrain, by whom and how only where that differs within the table."""
+    """Return a row's name: the terrain, with robot and gait where they vary."""
     robots = {entry.seeing.robot for entry in campaign.entries}
     gaits = {entry.seeing.gait for entry in campaign.entries}
     words = [t.robot] * (len(robots) > 1) + [t.gait] * (len(gaits) > 1) + ["blind"] * t.blind
@@ -163,7 +166,7 @@ def _name(campaign: Campaign, t: Trials) -> str:
 
 
 def _ticked(name: str) -> str:
-    """A row's name in Markdown, its terrain as code."""
+    """Format a row's name in Markdown, with the terrain as code."""
     terrain, comma, rest = name.partition(",")
     return f"`{terrain}`{comma}{rest}"
 
@@ -182,7 +185,7 @@ def _footnotes(campaign: Campaign) -> list[str]:
 
 
 def _of_ways(t: Trials) -> Iterable[str]:
-    """What came of grounds of which some have a way and some have none."""
+    """Yield a footnote about grounds of which some are passable and some are not."""
     p = t.passages
     if p is not None and p.passable + p.impassable:
         crossed, entered = wilson(p.crossed, p.passable), wilson(p.entered_in_vain, p.impassable)
@@ -191,7 +194,7 @@ def _of_ways(t: Trials) -> Iterable[str]:
 
 
 def _outcome(t: Trials) -> str:
-    """How often it ended well, and how, where that is not by reaching the goal."""
+    """Return the success rate, and the kind of success if it is not arrival."""
     either = t.passages is not None and t.passages.impassable > 0
     return _rate(t.success) + (", or rightly refused" if either else ", rightly refused" if t.refusals else "")
 

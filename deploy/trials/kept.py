@@ -1,7 +1,9 @@
-"""Finished runs on file, a line of JSON each: what batches go on from and tables are told from, here or on another machine.
+"""Results store: finished runs on file, one line of JSON each.
 
-A line holds the run's whole report (a batch's `trials.jsonl`), or, to be kept for long, only what a batch is summarised from (a
-campaign's `campaign.jsonl`); it says what made it and when, and by a fingerprint whether it still holds. Both are read alike.
+Batches continue from it and tables are made from it, here or on another machine. A line holds the run's whole report (a batch's
+`trials.jsonl`) or, for long-term storage, only the fields that a batch is summarised from (a campaign's `campaign.jsonl`). It
+also records the program and the time, and a fingerprint that shows whether the result is still valid. Both kinds are read
+alike.
 """
 
 import contextlib
@@ -19,12 +21,12 @@ from sextant.shared.files.whole_files import append_text, explained
 
 
 class KeptError(ValueError):
-    """A file of runs that cannot be read, in words."""
+    """A file of runs that cannot be read."""
 
 
 _MAX_FILE_BYTES = 1 << 30
 _MARKS = ("fingerprint", "commit", "time", "machine")
-_BEGINS = b'{"fingerprint":'  # as every line of runs does
+_BEGINS = b'{"fingerprint":'  # every line of runs begins like this
 
 
 _NO_PASSAGE = Passage()
@@ -32,9 +34,12 @@ _NO_PASSAGE = Passage()
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A finished run as far as a batch is summarised from it, in the words of its report; NaN is what was not measured."""
+    """The fields of a finished run that a batch is summarised from.
 
-    fingerprint: str  # of all that decides about the run but its seed; see `sextant.deploy.trials.batch.fingerprint`
+    The names are those of the report; NaN means not measured.
+    """
+
+    fingerprint: str  # of all that determines the run except its seed; see `sextant.deploy.trials.batch.fingerprint`
     commit: str
     time: str  # UTC, ISO 8601
     scenario: str
@@ -67,22 +72,22 @@ class Run:
     map_edge_m: float
     map_coverage: float
     real_time_factor: float
-    passage: Passage = _NO_PASSAGE  # the lines of walks without any leave it out
-    machine: str = ""  # that made it, as far as its line says
+    passage: Passage = _NO_PASSAGE  # left out of the line of a run without a gap
+    machine: str = ""  # that made it, if the line records it
 
     @classmethod
     def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "") -> Self:
-        """Of a report as a table."""
+        """Create a run from a report as a table."""
         values = {name: _at(report, _PLACES.get(name, name)) for name in _NAMES if name not in _MARKS}
         marks = dict(zip(_MARKS, (fingerprint, commit, time, machine), strict=True))
         return cls._numbered(marks | values)
 
     @classmethod
     def read(cls, entry: dict[str, Any]) -> Self:
-        """Of a line on file as a table.
+        """Create a run from a line on file as a table.
 
         Raises:
-            ValueError: It lacks something, or has something of another type.
+            ValueError: A field is missing or has another type.
         """
         report = entry.get("report")
         entry = _LEFT_OUT | entry
@@ -99,14 +104,14 @@ class Run:
         return cls(**{**numbered, "passage": reports.passage_of(values["passage"])})
 
     def line(self) -> dict[str, Any]:
-        """As a table, without what says nothing."""
+        """Return the run as a table, without default values."""
         table: dict[str, Any] = reports.plain(self)
         return {name: value for name, value in table.items() if name not in _LEFT_OUT or value != _LEFT_OUT[name]}
 
 
 _LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": ""}
 _NAMES = tuple(field.name for field in fields(Run))
-_PLACES = {  # in a report, where that is another than the field's own name
+_PLACES = {  # path in a report, where it differs from the field's name
     "tilt_p95_deg": "tilt_deg.p95",
     "commanded_tilt_p95_deg": "commanded_tilt_deg.p95",
     "height_mean_m": "body_height_error_m.mean",
@@ -125,12 +130,12 @@ _PLACES = {  # in a report, where that is another than the field's own name
 
 
 def read(path: Path, fingerprint: str | None = None) -> list[Run]:
-    """Runs on file, those of one fingerprint if one is given; none where there is no file. The file stays as it is.
+    """Read the runs on file, optionally of one fingerprint; none if there is no file.
 
-    A last line that was cut off, or is being written at this moment, counts as not run.
+    The file is not changed. A last line that is truncated, or is being written, counts as not run.
 
     Raises:
-        KeptError: A line is no finished run, it says which; or the file cannot be read.
+        KeptError: A line is not a finished run (the message says which), or the file cannot be read.
     """
     *lines, tail = _lines(path)
     found: list[Run] = []
@@ -145,10 +150,12 @@ def read(path: Path, fingerprint: str | None = None) -> list[Run]:
 
 
 def mend(path: Path) -> None:
-    """Make a file ready to be appended to: a last line that lacks its end gets it if it is a run, and is cut off if it is not.
+    """Prepare a file for appending: complete or cut off an unfinished last line.
+
+    A last line without a line break gets one if it is a run; otherwise it is removed.
 
     Raises:
-        KeptError: The file is not one of runs, so that nothing was done to it; or it cannot be read.
+        KeptError: The file does not hold runs, so it was not changed; or it cannot be read.
         WriteError: It cannot be written.
     """
     *lines, tail = _lines(path)
@@ -170,8 +177,8 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
     """Append runs to a file, a short line each.
 
     Raises:
-        KeptError: What is there is not a file of runs, or cannot be read.
-        WriteError: They cannot be written; the file is as it was.
+        KeptError: The existing file does not hold runs, or cannot be read.
+        WriteError: The runs cannot be written; the file is unchanged.
     """
     mend(path)
     lines = [json.dumps(run.line(), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
@@ -179,10 +186,10 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
 
 
 def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:
-    """Batches - the runs of one scenario, robot and gait, sighted or blind - and how many runs were left out.
+    """Return batches of runs, and how many runs were left out.
 
-    A batch is of one fingerprint, that of its last run; what an earlier program made, or an earlier form of the scenario, is
-    left out. A seed that is on file twice counts once.
+    A batch has one scenario, robot and gait, is sighted or blind, and has one fingerprint, that of its last run. Runs of an
+    earlier program or an earlier form of the scenario are left out. A seed that is on file twice counts once.
     """
     batches: dict[tuple[str, str, str, bool], list[Run]] = {}
     for run in runs:
@@ -197,10 +204,12 @@ def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:
 
 
 def files(places: Sequence[Path]) -> list[Path]:
-    """The files of runs at places: files as they are, of a folder what a campaign keeps, or else a batch's.
+    """Return the files of runs at some places.
+
+    A place is a file, or a folder with a campaign's or else a batch's file.
 
     Raises:
-        KeptError: There is none at one of them, or it cannot be looked for.
+        KeptError: There is none at one of the places, or it cannot be accessed.
     """
     found = []
     for place in places:
@@ -216,7 +225,10 @@ def files(places: Sequence[Path]) -> list[Path]:
 
 
 def _lines(path: Path) -> list[bytes]:
-    """The lines of a file, then what follows its last line break, which is nothing where the file is whole or missing."""
+    """Return the lines of a file, then what follows its last line break.
+
+    The last element is empty for a complete or missing file.
+    """
     if not _exists(path):
         return [b""]
     try:
@@ -226,7 +238,10 @@ def _lines(path: Path) -> list[bytes]:
 
 
 def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
-    """The run of a line, unless it has another fingerprint than is wanted; a ValueError where it is none."""
+    """Return the run of a line, or none if its fingerprint differs.
+
+    Raises a ValueError if the line is not a run.
+    """
     entry = _entry(line)
     return [Run.read(entry)] if fingerprint in (None, entry.get("fingerprint")) else []
 
@@ -246,7 +261,7 @@ def _entry(line: bytes) -> dict[str, Any]:
 
 
 def _is_run(line: bytes) -> bool:
-    """Whether a line is a run of this or of another version of the program."""
+    """Return whether a line is a run, of this or another version of the program."""
     try:
         return bool(_entry(line))
     except ValueError:

@@ -1,4 +1,7 @@
-"""Masri's Table 6.1 again: what planning came to at every stop of the first trials of his three scenarios, beside his."""
+"""Masri's Table 6.1 with our results: planning effort at every stop.
+
+It has the first trials of his three scenarios, ours next to his.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +14,7 @@ from sextant.deploy.trials.kept import Run
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A section of a trial as the thesis has it."""
+    """A section of a trial as the thesis reports it."""
 
     generated: int  # n_g
     expanded: int  # n_e
@@ -45,9 +48,9 @@ HARDWARE = "an Odroid U3 (Exynos 4412 Prime, Cortex-A9, 1.7 GHz)"  # Masri 2016,
 
 
 def markdown(runs: Iterable[Run]) -> str:
-    """The table in Markdown: the first trials on file of each scenario, in parentheses the thesis' figures.
+    """Format the table in Markdown: our first trials, the thesis in parentheses.
 
-    A row per trial and section, of whichever scenario has most; a dash where there is no such section.
+    It has a row per trial and section. A dash marks a section that a scenario does not have.
     """
     batches = _trials_of(runs)
     headings = ["trial", "section", *(f"`{name}` {figure}" for name in THESIS for figure in ("n_g", "n_e", "t, s"))]
@@ -57,7 +60,7 @@ def markdown(runs: Iterable[Run]) -> str:
 
 
 def _trials_of(runs: Iterable[Run]) -> dict[str, list[Run]]:
-    """The first trials of each scenario of the thesis by seed, sighted, of the newest program."""
+    """Return the first sighted trials by seed of each scenario, newest program only."""
     found, _ = kept.newest(run for run in runs if run.scenario in THESIS and not run.blind)
     return {batch[0].scenario: batch[:TRIALS] for batch in found}
 
@@ -75,7 +78,7 @@ def _rows(batches: Mapping[str, Sequence[Run]], trial: int) -> list[list[str]]:
 
 
 def _cells(ours: Sequence[Section], theirs: Sequence[Published], section: int) -> list[str]:
-    """n_g, n_e and t of a section, here and in the thesis."""
+    """Return n_g, n_e and t of a section, ours and the thesis'."""
     here, there = ["-"] * 3, ["-"] * 3
     if section < len(ours):
         own = ours[section]

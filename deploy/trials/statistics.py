@@ -1,4 +1,4 @@
-"""How sure a success rate is: Wilson's interval for one rate, Newcombe's for the difference of two."""
+"""Confidence intervals: Wilson's for a rate, Newcombe's for a difference of two."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -8,7 +8,7 @@ Z_95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interva
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """Successes out of trials, with the 95 % interval of the rate behind them."""
+    """Successes out of trials, with the 95 % interval of the underlying rate."""
 
     successes: int
     n: int
@@ -19,20 +19,20 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far one rate lies above another, with its 95 % interval."""
+    """Difference of two rates, with its 95 % interval."""
 
     difference: float  # [1]
     low: float  # [1]
     high: float  # [1]
-    disjoint: bool  # whether the intervals of the two rates have no point in common
+    disjoint: bool  # whether the two rates' intervals have no point in common
 
 
 def wilson(successes: int, n: int, z: float = Z_95) -> Rate:
-    """Wilson's score interval of a success rate.
+    """Compute Wilson's score interval of a success rate.
 
     Args:
-        successes: How many of the trials succeeded.
-        n: Number of trials; none leave the rate unknown and the interval 0 to 1.
+        successes: Number of successful trials.
+        n: Number of trials; 0 gives an unknown rate and the interval 0 to 1.
         z: Standard normal quantile, 1.96 for 95 %.
 
     Raises:
@@ -48,14 +48,16 @@ def wilson(successes: int, n: int, z: float = Z_95) -> Rate:
     scale = 1.0 + z * z / n
     middle = (p + z * z / (2 * n)) / scale
     half = z / scale * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    # At the ends the bound is exactly 0 or 1; rounding would leave it beside.
+    # At the ends the bound is exactly 0 or 1; rounding would miss it.
     low = 0.0 if successes == 0 else middle - half
     high = 1.0 if successes == n else middle + half
     return Rate(successes, n, p, low, high)
 
 
 def difference(a: Rate, b: Rate) -> Difference:
-    """Rate a less rate b, with the square-and-add interval from the two Wilson intervals.
+    """Return rate a minus rate b, with the square-and-add interval of both.
+
+    The interval combines the two Wilson intervals.
 
     Raises:
         ValueError: One of them has no trials.

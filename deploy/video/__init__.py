@@ -1,1 +1,1 @@
-"""Moving pictures of a walk, drawn from its recording after the run: for people, and for nothing that steers a robot."""
+"""Video of a walk, rendered from its recording after the run."""

@@ -1,4 +1,4 @@
-"""Moving pictures in files: video through OpenCV, animated pictures through Pillow, told apart by the file name's suffix."""
+"""Video and animation files: OpenCV and Pillow, chosen by the file's suffix."""
 
 import errno
 from collections.abc import Iterable, Iterator
@@ -12,27 +12,27 @@ from PIL import Image
 
 from sextant.shared.files.whole_files import make_folder, write_by_name
 
-_VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels bring along
+_VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels include
 _ANIMATED = (".webp", ".gif", ".png")
 SUFFIXES = (*_VIDEOS, *_ANIMATED)
 _WEBP: dict[str, Any] = {"quality": 72, "method": 4}
-_COLORS, _VIVID = 256, 80  # of a GIF; and from which difference of R, G, B on a colour is one that must not be lost
-_PROBE_BYTES = 1 << 16  # that there must be room for before anything is encoded
-_TOLD_BY = 5  # every how many pixels of the others its colours are chosen by
+_COLORS, _VIVID = 256, 80  # of a GIF; and range of R, G, B above which a colour is vivid and must be kept
+_PROBE_BYTES = 1 << 16  # of free space that is tested before encoding
+_TOLD_BY = 5  # step of the other pixels that choose a GIF's colours
 
 
 class FileError(ValueError):
-    """A kind of file that nothing here can write, in words."""
+    """A kind of file that no installed encoder can write."""
 
 
 def write(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> int:
-    """Write pictures (h, w, 3) R, G, B to a file, as they come; returns how many.
+    """Write pictures (h, w, 3) R, G, B to a file as they arrive; return their number.
 
-    A file that could not be finished is not left behind.
+    An unfinished file is removed.
 
     Raises:
         WriteError: It cannot be written.
-        FileError: Nothing here can write such a file.
+        FileError: No encoder for such a file.
         ValueError: An unknown suffix.
     """
     suffix = path.suffix.lower()
@@ -46,7 +46,7 @@ def write(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tup
 
 
 class _Counted(Iterator[NDArray[np.uint8]]):
-    """Pictures, counted as they go through."""
+    """Iterator that counts pictures."""
 
     def __init__(self, frames: Iterable[NDArray[np.uint8]]):
         self._frames = iter(frames)
@@ -59,7 +59,7 @@ class _Counted(Iterator[NDArray[np.uint8]]):
 
 
 def _write_video(path: Path, suffix: str, frames: _Counted, fps: float, size: tuple[int, int]) -> None:
-    path.write_bytes(bytes(_PROBE_BYTES))  # OpenCV does not say why it cannot open a file, nor that it lacks its end
+    path.write_bytes(bytes(_PROBE_BYTES))  # OpenCV reports neither why a file cannot be opened nor that its end is missing
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_VIDEOS[suffix]), fps, size)
     try:
         if not writer.isOpened():
@@ -73,7 +73,7 @@ def _write_video(path: Path, suffix: str, frames: _Counted, fps: float, size: tu
 
 
 def _frames_in(path: Path) -> int:
-    """Pictures that a video file says it holds."""
+    """Return the number of pictures that a video file reports."""
     video = cv2.VideoCapture(str(path))
     try:
         return round(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
@@ -87,14 +87,17 @@ def _write_animated(path: Path, suffix: str, frames: _Counted, fps: float, size:
         images = (_few_colors(image) for image in images)
     first = next(images)
     options: dict[str, Any] = _WEBP if suffix == ".webp" else {}
-    others = list(images) if suffix == ".png" else images  # which Pillow goes through twice
+    others = list(images) if suffix == ".png" else images  # Pillow iterates over them twice
     with path.open("wb") as file:
         kind = suffix.removeprefix(".")
         first.save(file, kind, save_all=True, append_images=others, duration=1000.0 / fps, loop=0, **options)
 
 
 def _few_colors(image: Image.Image) -> Image.Image:
-    """A picture in the few colours of a GIF. What is small and vivid - feet, footholds, words - has its share of them."""
+    """Reduce a picture to the colours of a GIF.
+
+    Small vivid parts, such as feet, footholds and text, get a fair share of the colours.
+    """
     pixels = np.asarray(image).reshape(-1, 3)
     vivid = pixels[np.ptp(pixels, axis=1) > _VIVID]
     others = pixels[::_TOLD_BY]

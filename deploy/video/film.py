@@ -1,4 +1,4 @@
-"""A recorded run as a film: what is drawn at each moment, and in what order."""
+"""Renderer of a recorded run as a film."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -23,12 +23,12 @@ from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import TerrainMap
 
-_TRAIL_NS = 200_000_000  # [ns] between the places of the trail
+_TRAIL_NS = 200_000_000  # [ns] between the positions of the trail
 _INSET = 0.40  # [1] of the picture's height
-_SMALLEST = 96  # [px] of a map that still tells something
-_MARGIN = 0.025  # [1] likewise
-_INNER, _OUTER = 0.016, 0.024  # [m] radii of the ring around a foothold to come
-_CORE = 0.007  # [m] and of the dot within
+_SMALLEST = 96  # [px] least size of a legible map
+_MARGIN = 0.025  # [1] of the picture's height
+_INNER, _OUTER = 0.016, 0.024  # [m] radii of the ring around a planned foothold
+_CORE = 0.007  # [m] radius of the dot within
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +37,15 @@ class Cut:
 
     size: tuple[int, int] = (1280, 720)  # [px]
     fps: float = 25.0
-    times: float = 1.0  # as fast as the robot walked
+    times: float = 1.0  # [1] speed factor
     from_s: float = 0.0
     to_s: float = float("inf")
 
     def times_ns(self, story: Story) -> list[int]:
-        """Time of each picture [ns].
+        """Return the time [ns] of each picture.
 
         Raises:
-            ValueError: Nothing of the run lies in that part.
+            ValueError: No part of the run lies in that interval.
         """
         to_s = min(self.to_s, story.duration_s)
         count = round((to_s - self.from_s) * self.fps / self.times)
@@ -56,7 +56,7 @@ class Cut:
 
 
 class Film:
-    """Pictures of a run, made in their order and several at a time."""
+    """Pictures of a run, rendered in order by several threads."""
 
     def __init__(
         self,
@@ -68,16 +68,16 @@ class Film:
         cut: Cut,
         sinking: Sinking | None = None,
     ):
-        """Make it.
+        """Prepare the film.
 
         Args:
-            path: Of the recording: its maps are read again as the film goes on.
-            story: What else was said.
+            path: The recording, whose maps are read again while rendering.
+            story: Timeline of the other messages.
             profile: The robot.
-            ground: The true ground; None to draw the robot on the maps that it made.
-            title: Of what is shown.
-            cut: Which part of it.
-            sinking: How what is weak of the ground gave way.
+            ground: The true ground; None to draw the robot on its own maps.
+            title: Caption.
+            cut: Part of the run to show.
+            sinking: When the weak parts of the ground gave way.
         """
         self._sinking = sinking
         self._path, self._story, self._profile, self._cut = path, story, profile, cut
@@ -90,7 +90,10 @@ class Film:
         self._trail = np.array([story.believed(story.began_ns + k * _TRAIL_NS)[:2, 3] for k in range(n)])
 
     def frames(self, workers: int, tell: Callable[[int], None] = lambda _done: None) -> Iterator[NDArray[np.uint8]]:
-        """The pictures (h, w, 3) R, G, B in their order, painted by so many threads; tell hears how many are done."""
+        """Yield the pictures (h, w, 3) R, G, B in order, rendered by several threads.
+
+        `tell` receives the number of finished pictures.
+        """
         painters: SimpleQueue[Painter] = SimpleQueue()
         for _ in range(workers):
             painters.put(Painter(self._profile, self._cut.size))
@@ -138,7 +141,7 @@ class Film:
 
     @staticmethod
     def paint(painter: Painter, moment: Moment, view: View, sunk: Array | None = None) -> NDArray[np.uint8]:
-        """The picture of a moment, without map and words."""
+        """Return the picture of a moment, without map and text."""
         marks = []
         for p in moment.footholds:
             marks += [Mark(p, _INNER, _OUTER, FOOTHOLD), Mark(p, 0.0, _CORE, FOOTHOLD)]
@@ -151,12 +154,12 @@ class Film:
         return grounds.of_map(terrain.elevation, terrain.origin, terrain.resolution, self._limits)
 
     def _limits_of(self, ground: Ground) -> tuple[float, float]:
-        """Heights [m] {world} of the lowest and highest colour: the ground's own."""
+        """Return the heights [m] {world} of the lowest and highest colour, by the ground."""
         rise = self._story.moment(self.times_ns[0]).T_scene_world[2, 3]
         return ground.low - rise, ground.high - rise
 
     def _limits_of_maps(self) -> tuple[float, float]:
-        """Heights [m] of the lowest and highest colour: those of all maps together."""
+        """Return the heights [m] of the lowest and highest colour, over all maps."""
         maps, found = Maps(Recording(self._path)), []
         for t_ns in range(self._story.began_ns, self._story.ended_ns + 1, 5_000_000_000):
             known = maps.until(t_ns)
@@ -166,7 +169,7 @@ class Film:
 
 
 def _way(moment: Moment) -> Array:
-    """The way to the goal (s, 2, 2) [m] {scene} in short pieces."""
+    """Return the path to the goal as segments (s, 2, 2) [m] {scene}."""
     if not len(moment.path):
         return np.zeros((0, 2, 2))
     corners = np.vstack([moment.T_world_body[:2, 3], moment.path])

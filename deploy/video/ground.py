@@ -1,4 +1,4 @@
-"""The ground as it is drawn: a scenario's true terrain, or, where none is known, the height map that the robot made."""
+"""Ground for rendering: a scenario's true terrain, else the robot's height map."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from sextant.shared.geometry import Array
 if TYPE_CHECKING:
     from sextant.services.simulator.physics.terrain import Terrain
 
-_FAR = 60.0  # [m] how far level ground is drawn
-_FILM = 5e-4  # [m] of what lies on it: puddles
-_STEP = 0.01  # [m] of the raster on which the ground around is averaged
-_AROUND = 0.035  # [m] over which
-_MOST = 3000  # cells of that raster along either axis
-_NARROWEST = 0.06  # [m] between the lowest and the highest colour: level ground is not to look like mountains
+_FAR = 60.0  # [m] half extent of level ground
+_FILM = 5e-4  # [m] height of puddles above the ground
+_STEP = 0.01  # [m] cell size of the raster of the mean surrounding height
+_AROUND = 0.035  # [m] standard deviation of that mean
+_MOST = 3000  # most cells of that raster along either axis
+_NARROWEST = 0.06  # [m] least range of the colours, so that level ground does not look mountainous
 RELIEF = ((152, 170, 174), (182, 203, 184), (230, 225, 197), (240, 200, 143), (218, 142, 92))  # R, G, B from low to high
 _FACES = np.array(  # corners of a box's six faces, outward and counter-clockwise, as signs along its axes
     [
@@ -36,30 +36,30 @@ _FACES = np.array(  # corners of a box's six faces, outward and counter-clockwis
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What is drawn of the ground; a part of a color of its own has a material of its own."""
+    """Geometry and colours of the ground; each own colour is a separate material."""
 
     faces: Array  # (n, 4, 3) [m] {world}
     materials: NDArray[np.uint8]  # (n,)
     field: NDArray[np.float64]  # (nx, ny) [m] {world} heights, NaN where there is none; (0, 0) without one
-    grid: Array  # (3,) [m] x and y of its first, and their spacing
+    grid: Array  # (3,) [m] x and y of its first cell, and their spacing
     field_material: int
-    heights: NDArray[np.float32]  # (kx, ky) [m] {world} on a raster around the way
-    raster: tuple[float, float, float]  # [m] x, y of its first, and its step
+    heights: NDArray[np.float32]  # (kx, ky) [m] {world} on a raster around the path
+    raster: tuple[float, float, float]  # [m] x, y of its first cell, and its step
     low: float  # [m] {world} of the lowest colour
     high: float  # [m] {world}
-    colors: tuple[tuple[int, tuple[float, float, float]], ...] = ()  # materials beside that by height: number, R, G, B
-    sinking: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 6, 4, 3)))  # (k, 6, 4, 3) faces of what gives way
+    colors: tuple[tuple[int, tuple[float, float, float]], ...] = ()  # further materials: number, R, G, B
+    sinking: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 6, 4, 3)))  # (k, 6, 4, 3) faces of weak boxes
     sinking_materials: NDArray[np.uint8] = dataclasses.field(default_factory=lambda: np.zeros((0, 6), dtype=np.uint8))
 
     @property
     def around(self) -> NDArray[np.float32]:
-        """Heights of the raster averaged over what is near."""
+        """Local mean of the raster's heights."""
         known = np.where(np.isfinite(self.heights), self.heights, np.float32(self.low - 0.5))
         return np.asarray(cv2.GaussianBlur(known, (0, 0), _AROUND / self.raster[2]), dtype=np.float32)
 
 
 def of_terrain(terrain: "Terrain", way: Array) -> Ground:
-    """A scenario's terrain, coloured by the heights along a way (n, 2) [m] {world}."""
+    """Build a scenario's terrain, coloured by heights along a path (n, 2) [m] {world}."""
     boxes, look = terrain.boxes, terrain.look
     corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
     faces, materials = [corners.reshape(-1, 4, 3)], [np.full(6 * len(boxes), GROUND, dtype=np.uint8)]
@@ -104,7 +104,10 @@ def of_terrain(terrain: "Terrain", way: Array) -> Ground:
 
 
 def of_map(elevation: NDArray[np.float32], origin: Array, resolution: float, limits: tuple[float, float]) -> Ground:
-    """A height map (nx, ny) [m] {world}, NaN where unknown, between limits [m] of its colours."""
+    """Build ground of a height map (nx, ny) [m] {world} between colour limits [m].
+
+    NaN is unknown.
+    """
     grid = np.array([*origin, resolution])
     raster = (float(origin[0]), float(origin[1]), resolution)
     none = np.zeros((0, 4, 3))
@@ -112,7 +115,7 @@ def of_map(elevation: NDArray[np.float32], origin: Array, resolution: float, lim
 
 
 def limits_of(elevation: NDArray[np.float32]) -> tuple[float, float]:
-    """Heights [m] of the lowest and highest colour for a map; NaN is unknown."""
+    """Return heights [m] of the lowest and highest colour for a map; NaN is unknown."""
     return _limits(elevation)
 
 
@@ -121,13 +124,13 @@ def _limits(heights: NDArray[np.float32]) -> tuple[float, float]:
     if not len(known):
         return -_NARROWEST / 2, _NARROWEST / 2
     middle = float(np.median(known))
-    near = known[np.abs(known - middle) < 0.4]  # what an abyss shows is no part of the relief
+    near = known[np.abs(known - middle) < 0.4]  # an abyss is not part of the relief
     low, high = np.percentile(near, [1.0, 99.5]).tolist()
     spare = max(_NARROWEST - (high - low), 0.0) / 2
-    return low - spare, max(high + spare, 2.0 * middle - low)  # what most of the ground is shall not look high
+    return low - spare, max(high + spare, 2.0 * middle - low)  # most of the ground should not get the colours of high ground
 
 
 def _rectangle(low: Array, high: Array, z: float) -> Array:
-    """A level face (4, 3) [m] between two corners (2,) [m]."""
+    """Return a level face (4, 3) [m] between two corners (2,) [m]."""
     (x0, y0), (x1, y1) = low, high
     return np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])

@@ -1,4 +1,7 @@
-"""The height map that the robot has at a moment, from above, its heading up: what is no foothold, the way, the next steps."""
+"""Inset of the robot's height map from above, with its heading up.
+
+It marks unsafe ground, the path and the next footholds.
+"""
 
 from collections.abc import Callable
 
@@ -21,8 +24,8 @@ _NO_FOOTHOLD = (104, 34, 40)
 _HEIGHTS = np.array(RELIEF, dtype=np.float64)
 _TRAIL, _BODY = (90, 96, 104), (40, 45, 53)
 _REACH = 0.80  # [m] shown to each side, for a robot of the usual size
-_FINER = 2  # times finer it is drawn
-_SHIFT = 4  # bits of a pixel's fraction in what OpenCV draws
+_FINER = 2  # supersampling factor
+_SHIFT = 4  # bits of a pixel's fraction in OpenCV's drawing functions
 
 
 class Inset:
@@ -35,13 +38,13 @@ class Inset:
         self._reach = _REACH * float(np.clip((links.coxa + links.femur + links.tibia) / 0.251, 0.6, 4.0))
 
     def draw(self, terrain: TerrainMap | None, moment: Moment, heading: float, trail: Array) -> NDArray[np.uint8]:
-        """A picture (size, size, 3).
+        """Return a picture (size, size, 3).
 
         Args:
-            terrain: The map, None before there is one.
-            moment: Where the robot is, and where it wants to go.
-            heading: [rad] {world} that is up.
-            trail: (n, 2) [m] {world} where its body has been.
+            terrain: The map; None before the first.
+            moment: Pose and path of the robot.
+            heading: [rad] {world} direction that is up.
+            trail: (n, 2) [m] {world} past positions of the body.
         """
         n = self.size * _FINER
         pixel = 2 * self._reach / n

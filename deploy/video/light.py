@@ -1,6 +1,6 @@
-"""The loops that light what is seen: a sun with soft shadows, the sky, corners where little of it comes, the air between.
+"""Compiled lighting loops: sun with soft shadows, sky, ambient occlusion and haze.
 
-Colours are linear R, G, B from 0 to 1 until somebody makes a picture of them.
+Colours are linear R, G, B from 0 to 1.
 """
 
 from typing import NamedTuple
@@ -13,29 +13,32 @@ from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled, written_into
 
 BY_HEIGHT, GLOSS = 3, 4  # columns of the table of materials, after R, G, B
-_SUN = (0.99, 0.925, 0.82)  # times its cosine
-_SKY, _EARTH = (0.36, 0.41, 0.48), (0.26, 0.23, 0.20)  # what comes from above and, thrown back, from below
+_SUN = (0.99, 0.925, 0.82)  # multiplied by its cosine
+_SKY, _EARTH = (0.36, 0.41, 0.48), (0.26, 0.23, 0.20)  # ambient light from above, and reflected from below
 _ZENITH, _HORIZON = (0.40, 0.57, 0.80), (0.74, 0.81, 0.88)
-_DEEP = (0.050, 0.064, 0.090)  # what lies far below the course
-_HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the middle of the picture, where the air begins to be seen, and alone is
-_WAY, _WAY_COLOR = 0.005, (0.05, 0.20, 0.70)  # [m] half the width of the way that is painted on the ground
-_GRID, _GRID_LINE = 0.10, 0.0011  # [m] lines on level ground, and half their width
-_BIAS = 0.0015  # [m] by which what is lit is nearer to the lamp than what the lamp sees there
-_CREASE = 0.0035  # kink of the inverse depth, as a share of it, that is an edge
-_EVEN = 0.02  # by which normals on an even face differ at most
-_LEVEL = 0.7  # z of a normal from which on a face is a floor, and no wall
+_DEEP = (0.050, 0.064, 0.090)  # colour far below the course
+_HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the picture's middle where haze begins, and where it is complete
+_WAY, _WAY_COLOR = 0.005, (0.05, 0.20, 0.70)  # [m] half width of the path on the ground
+_GRID, _GRID_LINE = 0.10, 0.0011  # [m] spacing of lines on level ground, and half their width
+_BIAS = 0.0015  # [m] offset toward the lamp against self-shadowing
+_CREASE = 0.0035  # relative kink of the inverse depth that counts as an edge
+_EVEN = 0.02  # most difference of normals on an even face
+_LEVEL = 0.7  # z of a normal above which a face is floor, not wall
 
 
 class Shadow(NamedTuple):
-    """What a lamp sees."""
+    """The view of a lamp."""
 
     sight: Sight
     T: Array  # (4, 4) T_lamp_world
-    reach: float  # [px] over which its rim is soft
+    reach: float  # [px] width of its soft rim
 
 
 class Grid(NamedTuple):
-    """Values over the ground, (nx, ny), value (0, 0) at x, y [m] {world}, so far [m] apart; nothing is said beside it."""
+    """Values over the ground, (nx, ny); undefined outside.
+
+    Value (0, 0) is at x, y [m] {world}; `step` [m] is the spacing.
+    """
 
     values: NDArray[np.float32]
     x: float
@@ -44,34 +47,35 @@ class Grid(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What light falls on, beside what is seen itself."""
+    """Lighting inputs in addition to the camera's view."""
 
     sun: Array  # (3,) {world} toward it
-    ground_shadow: Shadow  # that of the ground
+    ground_shadow: Shadow  # shadow of the ground
     robot_shadow: Shadow
-    around: Grid  # [m] mean height of the ground around
-    under: Grid  # [1] share of the sky that the robot takes from the ground
+    around: Grid  # [m] mean height of the surrounding ground
+    under: Grid  # [1] share of the sky that the robot hides from the ground
     materials: Array  # (m, 5) R, G, B, whether height colours it, gloss
     heights: Array  # (n, 3) colours of heights from low to high
     low: float  # [m] {world}
     high: float  # [m] {world}
     marks: Array  # (k, 8) x, y, z [m] {world}, inner and outer radius [m], R, G, B painted on the ground
-    way: Array  # (s, 2, 2) [m] {world} pieces of a line painted on the ground
+    way: Array  # (s, 2, 2) [m] {world} segments of a line painted on the ground
     middle: float  # [m] from the camera to the middle of the picture
 
 
 @compiled
 def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.float32]) -> None:
-    """Light what is seen from a camera pose (4, 4) into a picture (h, w, 3), so many times coarser than what is seen.
+    """Light the view of a camera pose (4, 4) into a picture (h, w, 3).
 
-    Where a pixel shows a single even face it is lit once, elsewhere wherever it was looked at.
+    The view is an integer factor finer than the picture. A pixel that shows a single even face is lit once, any other pixel at
+    each sample.
     """
     T = T_world_camera
     rows, columns, _ = out.shape
     times = len(sight.w) // rows
     fx, fy, cx, cy = sight.lens
     w, sun, materials = sight.w, scene.sun, scene.materials
-    # Taken out of their tuples here: for every pixel anew that would cost more than what is done with them.
+    # Unpacked here, because unpacking per pixel would cost more than the lighting.
     ground_seen, T_ground, ground_reach = scene.ground_shadow.sight.w, scene.ground_shadow.T, scene.ground_shadow.reach
     robot_seen, T_robot, robot_reach = scene.robot_shadow.sight.w, scene.robot_shadow.T, scene.robot_shadow.reach
     ground_lens, robot_lens = scene.ground_shadow.sight.lens, scene.robot_shadow.sight.lens
@@ -96,7 +100,7 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
                     even = even and (w[y, x] <= 0.0 or _crease(w, y, x) <= 0.0)
             total[:] = 0.0
             looks = 1 if even else times * times
-            wide = 1.25 * times if even else 1.0  # [px] what is painted is smoothed over; ground is seen aslant
+            wide = 1.25 * times if even else 1.0  # [px] smoothing width of paint; ground is seen at a slant
             for look in range(looks):
                 y, x = top + look // times, left + look % times
                 near = mean / (times * times) if even else np.float64(w[y, x])
@@ -115,7 +119,7 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
                 px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
                 nx, ny, nz = normals[y, x, 0], normals[y, x, 1], normals[y, x, 2]
                 material = seen_materials[y, x]
-                # 1. Its own colour.
+                # 1. Surface colour.
                 ground = materials[material, 3] > 0.0
                 if materials[material, 3] > 1.0:
                     at = min(max((pz - low) / (high - low), 0.0), 1.0) * shades
@@ -134,7 +138,7 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
                     else:
                         for k in range(3):
                             color[k] *= 0.78
-                # 2. What light comes there.
+                # 2. Incoming light.
                 cosine = nx * sun_x + ny * sun_y + nz * sun_z
                 lit = max(cosine, 0.0)
                 if lit > 0.0:
@@ -150,7 +154,7 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
                     if np.isfinite(under):
                         open_sky *= 1.0 - under
                 half = 0.5 + 0.5 * nz
-                # 3. What of it goes to the eye, and the air between.
+                # 3. Reflection toward the camera, and haze.
                 gloss = 0.0
                 if materials[material, 4] > 0.0:
                     hx, hy, hz = sun_x - rx / long, sun_y - ry / long, sun_z - rz / long
@@ -171,7 +175,7 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
 
 @written_into
 def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
-    """Faint lines on the ground, as wide as they are, or fainter where a pixel is wider."""
+    """Draw faint lines on the ground; they fade where a pixel is wider than a line."""
     for at in (x, y):
         off = abs(at - _GRID * np.round(at / _GRID))
         share = min(max((_GRID_LINE + 0.5 * pixel - off) / pixel, 0.0), 1.0) * min(2.0 * _GRID_LINE / pixel, 1.0)
@@ -181,7 +185,10 @@ def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
 
 @written_into
 def _draw_marks(color: Array, x: float, y: float, z: float, pixel: float, marks: Array, way: Array) -> None:
-    """What is painted on the ground: rings with a tinted middle, and the way; their rims are as soft as a pixel is wide."""
+    """Draw rings with a tinted middle, and the path, on the ground.
+
+    Their rims are as soft as a pixel is wide.
+    """
     for s in range(len(way)):
         ax, ay = way[s, 0, 0], way[s, 0, 1]
         bx, by = way[s, 1, 0] - ax, way[s, 1, 1] - ay
@@ -204,7 +211,7 @@ def _draw_marks(color: Array, x: float, y: float, z: float, pixel: float, marks:
 
 @written_into
 def _at(values: NDArray[np.float32], x0: float, y0: float, step: float, x: float, y: float) -> float:
-    """The value of a grid at a place; NaN beside it."""
+    """Interpolate a grid at a place; NaN outside."""
     u, v = (x - x0) / step, (y - y0) / step
     nx, ny = values.shape
     if not (0.0 <= u < nx - 1 and 0.0 <= v < ny - 1):
@@ -229,9 +236,9 @@ def _shadow(
     ny: float,
     nz: float,
 ) -> float:
-    """Share of a lamp's light that comes to a place on a face {world}; all of it where the lamp does not look.
+    """Return the share of a lamp's light that reaches a place on a face {world}.
 
-    Around the place the face goes on: what the lamp sees beside it is compared with the face as it lies there.
+    It is 1 outside the lamp's view. The face is extended as a plane around the place for comparison with the lamp's depths.
     """
     fx, fy, cx, cy = lens
     a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
@@ -245,12 +252,12 @@ def _shadow(
     la = T[0, 0] * nx + T[0, 1] * ny + T[0, 2] * nz
     lb = T[1, 0] * nx + T[1, 1] * ny + T[1, 2] * nz
     lc = T[2, 0] * nx + T[2, 1] * ny + T[2, 2] * nz
-    d = min(la * a + lb * b + lc * c, -0.05 * c)  # below 0 where the lamp sees the front; flatter light changes no more
-    gu, gv = la / (fx * d), lb / (fy * d)  # by which the inverse depth of the face changes from pixel to pixel
+    d = min(la * a + lb * b + lc * c, -0.05 * c)  # below 0 where the lamp sees the front; limited for grazing light
+    gu, gv = la / (fx * d), lb / (fy * d)  # change of the face's inverse depth from pixel to pixel
     own = (1.0 + _BIAS / c) / c
     u0, v0 = int(u + 0.5), int(v + 0.5)
     own += gu * (u0 - u) + gv * (v0 - v)
-    # Where the corners and the middle agree, so does for the most part what lies between.
+    # If the corners and the middle agree, so does mostly everything between them.
     free, r = 0, int(reach + 0.5)
     for i in (-1, 1):
         for j in (-1, 1):
@@ -271,7 +278,7 @@ def _shadow(
 
 @written_into
 def _crease(w: NDArray[np.float32], row: int, column: int) -> float:
-    """1 at an edge: on a plane the inverse depth has no kink."""
+    """Return 1 at an edge: on a plane the inverse depth has no kink."""
     rows, columns = w.shape
     if not (0 < row < rows - 1 and 0 < column < columns - 1):
         return 0.0
@@ -284,9 +291,11 @@ def _crease(w: NDArray[np.float32], row: int, column: int) -> float:
 
 @compiled
 def shade_under(heights: NDArray[np.float32], x: float, y: float, step: float, balls: Array, out: NDArray[np.float32]) -> None:
-    """The share of the sky that balls (n, 4) - x, y, z, radius [m] - take from level ground of heights (nx, ny) [m].
+    """Compute the share of the sky that balls hide from level ground.
 
-    Source: a ball of radius r, d away, takes r^2 / d^2 times the cosine of the angle between it and the vertical.
+    Balls (n, 4) are x, y, z, radius [m]; ground heights are (nx, ny) [m].
+
+    Source: a ball of radius r at distance d hides r^2 / d^2 times the cosine of the angle between it and the vertical.
     """
     nx, ny = heights.shape
     for i in range(nx):

@@ -1,4 +1,4 @@
-"""Pictures of a robot on its ground: what is there goes through the z-buffer, then light falls on it."""
+"""Renderer of a robot on its ground: z-buffer first, then lighting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from sextant.deploy.video.robot_figure import COLORS, GROUND, occluders, robot_s
 from sextant.shared.geometry import Array, inverse, transform
 from sextant.shared.robot.profile import RobotProfile
 
-_SUN = np.array([-0.30, 0.62, 0.78])  # {world} toward it: beside the robot that sets out along x
-_SUN_AWAY = 60.0  # [m] so far that its rays are as good as parallel
+_SUN = np.array([-0.30, 0.62, 0.78])  # {world} toward it: to the side of a robot that starts along x
+_SUN_AWAY = 60.0  # [m] so far that its rays are nearly parallel
 _GROUND_TEXEL, _ROBOT_TEXEL = 0.003, 0.0016  # [m] of the shadows
-_MOST_TEXELS = 5000  # along either axis of the ground's
-_ROBOT_REACH = 0.45  # [m] around the body, in which its shadow is kept, for a robot of the usual size
-_UNDER_STEP = 0.008  # [m] of the ground below the robot, in which the sky that it takes is kept
-_SOFT = 0.007  # [m] over which the rim of a shadow is soft
+_MOST_TEXELS = 5000  # along either axis of the ground's shadow map
+_ROBOT_REACH = 0.45  # [m] around the body, extent of its shadow map, for a robot of the usual size
+_UNDER_STEP = 0.008  # [m] cell size of the sky occlusion below the robot
+_SOFT = 0.007  # [m] width of a shadow's soft rim
 _CURVE = 4096
 
 
@@ -30,7 +30,7 @@ class Figure:
     T_world_body: Array  # (4, 4)
     q: Array  # (6, 3) [rad]
     carries: NDArray[np.bool_]  # (6,)
-    sunk: Array | None = None  # (k,) [m] what gives way of the ground, None for nothing
+    sunk: Array | None = None  # (k,) [m] depth of each weak box; None without any
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,28 +40,28 @@ class Mark:
     p: Array  # (3,) [m] {world}
     inner: float  # [m] radius
     outer: float  # [m]
-    color: tuple[int, int, int]  # R, G, B as a screen has them
+    color: tuple[int, int, int]  # R, G, B as on a screen
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Whence a picture is taken."""
+    """Camera of a picture."""
 
     T_world_camera: Array  # (4, 4) optical: x right, y down, z forward
     focal: float  # [1] of the picture's height
-    middle: float  # [m] to what it is about
+    middle: float  # [m] to its target
 
 
 class Painter:
-    """Paints pictures of one size; what belongs to the ground is prepared once, until another is given."""
+    """Renders pictures of one size; data of the ground are prepared once per ground."""
 
     def __init__(self, profile: RobotProfile, size: tuple[int, int], finer: int = 2):
-        """Make it.
+        """Prepare the renderer.
 
         Args:
             profile: The robot.
             size: Width and height of its pictures [px].
-            finer: How many times finer than the picture everything is drawn, along each axis: that smooths edges.
+            finer: Supersampling factor along each axis, which smooths edges.
         """
         self._profile, self.size, self._finer = profile, size, finer
         width, height = size
@@ -75,7 +75,7 @@ class Painter:
         self._robot_shadow = blank(side, side, self._lamp_lens(side, side, _ROBOT_TEXEL), only_depth=True)
 
     def stand_on(self, ground: Ground) -> None:
-        """From now on paint this ground."""
+        """Set the ground of the next pictures."""
         if ground is self._ground:
             return
         self._ground = ground
@@ -85,20 +85,20 @@ class Painter:
         self._relief = _decode(np.array(RELIEF, dtype=np.float64))
 
     def paint(self, figure: Figure, view: View, marks: Sequence[Mark] = (), way: Array | None = None) -> NDArray[np.uint8]:
-        """A picture (h, w, 3) R, G, B.
+        """Return a picture (h, w, 3) R, G, B.
 
         Args:
             figure: The robot.
-            view: Whence.
+            view: The camera.
             marks: Rings on the ground.
-            way: (s, 2, 2) [m] {world} pieces of a line on the ground.
+            way: (s, 2, 2) [m] {world} segments of a line on the ground.
         """
         ground, sight = self._ground, self._sight
         if ground is None:
             raise ValueError("a ground to paint expected: call stand_on first")
         solids = robot_solids(self._profile, figure.T_world_body, figure.q, figure.carries)
         faces, face_materials, starts, ends, radii, limb_materials = solids.arrays()
-        # 1. What is seen.
+        # 1. Visible surfaces.
         rows, columns = sight.w.shape
         focal = view.focal * rows
         sight = sight._replace(lens=(focal, focal, (columns - 1) / 2, (rows - 1) / 2))
@@ -115,14 +115,14 @@ class Painter:
             loose = loose - np.repeat(figure.sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
         loose_materials = ground.sinking_materials.ravel()
         draw_faces(sight, T, loose, loose_materials)
-        # 2. The shadow of the robot and of whatever else moves, and what it takes of the sky.
+        # 2. Shadow and sky occlusion of the robot and other moving parts.
         T_lamp = self._lamp_at(figure.T_world_body[:3, 3])
         shadow = self._robot_shadow
         shadow.w.fill(0.0)
         draw_limbs(shadow, T_lamp, starts, ends, radii, limb_materials)
         draw_faces(shadow, T_lamp, faces, face_materials)
         draw_faces(shadow, T_lamp, loose, loose_materials)
-        # 3. Light.
+        # 3. Lighting.
         painted = [[*m.p, m.inner, m.outer, *_decode(np.array(m.color, dtype=np.float64))] for m in marks]
         scene = Scene(
             self._sun,
@@ -142,7 +142,7 @@ class Painter:
         return np.asarray(self._curve[(np.clip(self._linear, 0.0, 1.0) * (_CURVE - 1)).astype(np.intp)])
 
     def _under(self, figure: Figure, ground: Ground) -> Grid:
-        """The share of the sky that the robot takes from the ground below and beside it."""
+        """Return the share of the sky that the robot hides from the nearby ground."""
         x, y = figure.T_world_body[:2, 3] - self._reach
         n = round(2 * self._reach / _UNDER_STEP)
         x0, y0, step = ground.raster
@@ -159,7 +159,7 @@ class Painter:
         return _SUN_AWAY / texel, _SUN_AWAY / texel, (width - 1) / 2, (height - 1) / 2
 
     def _lamp_at(self, p: Array) -> Array:
-        """T_lamp_world of the sun when it looks at a place (3,) [m] {world}."""
+        """Return T_lamp_world of the sun when it looks at a place (3,) [m] {world}."""
         z = -self._sun
         x = np.cross(np.array([0.0, 1.0, 0.0]), z)
         x /= np.linalg.norm(x)
@@ -183,7 +183,7 @@ class Painter:
 
 
 def _materials(ground: Ground) -> Array:
-    """The table of materials that `light` goes by."""
+    """Return the table of materials for `light`."""
     table = np.zeros((256, 5))
     for number, (rgb, gloss) in COLORS.items():
         table[number, :3], table[number, 4] = _decode(np.array(rgb, dtype=np.float64)), gloss
@@ -194,10 +194,10 @@ def _materials(ground: Ground) -> Array:
 
 
 def _decode(rgb: Array) -> Array:
-    """Linear light of what a screen has from 0 to 255."""
+    """Convert screen values, 0 to 255, to linear light."""
     return np.asarray((rgb / 255.0) ** 2.2)
 
 
 def _encode(linear: Array) -> Array:
-    """What a screen has, from 0 to 1, of linear light."""
+    """Convert linear light to screen values, 0 to 1."""
     return np.asarray(linear ** (1.0 / 2.2))

@@ -1,7 +1,7 @@
-"""The loops that decide what is seen at each pixel: a z-buffer of faces, height fields and tapered limbs, compiled.
+"""Compiled z-buffer loops for faces, height fields and tapered limbs.
 
-The buffer holds inverse depth, since on a plane 1/z is linear in the pixel. What is seen is written down - its inverse depth,
-its normal and its material - and lit by `light.py` afterwards, each pixel once. Everywhere T is T_camera_world, (4, 4).
+The buffer holds inverse depth, because on a plane 1/z is linear in the pixel. Inverse depth, normal and material are stored per
+pixel, and `light.py` lights each pixel once afterwards. T is T_camera_world (4, 4) everywhere.
 """
 
 from typing import NamedTuple
@@ -12,29 +12,32 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-_NEAR = 0.02  # [m] faces are clipped here
-_EDGE = 1e-7  # [px] faces overlap by this, so that rounding leaves no crack between neighbours
+_NEAR = 0.02  # [m] near clipping plane
+_EDGE = 1e-7  # [px] overlap of faces, so that rounding leaves no crack between neighbours
 _Point = tuple[float, float, float]
 
 
 class Sight(NamedTuple):
-    """What a camera sees, and through which lens. The shadow of a lamp is what the lamp sees."""
+    """View of a camera and its intrinsics; a shadow map is the view of a lamp."""
 
     w: NDArray[np.float32]  # (h, w) [1/m] inverse depth, zero where there is nothing
-    normal: NDArray[np.float32]  # (h, w, 3) {world} of unit length; (0, 0, 3) where none is wanted
-    material: NDArray[np.uint8]  # (h, w) number of what is seen; (0, 0) likewise
+    normal: NDArray[np.float32]  # (h, w, 3) {world} of unit length; (0, 0, 3) if not needed
+    material: NDArray[np.uint8]  # (h, w) number of the visible material; (0, 0) if not needed
     lens: tuple[float, float, float, float]  # [px] fx, fy, cx, cy
 
 
 def blank(width: int, height: int, lens: tuple[float, float, float, float], only_depth: bool = False) -> Sight:
-    """Nothing seen yet, in a picture of so many pixels."""
+    """Return an empty view of a size [px]."""
     shape = (0, 0) if only_depth else (height, width)
     return Sight(np.zeros((height, width), np.float32), np.zeros((*shape, 3), np.float32), np.zeros(shape, np.uint8), lens)
 
 
 @compiled
 def draw_faces(sight: Sight, T: Array, faces: Array, materials: NDArray[np.uint8]) -> None:
-    """Draw four-cornered faces (n, 4, 3) [m] {world}, counter-clockwise as seen from outside; their backs are not drawn."""
+    """Draw quadrilateral faces (n, 4, 3) [m] {world} with back-face culling.
+
+    Corners are counter-clockwise as seen from outside.
+    """
     corners = np.empty((8, 3))
     image = np.empty((8, 2))
     for k in range(len(faces)):
@@ -48,14 +51,14 @@ def draw_faces(sight: Sight, T: Array, faces: Array, materials: NDArray[np.uint8
 
 @compiled
 def draw_field(sight: Sight, T: Array, heights: Array, grid: Array, material: int) -> None:
-    """Draw a height field: two triangles a cell, none where a corner of it is NaN.
+    """Draw a height field as two triangles per cell; skip cells with a NaN corner.
 
     Args:
-        sight: Drawn into.
-        T: As above.
+        sight: View to draw into.
+        T: T_camera_world (4, 4).
         heights: (nx, ny) [m] {world} at the corners of its cells.
-        grid: (3,) [m] x and y {world} of the first, and their spacing.
-        material: Of it all.
+        grid: (3,) [m] x and y {world} of the first corner, and their spacing.
+        material: Material of the field.
     """
     nx, ny = heights.shape
     rows, columns = sight.w.shape
@@ -94,16 +97,16 @@ def draw_field(sight: Sight, T: Array, heights: Array, grid: Array, material: in
 
 @compiled
 def draw_limbs(sight: Sight, T: Array, starts: Array, ends: Array, radii: Array, materials: NDArray[np.uint8]) -> None:
-    """Draw limbs: the hull of a ball at the start and one at the end, (n, 3) [m] {world}, of radii (n, 2) [m]."""
+    """Draw limbs: hulls of two balls at (n, 3) [m] {world}, with radii (n, 2) [m]."""
     for k in range(len(radii)):
         p, e = _in_camera(T, starts[k]), _in_camera(T, ends[k])
-        if min(p[2] - radii[k, 0], e[2] - radii[k, 1]) > _NEAR:  # whatever comes that close is not drawn
+        if min(p[2] - radii[k, 0], e[2] - radii[k, 1]) > _NEAR:  # anything closer is not drawn
             _draw_limb(sight, T, p, e, radii[k, 0], radii[k, 1], materials[k])
 
 
 @compiled
 def _draw_polygon(sight: Sight, T: Array, corners: Array, count: int, image: Array, material: int) -> None:
-    """Draw a convex polygon, its first `count` corners (.., 3) [m] {camera}."""
+    """Draw a convex polygon of the first `count` corners (.., 3) [m] {camera}."""
     w, lens = sight.w, sight.lens
     rows, columns = w.shape
     fx, fy, cx, cy = lens
@@ -116,7 +119,7 @@ def _draw_polygon(sight: Sight, T: Array, corners: Array, count: int, image: Arr
         return
     a, b = nx / (fx * d), ny / (fy * d)
     c = nz / d - a * cx - b * cy
-    # 2. Clip it at the near plane and project what is left.
+    # 2. Clip it at the near plane and project the rest.
     k = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
@@ -132,7 +135,7 @@ def _draw_polygon(sight: Sight, T: Array, corners: Array, count: int, image: Arr
             k += 1
     if k < 3:
         return
-    # 3. Fill it row by row, wherever it is nearer than what is there.
+    # 3. Fill it row by row where it is nearer than the buffer.
     low, high = image[0, 1], image[0, 1]
     for i in range(1, k):
         low, high = min(low, image[i, 1]), max(high, image[i, 1])
@@ -178,7 +181,7 @@ def _in_camera(T: Array, p: Array) -> _Point:
 
 @compiled
 def _span(x: float, z: float, radius: float, focal: float, centre: float) -> tuple[float, float]:
-    """First and last place along one image axis that a ball covers."""
+    """Return the first and last coordinate of a ball along one image axis."""
     root = radius * np.sqrt(x * x + z * z - radius * radius)
     rest = z * z - radius * radius
     return focal * (x * z - root) / rest + centre, focal * (x * z + root) / rest + centre
@@ -186,7 +189,7 @@ def _span(x: float, z: float, radius: float, focal: float, centre: float) -> tup
 
 @compiled
 def _to_ball(ray: _Point, centre: _Point, radius: float) -> float:
-    """Depth where a ray, its last part being 1, enters a ball {camera}; infinite if it misses."""
+    """Return the depth where a ray (x, y, 1) enters a ball {camera}; inf if it misses."""
     a = ray[0] * ray[0] + ray[1] * ray[1] + 1.0
     b = ray[0] * centre[0] + ray[1] * centre[1] + centre[2]
     root = b * b - a * (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius * radius)
@@ -197,8 +200,8 @@ def _to_ball(ray: _Point, centre: _Point, radius: float) -> float:
 def _draw_limb(sight: Sight, T: Array, p: _Point, e: _Point, radius: float, radius_end: float, material: int) -> None:
     """Draw the hull of two balls {camera}.
 
-    Its mantle is the cone that touches both. With k = (r0 - r1) / length, a point y along the axis and rho beside it lies on
-    that cone where rho sqrt(1 - k^2) = r0 - k y, and the cone touches the balls at y = k r0 and y = length + k r1.
+    Its mantle is the cone that touches both. With k = (r0 - r1) / length, a point at y along the axis and at distance rho from
+    it is on that cone where rho sqrt(1 - k^2) = r0 - k y. The cone touches the balls at y = k r0 and y = length + k r1.
     """
     w, normal = sight.w, sight.normal
     rows, columns = w.shape
@@ -206,7 +209,7 @@ def _draw_limb(sight: Sight, T: Array, p: _Point, e: _Point, radius: float, radi
     ax, ay, az = e[0] - p[0], e[1] - p[1], e[2] - p[2]
     length = np.sqrt(ax * ax + ay * ay + az * az)
     k = (radius - radius_end) / length if length > 1e-9 else 2.0
-    cone = abs(k) < 1.0  # else one ball holds the other
+    cone = abs(k) < 1.0  # otherwise one ball contains the other
     if cone:
         ax, ay, az = ax / length, ay / length, az / length
     else:

@@ -1,6 +1,6 @@
-"""The robot as it is drawn: limbs and rounded boxes along its links, of the sizes that its profile has.
+"""Robot model for rendering: limbs and rounded boxes sized by the profile.
 
-What the profile does not say - brackets, servo horns, plates - is drawn as a robot of such links would have it.
+Parts that the profile does not describe, such as brackets, servo horns and plates, have typical sizes for such links.
 """
 
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ from sextant.shared.geometry import Array, apply, rotation_from_rpy, transform
 from sextant.shared.robot.kinematics import leg_points
 from sextant.shared.robot.profile import RobotProfile
 
-# Numbers of materials; what is below `GROUND` is the robot's.
+# Numbers of materials; those below `GROUND` belong to the robot.
 SKY, SHELL, PLATE, JOINT, LINK, ACCENT, LENS, CARRIES, SWINGS = range(9)
 GROUND = 16
-COLORS = {  # R, G, B as a screen has them, and gloss
+COLORS = {  # R, G, B as on a screen, and gloss
     SHELL: ((52, 58, 68), 0.16),
     PLATE: ((78, 86, 99), 0.10),
     JOINT: ((34, 37, 43), 0.14),
@@ -25,13 +25,13 @@ COLORS = {  # R, G, B as a screen has them, and gloss
     CARRIES: ((18, 158, 110), 0.12),
     SWINGS: ((250, 196, 52), 0.12),
 }
-_SOCK = 0.42  # [1] share of the tibia, from the foot on, that says whether it carries
+_SOCK = 0.42  # [1] share of the tibia, from the foot up, whose colour shows load
 _FACES = (((0, 1, 2), 1.0), ((0, 1, 2), -1.0), ((1, 2, 0), 1.0), ((1, 2, 0), -1.0), ((2, 0, 1), 1.0), ((2, 0, 1), -1.0))
 
 
 @dataclass(slots=True)
 class Solids:
-    """Faces and limbs with their materials, in bulk."""
+    """Faces and limbs of the robot, with their materials."""
 
     faces: list[Array] = field(default_factory=list)  # (4, 3) [m] {world}
     face_materials: list[int] = field(default_factory=list)
@@ -41,14 +41,17 @@ class Solids:
     limb_materials: list[int] = field(default_factory=list)
 
     def limb(self, start: Array, end: Array, radius: float, radius_end: float, material: int) -> None:
-        """The hull of two balls."""
+        """Add the hull of two balls."""
         self.starts.append(np.asarray(start, dtype=np.float64))
         self.ends.append(np.asarray(end, dtype=np.float64))
         self.radii.append((radius, radius_end))
         self.limb_materials.append(material)
 
     def rounded_box(self, T: Array, size: tuple[float, float, float], bevel: float, material: int) -> None:
-        """A box of a size [m] over all around the middle of a frame (4, 4), its edges rounded by a bevel [m]."""
+        """Add a box of an outer size [m] centred at a frame (4, 4).
+
+        Its edges are rounded by a bevel [m].
+        """
         half = np.asarray(size) / 2
         inner = half - min(bevel, float(half.min()) * 0.999)
         bevel = float((half - inner).max())
@@ -69,7 +72,10 @@ class Solids:
                     self.limb(start, end, bevel, bevel, material)
 
     def arrays(self) -> tuple[Array, NDArray[np.uint8], Array, Array, Array, NDArray[np.uint8]]:
-        """Faces (n, 4, 3) with materials (n,); starts, ends (m, 3) and radii (m, 2) of limbs with materials (m,)."""
+        """Return faces (n, 4, 3) with materials (n,), and limbs.
+
+        Limbs are starts and ends (m, 3), radii (m, 2) and materials (m,).
+        """
         return (
             np.array(self.faces).reshape(-1, 4, 3),
             np.array(self.face_materials, dtype=np.uint8),
@@ -81,7 +87,10 @@ class Solids:
 
 
 def robot_solids(profile: RobotProfile, T_world_body: Array, q: Array, carries: NDArray[np.bool_]) -> Solids:
-    """The robot with its body at a pose (4, 4) and joint angles (6, 3) [rad]; its feet tell which carry (6,)."""
+    """Return the robot at a body pose (4, 4) and joint angles (6, 3) [rad].
+
+    The colour of a foot shows whether it carries (6,).
+    """
     solids = Solids()
     _body(solids, profile, T_world_body)
     points = leg_points(profile, q)
@@ -92,7 +101,10 @@ def robot_solids(profile: RobotProfile, T_world_body: Array, q: Array, carries: 
 
 
 def occluders(profile: RobotProfile, T_world_body: Array, q: Array) -> Array:
-    """Balls (n, 4) - x, y, z [m] {world}, radius [m] - that stand for the robot where it takes the sky from the ground."""
+    """Return balls that approximate the robot for sky occlusion.
+
+    They are (n, 4): x, y, z [m] {world}, radius [m].
+    """
     scale = _scale(profile)
     length, width, _ = profile.body.size
     along = np.linspace(-0.5, 0.5, 5) * (length - width / 2)
@@ -107,7 +119,7 @@ def occluders(profile: RobotProfile, T_world_body: Array, q: Array) -> Array:
 
 
 def _scale(profile: RobotProfile) -> float:
-    """How large the parts are that the profile does not tell, beside those of a PhantomX."""
+    """Return the scale of undescribed parts, relative to those of a PhantomX."""
     return float(np.clip((profile.links.femur + profile.links.tibia) / 0.199, 0.5, 3.0))
 
 
@@ -127,7 +139,7 @@ def _body(solids: Solids, profile: RobotProfile, T: Array) -> None:
 
 
 def _camera(solids: Solids, profile: RobotProfile, T: Array) -> None:
-    """The depth camera on its mast: it looks where the pictures are taken."""
+    """Add the depth camera on its mast, in its mounted orientation."""
     camera = profile.camera
     mount = np.asarray(camera.mount_xyz)
     foot = np.array([mount[0] - 0.02, mount[1], profile.body.size[2] / 2])
@@ -144,7 +156,7 @@ def _camera(solids: Solids, profile: RobotProfile, T: Array) -> None:
 
 
 def _leg(solids: Solids, profile: RobotProfile, scale: float, points: Array, state: int) -> None:
-    """One leg through its coxa axis, femur axis, knee and foot, (4, 3) [m] {world}."""
+    """Add one leg through coxa axis, femur axis, knee and foot, (4, 3) [m] {world}."""
     coxa, femur, knee, foot = points
     r = scale
     out, up = femur - coxa, None
@@ -154,7 +166,7 @@ def _leg(solids: Solids, profile: RobotProfile, scale: float, points: Array, sta
     hinge /= max(float(np.linalg.norm(hinge)), 1e-12)
     up = np.cross(hinge, out)
     up /= max(float(np.linalg.norm(up)), 1e-12)
-    # The coxa's servo stands in the body, its axis upright.
+    # The coxa's servo is in the body, with a vertical axis.
     solids.limb(coxa - 0.014 * r * up, coxa + 0.014 * r * up, 0.0175 * r, 0.0175 * r, JOINT)
     solids.limb(coxa, femur, 0.0135 * r, 0.0125 * r, LINK)
     solids.limb(femur - 0.015 * r * hinge, femur + 0.015 * r * hinge, 0.0155 * r, 0.0155 * r, JOINT)

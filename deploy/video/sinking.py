@@ -1,4 +1,7 @@
-"""When what is weak of a terrain gave way, told by the feet that stood on it: a recording does not say it otherwise."""
+"""When weak terrain gave way, estimated from the feet that stood on it.
+
+A recording does not contain this directly.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -10,16 +13,16 @@ from sextant.shared.geometry import Array
 if TYPE_CHECKING:
     from sextant.services.simulator.physics.terrain import Terrain
 
-_GIVEN = 0.008  # [m] below its top, at which a foot that carries tells that it gave way
-_BESIDE = 0.02  # [m] of its edge a foot may stand
-_SPEED = 0.25  # [m/s] at which it goes down, as the simulator lets it
+_GIVEN = 0.008  # [m] depth of a loaded foot below the top from which the box has given way
+_BESIDE = 0.02  # [m] a foot may stand beyond its edge
+_SPEED = 0.25  # [m/s] sinking speed, as in the simulator
 
 
 class Sinking:
-    """How deep each weak box of a terrain has sunk at a time."""
+    """Depth of each weak box of a terrain over time."""
 
     def __init__(self, terrain: "Terrain", story: Story, radius: float):
-        """Find when each gave way, under feet of a radius [m]."""
+        """Find when each box gave way, under feet of a radius [m]."""
         self._sinks = terrain.weak.sinks
         self._gave_ns = np.full(len(terrain.weak), np.inf)
         if not len(terrain.weak) or not story.truth.said:
@@ -36,5 +39,5 @@ class Sinking:
                 self._gave_ns[k] = story.truth.at_ns[found[0]] - _GIVEN / _SPEED * 1e9
 
     def at(self, t_ns: int) -> Array:
-        """(k,) [m]"""
+        """Return the depth (k,) [m] of each weak box at a time [ns]."""
         return np.asarray(np.clip((t_ns - self._gave_ns) * 1e-9 * _SPEED, 0.0, self._sinks))

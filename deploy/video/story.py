@@ -1,7 +1,7 @@
-"""A recorded run, told moment by moment: where the robot was, what it knew, what it wanted, and what it said.
+"""Timeline of a recorded run: poses, plans and states at each moment.
 
-Where the simulator told the truth, that is where the robot is drawn; nothing that steers it ever saw it. Elsewhere it is drawn
-where it believed to be.
+The robot is drawn at its true pose if the simulator recorded it; no service that steers it receives that pose. Otherwise it is
+drawn at its estimated pose.
 """
 
 import bisect
@@ -37,20 +37,20 @@ _HEARD = (
     topics.PLANNER_STATUS,
     topics.CAMERA_STATE,
 )
-_FOR_CONTACT_NS = 40_000_000  # [ns] to both sides: feet that scrape hop, and still carry
+_FOR_CONTACT_NS = 40_000_000  # [ns] to both sides: scraping feet hop briefly and still carry
 _SPEED_OVER_NS = 1_000_000_000  # [ns] to both sides
-_FRESH_NS = 2_000_000_000  # [ns] for which what somebody said stands
+_FRESH_NS = 2_000_000_000  # [ns] for which a message is valid
 
 
 class Track(Generic[M]):
-    """Messages of one topic in the order in which they came."""
+    """Messages of one topic in order of arrival."""
 
     def __init__(self) -> None:
-        self.at_ns: list[int] = []  # [ns] when each was written down
+        self.at_ns: list[int] = []  # [ns] when each was recorded
         self.said: list[M] = []
 
     def add(self, message: M, at_ns: int) -> None:
-        """Take the next."""
+        """Append a message."""
         self.at_ns.append(at_ns)
         self.said.append(message)
 
@@ -58,18 +58,18 @@ class Track(Generic[M]):
         return len(self.said)
 
     def newest(self, t_ns: int, fresh_for_ns: int | None = None) -> M | None:
-        """The newest that had come by a time; None where that is too long ago, or there was none."""
+        """Return the newest message at a time; None if it is too old or missing."""
         k = bisect.bisect_right(self.at_ns, t_ns) - 1
         if k < 0 or (fresh_for_ns is not None and t_ns - self.at_ns[k] > fresh_for_ns):
             return None
         return self.said[k]
 
     def between(self, from_ns: int, to_ns: int) -> list[M]:
-        """Those that came from one time to another."""
+        """Return the messages between two times."""
         return self.said[bisect.bisect_left(self.at_ns, from_ns) : bisect.bisect_right(self.at_ns, to_ns)]
 
     def by_stamp(self) -> None:
-        """Let each count from when it was measured, later by how long they took on the way for the most part."""
+        """Reorder messages by stamp, and shift their times by the median latency."""
         if self.said:
             late = int(np.median([at - m.stamp_ns for at, m in zip(self.at_ns, self.said, strict=True)]))
             order = sorted(range(len(self.said)), key=lambda k: self.said[k].stamp_ns)
@@ -77,7 +77,10 @@ class Track(Generic[M]):
             self.at_ns = [m.stamp_ns + late for m in self.said]
 
     def around(self, t_ns: int) -> tuple[M, M, float]:
-        """Those before and after a time, and how far it is from the one to the other; at the ends the last one, twice."""
+        """Return the messages before and after a time, and the fraction between them.
+
+        At the ends it is the last one, twice.
+        """
         k = bisect.bisect_right(self.at_ns, t_ns)
         if k == 0 or k == len(self.said):
             only = self.said[0 if k == 0 else -1]
@@ -88,34 +91,37 @@ class Track(Generic[M]):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The run at one time. {scene} is the simulator's world where the truth is drawn, {world} elsewhere."""
+    """The run at one time.
+
+    {scene} is the simulator's world if the truth is drawn, otherwise {world}.
+    """
 
     time_s: float  # [s] since the recording began
     T_scene_body: Array  # (4, 4)
-    T_scene_world: Array  # (4, 4) what the robot believes, laid onto the scene
+    T_scene_world: Array  # (4, 4) aligns the robot's estimate with the scene
     q: Array  # (6, 3) [rad]
     carries: NDArray[np.bool_]  # (6,)
     speed: float  # [m/s]
-    mode: str  # of the actuator; empty before it spoke
-    planner: str  # what the planner does, likewise
-    trouble: str  # why it waits or refuses, in words; empty when it goes on
-    footholds: Array  # (n, 3) [m] {scene} centres of feet to be set down
+    mode: str  # of the actuator; empty before its first state
+    planner: str  # state of the planner; empty before its first status
+    trouble: str  # why it waits or refuses; empty if it goes on
+    footholds: Array  # (n, 3) [m] {scene} planned foot centres
     footholds_world: Array  # (n, 3) [m] {world}
-    path: Array  # (m, 2) [m] {world} corners of the way to the goal
+    path: Array  # (m, 2) [m] {world} corners of the path to the goal
 
     @property
     def T_world_body(self) -> Array:
-        """Where the robot believes to be (4, 4)."""
+        """The estimated pose (4, 4)."""
         return inverse(self.T_scene_world) @ self.T_scene_body
 
 
 class StoryError(ValueError):
-    """A recording of which no picture can be made, in words."""
+    """A recording that cannot be drawn."""
 
 
 @dataclass(slots=True)
 class Story:
-    """All that was said and is drawn, but the maps, which are too many to be kept."""
+    """All messages that are drawn, except the maps, which need too much memory."""
 
     truth: Track[GroundTruth] = field(default_factory=Track)
     actuator: Track[ActuatorState] = field(default_factory=Track)
@@ -124,16 +130,16 @@ class Story:
     plans: Track[StepPlan] = field(default_factory=Track)
     planner: Track[PlannerStatus] = field(default_factory=Track)
     camera: Track[CameraState] = field(default_factory=Track)
-    true: bool = True  # whether the robot is drawn where it is, not where it believes to be
+    true: bool = True  # whether the robot is drawn at its true, not its estimated, pose
     began_ns: int = 0
     ended_ns: int = 0
 
     @classmethod
     def read(cls, recording: Recording) -> "Story":
-        """Read a recording through; one that was cut off, as far as it goes.
+        """Read a recording; a truncated one up to its end.
 
         Raises:
-            StoryError: There is no robot in it.
+            StoryError: It does not contain a robot.
         """
         story = cls()
         tracks: dict[str, Track[Any]] = {
@@ -156,13 +162,16 @@ class Story:
         return story
 
     def draw_truth(self, true: bool) -> None:
-        """Draw the robot where it is, or where it believes to be."""
+        """Choose whether to draw the robot at its true or its estimated pose."""
         self.true = true
         track: Track[Any] = self.truth if true else self.actuator
         self.began_ns, self.ended_ns = track.at_ns[0], track.at_ns[-1]
 
     def feet_off(self, height_at: Callable[[Array], Array], radius: float) -> float:
-        """How far [m] feet of a radius [m] that carry are from a ground by the truth, in the median; 0 where none carries."""
+        """Return the median distance [m] of loaded feet from a ground, by the truth.
+
+        `radius` is the foot radius [m]; the result is 0 if no foot is loaded.
+        """
         feet = [m.feet[m.contact] for m in self.truth.said[::10]]
         standing = np.concatenate(feet) if feet else np.zeros((0, 3))
         if not len(standing):
@@ -172,18 +181,18 @@ class Story:
 
     @property
     def duration_s(self) -> float:
-        """[s]"""
+        """Duration of the recording [s]."""
         return (self.ended_ns - self.began_ns) * 1e-9
 
     def pose(self, t_ns: int) -> Array:
-        """T_scene_body (4, 4)."""
+        """Return T_scene_body (4, 4)."""
         if self.true:
             before, after, s = self.truth.around(t_ns)
             return interpolate(before.T_world_body, after.T_world_body, s)
         return self.believed(t_ns)
 
     def believed(self, t_ns: int) -> Array:
-        """T_world_body (4, 4) as the robot has it."""
+        """Return the robot's estimate of T_world_body (4, 4)."""
         T = np.eye(4)
         if len(self.odometry):
             one, other, s = self.odometry.around(t_ns)
@@ -197,7 +206,7 @@ class Story:
         return interpolate(earlier.T_world_odom, later.T_world_odom, s) @ T
 
     def moment(self, t_ns: int) -> Moment:
-        """The run at a time [ns]."""
+        """Return the run at a time [ns]."""
         T_scene_body = self.pose(t_ns)
         T_world_body = self.believed(t_ns)
         state = self.actuator.newest(t_ns)
@@ -231,7 +240,10 @@ class Story:
         return (1.0 - s) * before.q + s * after.q, carries
 
     def _footholds(self, t_ns: int) -> tuple[Array, Array]:
-        """Where feet will come down, (n, 3) [m] {scene} and {world}: those in the air, and those of the step that follows."""
+        """Return the next touchdowns (n, 3) [m] in {scene} and {world}.
+
+        They are those of the current and of the next step.
+        """
         state = self.actuator.newest(t_ns, _FRESH_NS)
         none = np.zeros((0, 3))
         if state is None or state.mode.value != "walk":
@@ -249,7 +261,10 @@ class Story:
         return np.concatenate(scene), np.concatenate(world)
 
     def _laid(self, plan: StepPlan) -> Array:
-        """T_scene_world under a plan: its footholds belong to where the legs had the body when it was made."""
+        """Return T_scene_world for a plan.
+
+        Its footholds are relative to the odometry pose when the plan was made.
+        """
         if not self.true or not len(self.odometry):
             return np.eye(4)
         one, other, s = self.odometry.around(plan.stamp_ns)
@@ -272,7 +287,7 @@ class Story:
 
 
 class Maps:
-    """The maps of a recording, one after the other as time goes on."""
+    """Iterates over the maps of a recording as time advances."""
 
     def __init__(self, recording: Recording):
         self._coming: Iterator[Any] = iter(recording.messages((topics.TERRAIN,)))
@@ -280,7 +295,7 @@ class Maps:
         self.newest: TerrainMap | None = None
 
     def until(self, t_ns: int) -> TerrainMap | None:
-        """The newest map by a time that is no earlier than the last one asked for; None before the first."""
+        """Return the newest map at a time; None before the first. Times must not decrease."""
         while self._next is not None and self._next[1] <= t_ns:
             self.newest = self._next[0]
             self._next = self._take()
@@ -294,5 +309,5 @@ class Maps:
 
 
 def trail(story: Story, t_ns: Sequence[int]) -> Array:
-    """T_scene_body (n, 4, 4) at times [ns]."""
+    """Return T_scene_body (n, 4, 4) at times [ns]."""
     return np.array([story.pose(t) for t in t_ns]).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""Whence a walk is looked at: a camera that follows the robot from behind and aside, and does not shake with it."""
+"""Smooth camera that follows the robot from behind and from the side."""
 
 import numpy as np
 
@@ -7,17 +7,17 @@ from sextant.deploy.video.story import Story, trail
 from sextant.shared.geometry import Array, transform
 from sextant.shared.robot.profile import RobotProfile
 
-_STEP_NS = 50_000_000  # [ns] at which the robot's way is sampled
-_PLACE_S, _HEADING_S = 0.9, 3.0  # [s] over which place and heading are averaged, standard deviations
-_ASIDE, _SWAY, _SWAY_S = np.radians(-48.0), np.radians(9.0), 45.0  # [rad] from straight behind, to and fro around it, [s]
-_UP = np.radians(33.0)  # [rad] over the horizon
+_STEP_NS = 50_000_000  # [ns] sampling interval of the robot's path
+_PLACE_S, _HEADING_S = 0.9, 3.0  # [s] standard deviations of the averages of position and heading
+_ASIDE, _SWAY, _SWAY_S = np.radians(-48.0), np.radians(9.0), 45.0  # [rad] from behind, sway amplitude, its period [s]
+_UP = np.radians(33.0)  # [rad] above the horizon
 _FOCAL = 1.75  # [1] of the picture's height
 _DISTANCE = 1.60  # [m] from a robot of the usual size
-_AHEAD = 0.06  # [m] of the robot lies the middle of the picture
+_AHEAD = 0.06  # [m] of the picture's middle in front of the robot
 
 
 class FollowingCamera:
-    """Smoothed over time to both sides, as only a picture made afterwards can be: it never lags."""
+    """Camera smoothed over past and future, so that it does not lag."""
 
     def __init__(self, story: Story, profile: RobotProfile):
         n = max((story.ended_ns - story.began_ns) // _STEP_NS, 1) + 1
@@ -30,7 +30,7 @@ class FollowingCamera:
         self._scale = float(np.clip((links.coxa + links.femur + links.tibia) / 0.251, 0.6, 4.0))
 
     def view(self, t_ns: int) -> View:
-        """Whence the robot is looked at at a time [ns]."""
+        """Return the camera at a time [ns]."""
         s = (t_ns - self._began_ns) / _STEP_NS
         p, forward = _at(self._p, s), _at(self._forward, s)
         heading = np.arctan2(forward[1], forward[0])
@@ -44,13 +44,13 @@ class FollowingCamera:
         return View(transform(np.column_stack([x, np.cross(look, x), look]), target - distance * look), _FOCAL, distance)
 
     def heading(self, t_ns: int) -> float:
-        """Where the robot heads for the most part [rad] {scene}."""
+        """Return the smoothed heading [rad] {scene} of the robot."""
         x, y = _at(self._forward, (t_ns - self._began_ns) / _STEP_NS)
         return float(np.arctan2(y, x))
 
 
 def _smoothed(values: Array, sigma_s: float) -> Array:
-    """Values (n, k), averaged over their neighbours by a Gaussian."""
+    """Average values (n, k) over neighbours with a Gaussian."""
     sigma = sigma_s * 1e9 / _STEP_NS
     reach = int(3 * sigma)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
@@ -59,7 +59,7 @@ def _smoothed(values: Array, sigma_s: float) -> Array:
 
 
 def _at(values: Array, s: float) -> Array:
-    """Values (k,) between two samples."""
+    """Interpolate values (k,) between two samples."""
     s = min(max(s, 0.0), len(values) - 1.0)
     i = min(int(s), max(len(values) - 2, 0))
     return np.asarray(values[i] + (s - i) * (values[min(i + 1, len(values) - 1)] - values[i]))

@@ -1,4 +1,4 @@
-"""The line of words below a picture, and how the map is laid into its corner."""
+"""Caption below a picture, and insertion of the map into its corner."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,20 +10,20 @@ _BAR, _BAR_SHARE = (22, 26, 32), 0.72
 _PLAIN, _MUTED, _TROUBLE = (246, 247, 249), (168, 175, 184), (255, 190, 70)
 _GAP = "        "
 _MOST_LINES = 3
-_SHARE, _SHARE_OF_WIDTH = 0.031, 0.06  # [1] of the picture that a letter is high,
-_SMALLEST = 13  # [px] and as high at least, where the picture has the width for it
+_SHARE, _SHARE_OF_WIDTH = 0.031, 0.06  # [1] letter height, of the picture's height and width
+_SMALLEST = 13  # [px] least letter height, if the picture is wide enough
 
 
 class Caption:
-    """Words of one size, after the pictures that they stand in."""
+    """Captions of one text size for all pictures."""
 
     def __init__(self, size: tuple[int, int], title: str, times: float):
-        """Make it.
+        """Prepare the caption.
 
         Args:
             size: Width and height of the pictures [px].
-            title: What is shown.
-            times: How much faster than the robot the picture moves.
+            title: Title of the run.
+            times: Speed factor of the video.
         """
         self._width, self._height = size
         self._pixels = max(round(_SHARE * self._height), min(_SMALLEST, round(_SHARE_OF_WIDTH * self._width)))
@@ -31,7 +31,10 @@ class Caption:
         self._title = title if times == 1.0 else f"{title}{_GAP}{times:g}x"
 
     def write(self, picture: NDArray[np.uint8], moment: Moment) -> None:
-        """Write what is the case at a moment into a picture (h, w, 3); what is wrong stands in a colour of its own."""
+        """Write the state at a moment into a picture (h, w, 3).
+
+        Problems have a separate colour.
+        """
         pad = round(0.7 * self._pixels)
         room = self._width - 2 * pad
         trouble = self._wrapped(moment.trouble, room) if moment.trouble else []
@@ -51,7 +54,7 @@ class Caption:
         picture[top:] = np.asarray(image)[top:]
 
     def _wrapped(self, text: str, room: float) -> list[str]:
-        """A text in lines that fit."""
+        """Break a text into lines that fit."""
         lines: list[str] = []
         for word in text.split():
             longer = f"{lines[-1]} {word}" if lines else word
@@ -65,13 +68,16 @@ class Caption:
 
 
 def said(moment: Moment) -> str:
-    """Time, speed, and what robot and planner do."""
+    """Return time, speed, and states of robot and planner."""
     doing = ", ".join(word for word in (moment.mode, moment.planner) if word)
     return f"{moment.time_s:5.1f} s{_GAP}{moment.speed:.2f} m/s{_GAP}{doing}"
 
 
 def lay_in(picture: NDArray[np.uint8], inset: NDArray[np.uint8], margin: int) -> None:
-    """Lay a square (n, n, 3) with rounded corners and a light rim into the upper right corner of a picture."""
+    """Draw a square (n, n, 3) into the upper right corner of a picture.
+
+    It gets rounded corners and a light rim.
+    """
     n = len(inset)
     rim = max(round(n / 90), 1)
     outer = n + 2 * rim
@@ -87,6 +93,6 @@ def lay_in(picture: NDArray[np.uint8], inset: NDArray[np.uint8], margin: int) ->
 
 
 def _rounded(n: int, radius: float) -> NDArray[np.float64]:
-    """How much of each pixel (n, n) a square with rounded corners covers."""
+    """Return the coverage of each pixel (n, n) by a square with rounded corners."""
     off = np.maximum(np.abs(np.arange(n) - (n - 1) / 2) - (n / 2 - radius), 0.0)
     return np.asarray(np.clip(radius - np.hypot(off[:, None], off[None, :]) + 0.5, 0.0, 1.0))
