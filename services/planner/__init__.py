@@ -1,1 +1,1 @@
-"""Owns where the feet go: gait, foothold search, body motion."""
+"""Planner: gait, footholds, body motion, path following and gap crossing."""

@@ -8,27 +8,27 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How the robot steps; defaults walk."""
+    """Settings of stepping; the defaults let the robot walk."""
 
-    blind: bool = False  # the baseline: no map is read, the ground is taken for the plane of the standing feet
-    footholds: Literal["score", "evaluation"] = "score"  # the map's layer to walk on: Lotriet's or Masri's
+    blind: bool = False  # blind baseline: no map is read, the ground is the plane of the standing feet
+    footholds: Literal["score", "evaluation"] = "score"  # map layer for footholds: Lotriet's or Masri's
     handover_s: float = 0.15  # [s] of a step in which its feet stand
-    max_turn_deg: float = 10.0  # [deg] of the body while a foot stands
-    max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
-    max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
-    touch_step_s: float = 1.6  # [s] duration of a step by touch alone,
-    touch_stride: float = 0.05  # [m] of the body in it, at most,
-    touch_width: float = 1.2  # of the distance of its feet from the coxa: folded legs neither rise straight up nor feel much,
-    touch_lift: float = 0.07  # [m] and clearance of its feet, at least
-    uneven: float = 0.008  # [m] of relief from which it is
-    path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
-    sink_margin: float = 0.003  # [m] likewise over what stands before its touchdown, by the lowest way that it may come down
-    leg_margin: float = 0.010  # [m] of a leg's middle line over the ground beside its feet
-    plan_from: float = 0.55  # phase of a step from which the next one is planned
-    retarget_until: float = 0.45  # phase until which touchdowns of the running step may move
-    retarget_from_m: float = 0.004  # [m] smaller moves are not worth it
-    pose_age_s: float = 0.4  # [s] since an older pose came the planner waits; between two the legs' odometry carries it on
-    map_age_s: float = 0.8  # [s] likewise for the map
+    max_turn_deg: float = 10.0  # [deg] maximum turn of the body while a foot stands
+    max_lean_deg: float = 12.0  # [deg] maximum lean of the body with the ground
+    max_tilt_deg: float = 8.0  # [deg] maximum change of the lean in one step
+    touch_step_s: float = 1.6  # [s] duration of a step by touch alone
+    touch_stride: float = 0.05  # [m] maximum body travel of a step by touch
+    touch_width: float = 1.2  # factor of the distance from coxa to foot by touch: folded legs rise and sense poorly
+    touch_lift: float = 0.07  # [m] minimum clearance of a step by touch
+    uneven: float = 0.008  # [m] relief from which ground counts as rough
+    path_margin: float = 0.015  # [m] between a swinging foot and the ground under its path
+    sink_margin: float = 0.003  # [m] between a descending foot, on its lowest path, and obstacles before its touchdown
+    leg_margin: float = 0.010  # [m] between a leg's centre line and the ground next to its feet
+    plan_from: float = 0.55  # phase of a step from which the next step is planned
+    retarget_until: float = 0.45  # phase of a step until which its touchdowns may move
+    retarget_from_m: float = 0.004  # [m] minimum change of a touchdown for a revision
+    pose_age_s: float = 0.4  # [s] maximum age of a pose; leg odometry bridges the time between two poses
+    map_age_s: float = 0.8  # [s] maximum age of the terrain map
     revise_s: float = 0.20  # [s] between revisions of a plan
 
     def __post_init__(self) -> None:

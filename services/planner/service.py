@@ -1,4 +1,7 @@
-"""The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
+"""Planner service: plan the next step from the newest map and pose.
+
+It follows Lotriet's state machine of resting and stepping.
+"""
 
 import math
 from collections import deque
@@ -39,25 +42,23 @@ from sextant.shared.wire.messages import (
 State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 
 _STATUS_PERIOD_NS = 100_000_000
-_TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
-_MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have met ground somewhere
-_DOUBT_NS = 1_000_000_000  # [ns] that a crossing goes by the legs alone
-_UNANSWERED_NS = 300_000_000  # [ns] from a plan to its answer by legs at rest, beyond which it came too late
-_GAP_NS = 500_000_000  # [ns] between two states of the legs, from which the planner was held up
-_POSES = 45  # remembered: 3 s
-_KEPT = 40  # plans remembered besides the newest
-_RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 180 ms without a plan
-_MAX_STATE_AGE_S = (
-    0.45  # [s] the plan that follows from an older state of the legs reaches them when it is too old to be walked
-)
-_NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
+_TRY_AGAIN_NS = 2_000_000_000  # [ns] pause after the actuator has refused every way of taking a step
+_MEASURED_NS = 300_000_000  # [ns] of rest after which a foot that stopped on ground counts as measured
+_DOUBT_NS = 1_000_000_000  # [ns] for which a gap crossing continues on leg odometry alone
+_UNANSWERED_NS = 300_000_000  # [ns] without an answer from resting legs, after which a plan counts as late
+_GAP_NS = 500_000_000  # [ns] between two actuator states, above which the planner counts as delayed
+_POSES = 45  # number of remembered poses: 3 s
+_KEPT = 40  # number of remembered plans besides the newest
+_RENEW_NS = 35_000_000  # [ns] after which the running step is sent again: without a plan the actuator goes on for 180 ms
+_MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives too late to be executed
+_NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] changes from which a command is a new one
 _STILL = 1e-3  # [m/s] and [rad/s]
-_ASKED_AGE_S = 2.0  # by which what is asked may be older than now by its stamp, or ahead: else it is not of now
+_ASKED_AGE_S = 2.0  # [s] maximum difference between the stamp of a command and now, in the past or the future
 _NOT_MINE = "the running step is not one of mine; waiting for its end"
 
 
 class Planner:
-    """Plans the next step while the last one is walked, and moves the touchdowns of the running one as the map improves."""
+    """Plans the next step and revises running touchdowns as the map improves."""
 
     name = "planner"
     paced_by: AnyTopic = topics.ACTUATOR_STATE
@@ -72,7 +73,7 @@ class Planner:
     writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Begin with no plan."""
+        """Start without a plan."""
         self.max_age_s = {topics.ACTUATOR_STATE.key: _MAX_STATE_AGE_S, topics.BODY_POSE.key: settings.pose_age_s}
         if not settings.blind:
             self.max_age_s[topics.TERRAIN.key] = settings.map_age_s
@@ -84,22 +85,20 @@ class Planner:
         self._holes = Holes()
         self._pilot = Pilot(profile)
         self._passage = PassageMode(profile, settings)
-        self._led = False  # whether a goal is what it walks by
-        self._sent: list[_Sent] = []  # that may yet be walked, the newest last
-        self._running: _Sent | None = None  # what is being walked, or was last
+        self._led = False  # whether the robot follows a goal
+        self._sent: list[_Sent] = []  # plans that the actuator may still execute, the newest last
+        self._running: _Sent | None = None  # the plan that is being executed, or was last
         self._refusals = Refusals()
-        self._asked: VelocityCommand | None = None  # what was commanded when they began
-        self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
-        self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # the newest of the last seconds
+        self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
+        self._looked_at: tuple[Stride, TerrainMap] | None = None  # step and map of the last retargeting
+        self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # poses of the last seconds
         self._stepped_ns = 0
         self._due_ns = 0
         self._renew_ns = 0
-        self._step, self._begun_ns = -1, 0  # the running step, or the last, and when it was first heard of
-        self._sure_ns = 0  # when perception was last sure of where the robot is
-        self._moved_ns = 0  # when legs last moved
-        self._taken_back: NDArray[np.bool_] = np.zeros(
-            6, dtype=np.bool_
-        )  # (6,) legs that have had to go back to where they stood
+        self._step, self._begun_ns = -1, 0  # the running step, or the last one, and when it was first received
+        self._sure_ns = 0  # [ns] when perception was last sure of the robot's pose
+        self._moved_ns = 0  # [ns] when the legs last moved
+        self._taken_back: NDArray[np.bool_] = np.zeros(6, dtype=np.bool_)  # (6,) legs that returned to their previous footholds
         self._put_down: Array | None = None  # (2,) [m] {world} where the robot stood before its first step
         self._status_due_ns = 0
         self._state: State = "waiting"
@@ -108,11 +107,11 @@ class Planner:
         self._moved = 0
 
     def doing(self) -> str:
-        """State and reason."""
+        """Return state and reason."""
         return f"{self._state}: {self._reason}"
 
     def step(self, state: ActuatorState, inbox: Inbox) -> Iterator[Message]:
-        """Follow the legs; plan when it is time to."""
+        """Track the legs and plan when a plan is due."""
         if state.stamp_ns - self._stepped_ns > _GAP_NS:
             self._pilot.pause()
         self._stepped_ns = state.stamp_ns
@@ -141,7 +140,7 @@ class Planner:
             yield self._status(state)
 
     def _follow(self, state: ActuatorState) -> None:
-        """Notice which plan is walked, and which was refused."""
+        """Note which plan is being executed and which was refused."""
         if state.step != self._step:
             self._step, self._begun_ns = state.step, state.stamp_ns
         if not _rests(state):
@@ -149,11 +148,11 @@ class Planner:
         running = self._running
         if running is None or running.plan.stamp_ns != state.plan_ns:
             self._running = next((s for s in self._sent if s.plan.stamp_ns == state.plan_ns), None)
-            # None: the actuator walks something else, or began anew.
+            # None: the actuator executes another plan, or has restarted.
             if self._running is None and running is not None and state.plan_ns < 0 and state.step == running.plan.step:
                 self._taken_back = running.stride.swing.copy()
             if self._running is not None and (running is None or running.plan.step != self._running.plan.step):
-                self._due_ns = 0  # a new step: its touchdowns may be looked at at once
+                self._due_ns = 0  # a new step: check its touchdowns immediately
                 self._refusals.forget()
                 if not (self._taken_back & self._running.stride.swing).any():
                     self._taken_back = np.zeros(6, dtype=np.bool_)
@@ -165,7 +164,7 @@ class Planner:
                 self._refusals.add(refused.way, state.refused)
 
     def _plan(self, state: ActuatorState, inbox: Inbox) -> "_Sent | None":
-        """The plan to send now, or none and the reason in the status."""
+        """Return the plan to send now, or set the reason in the status and return None."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
         velocity, goal = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL)
         late_velocity, late_goal = _untimely(velocity, state.stamp_ns), _untimely(goal, state.stamp_ns)
@@ -174,7 +173,7 @@ class Planner:
         goal = None if goal is None or command is not None or late_goal else replace(goal, speed=goal.speed * state.pace)
         self._led = goal is not None
         if command is not None and not _is_still(command):
-            self._passage.abandon()  # who falls silent, or rests, may want it later
+            self._passage.abandon()  # a zero or missing command keeps it: it may continue later
         if state.mode not in (Mode.WALK, Mode.HOLD):
             self._passage.abandon()
             self._refusals.forget()
@@ -214,13 +213,16 @@ class Planner:
         return self._towards(goal, state, pose, terrain, inbox)
 
     def _feel_ahead(self, state: ActuatorState, command: VelocityCommand, inbox: Inbox) -> "_Sent | None":
-        """The next step by touch alone: no map, and where the body is by the legs' odometry since it was last known."""
+        """Return the next step by touch alone.
+
+        It uses no map. Leg odometry gives the body pose since the last pose of perception.
+        """
         known = inbox.latest(topics.BODY_POSE)
         if known is None:
             return self._hold("waiting", "by touch: no pose from perception yet, so {world} is not known")
         pose = replace(known, stamp_ns=state.stamp_ns, T_world_body=known.T_world_odom @ state.T_odom_body)
         if state.stamp_ns - self._moved_ns < _MEASURED_NS:
-            return None  # where feet in the air will meet ground is not known
+            return None  # where feet in the air will touch down is not known
         if _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "by touch: no velocity is commanded")
@@ -244,7 +246,10 @@ class Planner:
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way), stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
-        """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
+        """Return the next step on the way to a goal.
+
+        If no step follows the path, the robot walks without turning or turns on the spot.
+        """
         standing = self._standing(state, pose)
         if standing is None:
             return self._hold("waiting", _NOT_MINE)
@@ -269,18 +274,24 @@ class Planner:
         return sent
 
     def _is_unanswered(self, state: ActuatorState) -> bool:
-        """Whether legs at rest neither walk a plan of the next step nor refuse it for what it asks: plans come too late."""
+        """Return whether resting legs leave a plan of the next step unanswered.
+
+        They neither execute it nor refuse it for its content: plans arrive too late.
+        """
         sent = next((s for s in self._sent if s.plan.step == state.step + 1), None)
         waits = sent is not None and state.phase >= 1.0 and not self._refusals.count
         return waits and sent is not None and state.stamp_ns - sent.plan.stamp_ns > _UNANSWERED_NS
 
     def _looked_from(self, terrain: Terrain, pose: BodyPose) -> Array:
-        """The body (4, 4) {world} when the newest scan of a map was taken, as far as poses are remembered."""
+        """Return the body pose (4, 4) {world} at the newest scan of the map.
+
+        It is the remembered pose nearest in time.
+        """
         stamp_ns = terrain.map.stamp_ns
         return min(self._poses, key=lambda known: abs(known.stamp_ns - stamp_ns), default=pose).T_world_body
 
     def _walk_by(self, found: Heading, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
-        """The next step by the first command that can be walked, and what leads it, in words."""
+        """Return the step of the first feasible command and add the path to the reason."""
         sent = self._first_that_goes(found.commands, state, pose, terrain)
         if sent is not None:
             self._reason = f"{found.words}; {self._reason}"
@@ -289,13 +300,16 @@ class Planner:
     def _first_that_goes(
         self, commands: tuple[VelocityCommand, ...], state: ActuatorState, pose: BodyPose, terrain: Terrain
     ) -> "_Sent | None":
-        """The next step by the first command that the ground, and the actuator, allow; none where every way was refused."""
+        """Return the step of the first command that ground and actuator allow.
+
+        Return None if no command has a step or the actuator has refused every way.
+        """
         if commands and _differ(commands[0], self._asked):
             self._refusals.forget()
             self._asked = commands[0]
         for number, command in enumerate(commands):
             sent = self._next_step(state, pose, command, terrain, number)
-            if sent is not None or self._state == "stepping":  # it comes to rest before a step by touch
+            if sent is not None or self._state == "stepping":  # the robot comes to rest before a step by touch
                 return sent
         if commands and self._state == "blocked" and state.phase >= 1.0:
             sent = self._gathering(state, pose, commands[0], terrain)
@@ -310,7 +324,7 @@ class Planner:
     def _across(
         self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain | None, inbox: Inbox, no_way: str = ""
     ) -> "_Sent | None":
-        """The next step of a deliberate crossing, where walking finds no way."""
+        """Return the next step of a gap crossing, where walking finds no path."""
         found = self._standing(state, pose)
         if found is None:
             return self._hold("waiting", _NOT_MINE)
@@ -331,11 +345,11 @@ class Planner:
             both = f"{no_way}; and no passage: {led.reason}" if no_way else f"no passage: {led.reason}"
             return self._hold("blocked", both)
         if isinstance(led, Over):
-            self._pilot = Pilot(self._profile)  # what it knew of the way does not hold here
+            self._pilot = Pilot(self._profile)  # its knowledge of the path does not hold here
         return self._hold("stepping" if state.phase < 1.0 else "waiting", led.words)
 
     def _terrain(self, state: ActuatorState, pose: BodyPose, inbox: Inbox) -> Terrain | None:
-        """The map, or for the blind baseline the plane of the standing feet."""
+        """Return the map; for the blind baseline, the plane of the standing feet."""
         if self._settings.blind:
             return plane_of(state.stamp_ns, _feet_in_world(state, pose)[~state.swing] - [0.0, 0.0, self._profile.foot.radius])
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
@@ -344,7 +358,7 @@ class Planner:
     def _next_step(
         self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain, number: int
     ) -> "_Sent | None":
-        """The next step by one of the commands, by its number."""
+        """Return the next step for one of the commands; `number` is its index."""
         situations = self._situations(state, pose, command)
         if not situations:
             return self._hold("waiting", _NOT_MINE)
@@ -353,7 +367,7 @@ class Planner:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
             found, way = self._strides.choose(situations, terrain, self._refusals.of(number))
-        feels = self._running is not None and self._running.plan.stop  # by touch feet stand as no other step would have them
+        feels = self._running is not None and self._running.plan.stop  # a step by touch leaves an unusual stance
         if isinstance(found, Blocked) and (found.unseen or feels) and self._put_down is not None:
             course = yaw_of(pose.T_world_body) + math.atan2(command.velocity[1], command.velocity[0])
             ground = self._by_touch.underfoot(terrain, situations[0].feet, self._put_down, course)
@@ -362,7 +376,7 @@ class Planner:
                 if sent is not None or self._state == "stepping":
                     return sent
         if isinstance(found, Blocked):
-            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares takes the most time
             return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
         if self._refusals.given_up:
             self._state, self._reason = "blocked", self._refusals.words()
@@ -377,7 +391,10 @@ class Planner:
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way))
 
     def _gathering(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
-        """A step on the spot of a robot that stands blocked, so that stretched legs do not keep it there; it stays blocked."""
+        """Return a step on the spot for a blocked robot.
+
+        It brings stretched legs back under the body, because no step may be possible from there. The status stays blocked.
+        """
         if self._strides.objection(command):
             return None
         with self.stages("gather feet"):
@@ -390,20 +407,23 @@ class Planner:
     def _feel_out(
         self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, ground: Terrain, number: int
     ) -> "_Sent | None":
-        """The next step by touch, out of where the robot was put down, onto ground that is seen."""
+        """Return the next step by touch, from the start position onto ground that is seen."""
         if state.stamp_ns - self._moved_ns < _MEASURED_NS:
             return self._hold("stepping", "by touch where the ground is unseen; coming to rest")
         situations = self._situations(state, pose, self._by_touch.asked(command))
         with self.stages("plan step"):
             found, way = self._by_touch.choose(situations, ground, self._refusals.of(number))
         if isinstance(found, Blocked):
-            return self._hold("blocked", found.reason, found.leg)  # the caller replaces it by why no step on sight goes on
+            return self._hold("blocked", found.reason, found.leg)  # the caller replaces it by the reason by sight
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch where the ground is unseen, until feet come to ground that is seen"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way), stop=True)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
-        """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""
+        """Return advice to turn first if the ground ahead was never in view, else "".
+
+        With a goal, the path follower turns the robot itself.
+        """
         lens = self._profile.camera.intrinsics
         direction = math.atan2(command.velocity[1], command.velocity[0])
         in_view = abs(direction) < math.atan2(lens.width / 2, lens.fx) or not command.velocity.any()
@@ -412,7 +432,7 @@ class Planner:
         return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to look at it"
 
     def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[Situation]:
-        """What the next step may begin with, for each group of legs, the most due first; none where that is not known."""
+        """Return the possible starts of the next step, most due legs first; [] if unknown."""
         standing = self._standing(state, pose)
         if standing is None:
             return []
@@ -420,11 +440,14 @@ class Planner:
         rest = self._profile.rest_feet(command.body_height)
         along = directions(command.velocity, command.yaw_rate, rest)
         order = swing_order(GAITS[command.gait], along, apply(inverse(body), feet), rest)
-        order = sorted(order, key=lambda swing: bool((swing & self._taken_back).any()))  # others first
+        order = sorted(order, key=lambda swing: bool((swing & self._taken_back).any()))  # other groups first
         return [Situation(body, feet, swing, command) for swing in order]
 
     def _standing(self, state: ActuatorState, pose: BodyPose) -> tuple[Array, Array] | None:
-        """The body (4, 4) and the feet (6, 3) [m] {world} when the running step is over; None where that is not known."""
+        """Return body (4, 4) and feet (6, 3) [m] {world} at the end of the running step.
+
+        Return None if they are not known.
+        """
         T_world_odom = pose.T_world_odom
         feet = _feet_in_world(state, pose)
         body = T_world_odom @ state.body_ref
@@ -433,22 +456,22 @@ class Planner:
             if running is None:
                 return None
             plan = running.plan
-            moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
+            moved = T_world_odom @ inverse(plan.T_world_odom)  # from the plan's estimate of {world} to the newest
             body = moved @ plan.body_goal
             feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
-            met = plan.swing & state.touch_carries & (state.touch_ns > self._begun_ns)  # ground before their touchdowns
+            met = plan.swing & state.touch_carries & (state.touch_ns > self._begun_ns)  # met ground early
             feet[met] = apply(T_world_odom, state.touch)[met] + [0.0, 0.0, self._profile.foot.radius]
         return body, feet
 
     def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
-        """A revision of the running step, when the newer map moves a touchdown by more than a little."""
+        """Return a revision of the running step if the new map moves a touchdown enough."""
         running = self._running
         if running is None:
             return None
         before, self._looked_at = self._looked_at, (running.stride, terrain.map)
         if before is not None and before[0] is running.stride and before[1] is terrain.map:
-            return None  # nothing has changed since
-        # The legs walk by what was believed when the plan was made; in the world as it is believed to be now that leads here.
+            return None  # nothing has changed since then
+        # The legs follow the estimate at the time of the plan; in the current estimate of {world} that leads here.
         stride = running.stride.moved_by(pose.T_world_odom @ inverse(running.plan.T_world_odom))
         found = self._strides.retarget(stride, terrain)
         if np.abs(found.touchdown - stride.touchdown).max() < self._settings.retarget_from_m:
@@ -456,7 +479,10 @@ class Planner:
         return self._send(state, pose.T_world_odom, found, running.plan.step, running.way)
 
     def _renewal(self, state: ActuatorState, pose: BodyPose | None) -> "_Sent | None":
-        """The running step as it is, where no plan has been sent for a while: the robot walks on only as long as it is led."""
+        """Return the running step unchanged if no plan was sent for a while.
+
+        The robot walks only while it receives plans.
+        """
         running = self._running
         if running is None or state.mode is not Mode.WALK or state.phase >= 1.0 or state.stamp_ns < self._renew_ns:
             return None
@@ -468,7 +494,7 @@ class Planner:
     def _send(
         self, state: ActuatorState, T_world_odom: Array, stride: Stride, number: int, way: Way, stop: bool = False
     ) -> "_Sent":
-        """A plan of a step, as the next revision of it."""
+        """Return a plan of a step, as its next revision."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
         plan = StepPlan(
             stamp_ns=state.stamp_ns,
@@ -486,7 +512,10 @@ class Planner:
         return _Sent(plan, stride, way)
 
     def _hold(self, state: State, reason: str, leg: int = -1) -> "_Sent | None":
-        """No plan, and why; time for which data or a command is missing does not count as standing still."""
+        """Return no plan and set the reason.
+
+        Time in which data or a command is missing does not count for stall detection.
+        """
         if state in ("waiting", "resting"):
             self._pilot.pause()
         self._state, self._reason, self._blocked_leg = state, reason, leg
@@ -505,7 +534,10 @@ class Planner:
 
 
 def _untimely(asked: VelocityCommand | Goal | None, now_ns: int) -> str:
-    """Why what is asked is not of now, in words, or nothing: it was recorded, or its sender goes by another clock."""
+    """Return why the stamp of a command or goal is not current, or "".
+
+    It is from a recording, or its sender uses another clock.
+    """
     age_s = 0.0 if asked is None else (now_ns - asked.stamp_ns) * 1e-9
     if abs(age_s) <= _ASKED_AGE_S:
         return ""
@@ -517,44 +549,44 @@ def _untimely(asked: VelocityCommand | Goal | None, now_ns: int) -> str:
 
 
 def _blamed_on_camera(inbox: Inbox) -> str:
-    """What the camera says of itself, where it is what is missing."""
+    """Return the reason in the camera's status if the camera is the cause, else ""."""
     camera = inbox.fresh(topics.CAMERA_STATE)
     return "" if camera is None or camera.ok else f", for the camera sends none: {camera.reason}"
 
 
 def _rests(state: ActuatorState) -> bool:
-    """Whether all legs stand: none swings, none looks for its ground."""
+    """Return whether all legs stand: none swings, none searches for ground."""
     return state.phase >= 1.0 and state.mode is not Mode.WALK
 
 
 def _feet_in_world(state: ActuatorState, pose: BodyPose) -> Array:
-    """Measured feet (6, 3) [m] {world}."""
+    """Return measured foot centres (6, 3) [m] {world}."""
     return apply(pose.T_world_odom @ state.T_odom_body, state.feet)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sent:
-    """A plan and what is behind it."""
+    """A sent plan with its step."""
 
     plan: StepPlan
     stride: Stride
-    way: Way  # of taking the step
+    way: Way  # way of taking the step
 
 
 def _paced(command: VelocityCommand | None, pace: float) -> VelocityCommand | None:
-    """A command as fast as the servos can bear for long."""
+    """Return a command at the speed that the servos can sustain."""
     if command is None or pace >= 1.0:
         return command
     return replace(command, velocity=command.velocity * pace, yaw_rate=command.yaw_rate * pace)
 
 
 def _is_still(command: VelocityCommand) -> bool:
-    """Whether no motion is asked for."""
+    """Return whether a command asks for no motion."""
     return bool(np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL)
 
 
 def _differ(a: VelocityCommand, b: VelocityCommand | None) -> bool:
-    """Whether two commands ask for different steps."""
+    """Return whether two commands ask for different steps."""
     if b is None:
         return True
     change = np.abs([*(a.velocity - b.velocity), a.yaw_rate - b.yaw_rate, a.body_height - b.body_height, a.lift - b.lift])

@@ -1,4 +1,4 @@
-"""The terrain map as the planner asks it: heights and scores at places in the world."""
+"""Terrain map access: heights, scores and footholds at places in {world}."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,30 +9,30 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 
-ACCEPTABLE = 1.0  # highest score that carries a foot
-ROOM = 0.01  # [m] around a good foothold that carries a foot, too; nine of ten feet land within it
-STEEPEST = float(np.tan(np.radians(12.0)))  # slope of a plane through feet: those on stones are no steeper slope
+ACCEPTABLE = 1.0  # highest score of a cell that carries a foot
+ROOM = 0.01  # [m] around a good foothold that must also carry a foot; nine of ten feet land within it
+STEEPEST = float(np.tan(np.radians(12.0)))  # maximum slope of a plane through feet; feet on stones can suggest a steeper one
 FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
-NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
+NONE, POOR, GOOD = 0.0, 1.0, 2.0  # suitability of a place as a foothold
 Layer = Literal["score", "evaluation"]
 
 _AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # (8, 1, 2)
-DEEP = -100  # [cells] of level ground without an end
+DEEP = -100  # [cells] evaluation function on unlimited level ground
 
-_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
-LONGEST = 20.0  # [m] of a line that is sampled cell by cell; longer ones are sampled more coarsely
-_FAR = 1e6  # [m] beyond it a cell's index is no longer exact
+_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest plausible cells
+LONGEST = 20.0  # [m] maximum length of a line that is sampled cell by cell; longer ones are sampled more coarsely
+_FAR = 1e6  # [m] beyond it a cell index is no longer exact
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A map and what it knows at a point; outside it everything is unknown."""
+    """A terrain map; everything outside it is unknown."""
 
     map: TerrainMap
-    layer: Layer = "score"  # which of the map's layers says what carries a foot
+    layer: Layer = "score"  # layer of the map that decides which cells carry a foot
 
     def nonsense(self) -> str:
-        """Why this can be no map of anything, in words; nothing if it can."""
+        """Return why the map is invalid, or ""."""
         low, high = _RESOLUTIONS
         if not low <= self.map.resolution <= high:
             return f"cells of {low} to {high} m expected, found {self.map.resolution:.3g} m"
@@ -43,33 +43,36 @@ class Terrain:
         return ""
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Indices (..., 2) of the cells of (..., 2) [m] {world} points, clipped, and which (...) of them are in the map."""
+        """Return cell indices (..., 2), clipped, of points (..., 2) [m] {world}.
+
+        Also return which (...) of the points are in the map.
+        """
         ij = np.rint((xy - self.map.origin) / self.map.resolution).astype(np.int64)
         clipped = np.minimum(np.maximum(ij, 0), np.array(self.map.elevation.shape) - 1)
         same = clipped == ij
         return clipped, np.asarray(same[..., 0] & same[..., 1])
 
     def heights(self, xy: Array) -> Array:
-        """Heights (...) [m] {world} at (..., 2) points, NaN where unknown."""
+        """Return heights (...) [m] {world} at points (..., 2), NaN where unknown."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.elevation[ij[..., 0], ij[..., 1]], np.nan)
 
     def scores(self, xy: Array) -> Array:
-        """Scores (...) at (..., 2) [m] {world} points, NaN where unknown."""
+        """Return scores (...) at points (..., 2) [m] {world}, NaN where unknown."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.score[ij[..., 0], ij[..., 1]], np.nan)
 
     def suitability(self, xy: Array) -> Array:
-        """How good (n,) places (n, 2) [m] {world} are as footholds: `NONE`, `POOR` up to `GOOD`; NaN where unknown.
+        """Return the suitability (n,) of places (n, 2) [m] {world} as footholds.
 
-        By Lotriet's score a place is good where the eight places around it, `ROOM` away, carry a foot as well, since feet do
-        not land to the millimetre; it is the poorer the fewer of them do, and poor where it alone does. By Masri's evaluation
-        function (2016, section 5.2.1) it is good where that is strongly negative or at a local minimum, poor where it is
-        negative else.
+        The value is `NONE`, or from `POOR` to `GOOD`; it is NaN where unknown. With Lotriet's score, a place that carries a
+        foot is good if the eight places around it, `ROOM` away, also do, because feet do not land with millimetre accuracy. The
+        fewer of them do, the poorer it is. With Masri's evaluation function (2016, section 5.2.1), a place is good where the
+        function is strongly negative or has a local minimum. It is poor where the function is negative otherwise.
         """
         if self.layer == "score":
             scores, around = self.scores(xy), self.scores(self.centres(xy) + ROOM * _AROUND)
-            carries = POOR + (GOOD - POOR) * (around <= ACCEPTABLE).mean(axis=0)  # NaN, not seen, carries none
+            carries = POOR + (GOOD - POOR) * (around <= ACCEPTABLE).mean(axis=0)  # NaN, unseen, carries none
             return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
         here = self._evaluations(xy)
         around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)
@@ -77,47 +80,54 @@ class Terrain:
         return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
 
     def footholds(self) -> NDArray[np.bool_]:
-        """Which cells (nx, ny) of the map carry a foot."""
+        """Return which cells (nx, ny) of the map carry a foot."""
         if self.layer == "score":
             return np.asarray(self.map.score <= ACCEPTABLE)
         return np.asarray(self.map.evaluation < 0)
 
     def _evaluations(self, xy: Array) -> NDArray[np.int64]:
-        """Evaluation function (...) [cells] at (..., 2) [m] {world} points, UNKNOWN outside the map."""
+        """Return Masri's function (...) [cells] at (..., 2) [m] {world}; UNKNOWN outside."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.evaluation[ij[..., 0], ij[..., 1]].astype(np.int64), UNKNOWN)
 
     def hazards(self, xy: Array) -> NDArray[np.uint8]:
-        """What makes ground that is flat enough no foothold (n,) at (n, 2) [m] {world} points: an index into `HAZARDS`."""
+        """Return the hazard (n,) at points (n, 2) [m] {world}, as an index into `HAZARDS`.
+
+        A hazard excludes a foothold on ground that is flat enough.
+        """
         if not self.map.hazard.size:
             return np.zeros(len(xy), dtype=np.uint8)
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.hazard[ij[..., 0], ij[..., 1]], 0).astype(np.uint8)
 
     def centres(self, xy: Array) -> Array:
-        """Centres (n, 2) [m] {world} of the cells that hold (n, 2) points."""
+        """Return the centres (n, 2) [m] {world} of the cells of points (n, 2)."""
         ij = np.rint((xy - self.map.origin) / self.map.resolution)
         return np.asarray(self.map.origin + self.map.resolution * ij)
 
     def footing(self, xy: Array) -> Array:
-        """Heights (n,) [m] {world} on which a foot at (n, 2) would stand: the mean of the 3x3 cells known around it."""
+        """Return the height (n,) [m] {world} at which a foot at (n, 2) would stand.
+
+        It is the mean of the known cells of the 3x3 cells around the place.
+        """
         around = self.map.resolution * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
         patch = self.heights((xy[:, None, :] + around).reshape(-1, 2)).reshape(-1, 9)
         known = np.isfinite(patch)
         return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
 
     def highest_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
-        """Highest known ground (n,) [m] {world} under straight ways, see `ground_along`."""
+        """Return the highest known ground (n,) [m] under lines, see `ground_along`."""
         return np.asarray(self.ground_along(start, end, half_width).max(axis=0))
 
     def ground_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
-        """Highest known ground [m] {world} across straight ways between (n, 2) starts and ends, -inf for none.
+        """Return the highest known ground [m] {world} along straight lines.
 
-        A foot is as wide as it is and does not keep to the line to the millimetre: the ways are bands, `half_width` [m] to
-        either side, rounded off to nothing at their ends, which have been looked at as footholds.
+        Starts and ends are (n, 2) [m] {world}. A foot has a width and does not follow its path exactly, so each line is a band
+        of `half_width` [m] to either side. The band narrows to zero at both ends, which are checked as footholds.
 
         Returns:
-            (m, n) [m], at even shares of the ways from 0 to 1, a cell of the longest one apart at most.
+            (m, n) [m] at even shares of the lines from 0 to 1, at most one cell of the longest line apart; -inf for unknown
+            ground.
         """
         way = end - start
         length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
@@ -131,7 +141,10 @@ class Terrain:
         return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=1))
 
     def highest_under(self, corners: Array) -> float:
-        """Highest known ground [m] {world} under a rectangle, given by three corners (3, 2): origin, along, aside."""
+        """Return the highest known ground [m] {world} under a rectangle.
+
+        Three corners (3, 2) define it: origin, along, aside.
+        """
         origin, along, aside = corners
         spacing = self.map.resolution
         n, m = (
@@ -143,12 +156,15 @@ class Terrain:
 
 
 def plane_of(stamp_ns: int, ground: Array) -> Terrain:
-    """The plane of places (n, 3) [m] {world} on which feet stand, see `plane_through`."""
+    """Return the plane of standing places (n, 3) [m] {world}, see `plane_through`."""
     return plane_terrain(stamp_ns, *plane_through(ground))
 
 
 def plane_through(ground: Array) -> tuple[Array, float, Array]:
-    """The plane, no steeper than `STEEPEST`, of places (n, 3) [m] {world}, n >= 3: a place (2,), its height, the slope (2,)."""
+    """Fit a plane, no steeper than `STEEPEST`, to places (n, 3) [m] {world}, n >= 3.
+
+    Return a place (2,), its height and the slope (2,).
+    """
     xy = ground[:, :2].mean(axis=0)
     A = np.column_stack([np.ones(len(ground)), ground[:, :2] - xy])
     height, *slope = np.linalg.lstsq(A, ground[:, 2], rcond=None)[0]
@@ -157,21 +173,21 @@ def plane_through(ground: Array) -> tuple[Array, float, Array]:
 
 
 def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float = 1.0, resolution: float = 0.01) -> Terrain:
-    """Level ground around a point; arguments as of `plane_terrain`."""
+    """Return level ground around a point; arguments as in `plane_terrain`."""
     return plane_terrain(stamp_ns, centre, height, np.zeros(2), half_size, resolution)
 
 
 def plane_terrain(
     stamp_ns: int, centre: Array, height: float, slope: Array, half_size: float = 1.0, resolution: float = 0.01
 ) -> Terrain:
-    """Even ground around a point, all of it good to stand on.
+    """Return a plane around a point on which every cell is a good foothold.
 
     Args:
-        stamp_ns: [ns] of the map.
+        stamp_ns: [ns] stamp of the map.
         centre: (2,) [m] {world}.
-        height: [m] {world} of the ground there.
-        slope: (2,) by which it rises along x and y.
-        half_size: [m] how far it reaches.
+        height: [m] {world} ground height at the centre.
+        slope: (2,) along x and y.
+        half_size: [m] half edge of the map.
         resolution: [m] cell edge.
     """
     n = round(2 * half_size / resolution)

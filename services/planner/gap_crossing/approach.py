@@ -1,4 +1,7 @@
-"""When and from where a passage is crossed: the walk to its verge, the turn towards it, and the errand across."""
+"""Approach of a gap crossing: when and where it starts.
+
+The robot walks to the edge of the gap, turns towards the far side, and starts to cross.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,50 +21,50 @@ from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
 
-BEFORE = 0.36  # [m] before the gap where the body stops: its feet keep clear of the edge while it turns
-_AT_VERGE = 0.05  # [m] from there within which it has come
-_ALIGNED = radians(1.5)  # off the way across within which it begins
-_TURN_GAIN, _TURN = 1.0, 0.15  # [1/s] and [rad/s] at most
+BEFORE = 0.36  # [m] from the gap to the body where it stops; the feet stay clear of the edge during the turn
+_AT_VERGE = 0.05  # [m] from that place within which the robot has arrived
+_ALIGNED = radians(1.5)  # heading error below which the crossing begins
+_TURN_GAIN, _TURN = 1.0, 0.15  # [1/s], and [rad/s] maximum yaw rate
 _REST_NS = 300_000_000  # [ns] of rest after the last turn
-_LAPSES_NS = 12_000_000_000  # [ns] after which a refusal is looked into again, twice as late each time at one place
-_TURNING_NS = 30_000_000_000  # [ns] that the turn may take
-_INCLINED = radians(15.0)  # off the way within which a robot that cannot go back to the verge crosses as it faces
-_ELSEWHERE = 0.30  # [m] from where there was no way across, from which it is tried again
+_LAPSES_NS = 12_000_000_000  # [ns] lifetime of a refusal; it doubles with each further one at the same place
+_TURNING_NS = 30_000_000_000  # [ns] maximum duration of the turn
+_INCLINED = radians(15.0)  # heading error, below which a robot at the edge crosses in the direction that it faces
+_ELSEWHERE = 0.30  # [m] from the place of a refusal, beyond which the robot tries again
 
 
 class PassageMode:
-    """Crosses gaps for one goal at a time."""
+    """Controls gap crossings for one goal at a time."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Cross with a robot."""
+        """Initialize for a robot."""
         self._profile, self._settings = profile, settings
         self._goal: Goal | None = None
         self._errand: Errand | None = None
         self._approach: Pilot | None = None
-        self._verge: tuple[Array, Array] | None = None  # (2,) [m] {world} where it begins, and what it heads for
+        self._verge: tuple[Array, Array] | None = None  # (2,) [m] {world} start and target of the crossing
         self._still_ns = self._turning_ns = -1
         self._refused = ""
         self._refused_at: Array | None = None  # (2,) [m] {world}
         self._refused_ns, self._lapses_ns = 0, _LAPSES_NS
         self._crossed = False
-        self._nothing_at: Array | None = None  # (2,) [m] {world} where a look found nothing to cross
-        self._yielded: list[Array] = []  # (3,) [m] {world} where ground gave way under feet; it stays so, whatever the goal
-        self._reports: list[PassagePlan] = []  # that nobody has been told of yet
+        self._nothing_at: Array | None = None  # (2,) [m] {world} place of a look that found nothing to cross
+        self._yielded: list[Array] = []  # (3,) [m] {world} places where ground gave way under feet; kept for all goals
+        self._reports: list[PassagePlan] = []  # not published yet
 
     def under_way(self, goal: Goal) -> bool:
-        """Whether the robot is on its way across for this goal, or to where that begins."""
+        """Return whether the robot crosses for this goal, or approaches the gap."""
         return self._goal is not None and same_goal(goal, self._goal) and (self._errand is not None or self._verge is not None)
 
     def crosses(self, goal: Goal) -> bool:
-        """Whether it is on its way across, where the map of the strip is all it needs."""
+        """Return whether the robot crosses and needs only the map of the strip."""
         return self.under_way(goal) and self._errand is not None
 
     def ordered(self, goal: Goal) -> bool:
-        """Whether a goal asks for a crossing that has not been made yet."""
+        """Return whether a goal requests a crossing that is not complete yet."""
         return goal.passage and not (self._goal is not None and same_goal(goal, self._goal) and self._crossed)
 
     def messages(self, now_ns: int) -> Iterator[Message]:
-        """What there is to ask for and to tell."""
+        """Yield the map request and the planning results that are due."""
         request = None if self._errand is None else self._errand.request(now_ns)
         if request is not None:
             yield request
@@ -69,7 +72,7 @@ class PassageMode:
         yield from reports
 
     def abandon(self) -> None:
-        """Forget where it was; whoever walks next begins with six feet on the ground."""
+        """Discard the state; the next crossing starts with six feet on the ground."""
         self._goal = self._errand = self._approach = self._verge = None
         self._refused, self._refused_at, self._crossed, self._nothing_at = "", None, False, None
 
@@ -77,16 +80,16 @@ class PassageMode:
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain | None,
         map_: PassageMap | None, refused: str,
     ) -> Heading | Outcome:  # fmt: skip
-        """What to do to come across.
+        """Return the next action of the crossing.
 
         Args:
-            goal: Behind the gap.
-            state: What the legs do.
-            standing: How the robot stands when the running step is over.
-            T_world_body: (4, 4) where the body is.
-            terrain: The newest map around the robot, not needed once it `crosses`.
-            map_: The newest map of the strip, where one has come.
-            refused: Why the actuator did not take the step that was sent last, in words, or nothing.
+            goal: Goal behind the gap.
+            state: State of the actuator.
+            standing: Robot when the running step is over.
+            T_world_body: (4, 4) current body pose.
+            terrain: Newest map around the robot, not needed while `crosses` is true.
+            map_: Newest map of the strip, or None.
+            refused: Why the actuator refused the last step, or "".
         """
         if self._goal is None or not same_goal(goal, self._goal):
             self.abandon()
@@ -111,7 +114,7 @@ class PassageMode:
         return self._noted(outcome, xy, state.stamp_ns)
 
     def _noted(self, outcome: Heading | Outcome, xy: Array, now_ns: int) -> Heading | Outcome:
-        """The same, remembered if it is an end."""
+        """Record an outcome that is final, and return it."""
         if isinstance(outcome, Over):
             nothing = self._errand is not None and not self._errand.walked
             self._errand, self._verge, self._crossed, self._nothing_at = None, None, True, xy.copy() if nothing else None
@@ -122,13 +125,16 @@ class PassageMode:
         return outcome
 
     def _is_where_refused(self, xy: Array) -> bool:
-        """Whether a place (2,) [m] {world} is where there was no way across."""
+        """Return whether a place (2,) [m] {world} is near the last refusal."""
         return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE
 
     def _to_verge(
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain
     ) -> Heading | Outcome | None:
-        """What to do to stand before the gap facing across; None where the robot does, and the errand has begun."""
+        """Return the next action on the way to the gap, or None once the robot crosses.
+
+        At the gap the robot stands at its edge and faces across.
+        """
         if self._verge is None:
             refusal = self._choose_verge(goal, standing, terrain)
             if refusal:
@@ -150,7 +156,7 @@ class PassageMode:
         return unready
 
     def _choose_verge(self, goal: Goal, standing: Standing, terrain: Terrain) -> str:
-        """Settle where the crossing begins and what it heads for, or say why there is nothing to cross."""
+        """Select start and target of the crossing; return why there is none, or ""."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         start = self._start(goal, standing, terrain)
         if isinstance(start, str):
@@ -159,12 +165,15 @@ class PassageMode:
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
         if float(np.linalg.norm(start - xy)) < _AT_VERGE and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
-            # It may stand on pillars, where turning is no small matter: straight ahead is as good.
+            # The robot may stand on pillars, where a turn is difficult, so it crosses straight ahead.
             self._verge, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         return ""
 
     def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> Heading | Outcome | None:
-        """What to do to face a place (2,) [m] {world} with the body (4, 4) {world} and to be at rest; None when both is so."""
+        """Return the next action to face a place and come to rest, or None when done.
+
+        The place is (2,) [m] {world}; the body pose is (4, 4) {world}.
+        """
         way = target - body[:2, 3]
         error = float((np.arctan2(way[1], way[0]) - yaw_of(body) + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(error) > _ALIGNED:
@@ -184,7 +193,7 @@ class PassageMode:
         return None
 
     def _start(self, goal: Goal, standing: Standing, terrain: Terrain) -> Array | str:
-        """Where (2,) [m] {world} the crossing begins, or why there is nothing to cross."""
+        """Return the start (2,) [m] {world} of the crossing, or why there is none."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         ground = float(standing.feet[:, 2].mean()) - self._profile.foot.radius
         gap = gap_ahead(terrain, xy, target, ground)

@@ -1,4 +1,4 @@
-"""The way that a robot has come in a passage, to back off by from where nothing leads on."""
+"""Backtracking: return from a dead end by the steps of the crossing so far."""
 
 from collections.abc import Sequence
 
@@ -7,34 +7,35 @@ import numpy as np
 from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array
 
-_BACK = 0.12  # [m] of the body's way
-_OFTEN = 3  # at most in one passage
+_BACK = 0.12  # [m] of body travel
+_OFTEN = 3  # maximum number of returns in one crossing
 
 
 class Trail:
-    """The steps of the newest section as they were walked, and how often the robot has gone back by them."""
+    """Executed steps of the last section, and the number of returns."""
 
     def __init__(self) -> None:
-        """With nothing to go back by."""
+        """Start without steps."""
         self._root: Stance | None = None
         self._steps: tuple[PassageStep, ...] = ()
         self._times = 0
 
     def begin(self, root: Stance, steps: tuple[PassageStep, ...]) -> None:
-        """Follow a section from where it was planned."""
+        """Start to record a section from its first stance."""
         self._root, self._steps = root, steps
 
     def ended(self, done: int) -> None:
-        """So many steps of the section were walked."""
+        """Keep only the number of steps that were executed."""
         self._steps = self._steps[:done]
 
     def back(self, gone: Sequence[Array], radius: float) -> tuple[PassageStep, ...]:
-        """The way back, until the body has gone far enough for other steps; nothing where there is none, or it was gone often.
+        """Return the steps back, until the body is far enough away to try other steps.
 
-        What was tested of a step holds of the same step backward: its stances, its reach, its swing between the same ends.
+        Return no steps if there are none or the limit of returns is reached. The tests of a step also hold for its reverse: it
+        has the same stances, the same reach, and a swing between the same ends.
 
         Args:
-            gone: (3,) [m] {strip} places that carry nothing any more: the way ends before a foot gets there.
+            gone: (3,) [m] {strip} places that no longer carry a foot; the return ends before a foot would step there.
             radius: [m] around them.
         """
         if self._root is None or not self._steps or self._times == _OFTEN:

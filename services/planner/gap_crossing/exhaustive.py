@@ -1,15 +1,15 @@
-"""Whether there is any way across a strip, decided offline: what every way must have is searched to the end.
+"""Exhaustive offline search: decide whether any path across a strip exists.
 
-**Footholds** are all those that the roadmap may choose (`search.candidates`), in tiles: three of each narrow piece of ground,
-about its first and last good place along the strip and its middle. Ground that is wide both ways is one tile. In a tile a foot
-may be wherever its leg reaches from where the body is, and may always be set anew. The **body** goes by the roadmap's lattice
-and its cone.
+**Footholds** are all those that the roadmap may choose (`roadmap_search.candidates`), grouped in tiles. A narrow piece of
+ground has three tiles: around its first and last good place along the strip, and around its middle. Ground that is wide in both
+directions is one tile. In a tile a foot may be anywhere within the reach of its leg from the body, and it may always move. The
+**body** uses the roadmap's lattice and its cone.
 
-**Tests** kept are those of reach, of places, of distance between feet and of support: the centre of mass lies inside the line
-through two feet by so much only if both are that far out in the direction across that line, so each foothold has a set of
-directions, and a stance holds if those of every two feet beside each other meet. Left out is what could only refuse more:
-torque, legs beside each other, trunk, shanks and swings over the ground. So few configurations are left that all can be looked
-at; where none of them leads across, there is no way at this discretisation.
+**Tests** are necessary conditions: reach, foot placement, distance between feet, and support. The centre of mass can lie a
+margin inside the line through two feet only if both feet are that far out in the direction across the line. So each foothold
+has a set of directions, and a stance holds if the sets of every two neighbouring feet intersect. The tests that are left out
+could only refuse more: torque, distances between legs, and trunk, shanks and swings over the ground. The remaining
+configurations are few enough to search all of them. If none of them leads across, there is no path at this discretisation.
 """
 
 import math
@@ -28,32 +28,34 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.compiled import compiled
 
-_ATTEMPTS = 24  # of the roadmap, with other samples each
-_WORDS = 2  # of 64 directions each
-_AROUND = 0.35  # [m] from the body, in which its feet are
+_ATTEMPTS = 24  # attempts of the roadmap, each with other samples
+_WORDS = 2  # words of 64 directions
+_AROUND = 0.35  # [m] from the body, within which its feet are
 _WIDE = 0.50  # [m] ground longer and wider than this is one tile
-_NARROW = 0.08  # [m] between places of which one piece of ground may have three; what is longer is several pieces
-_ROOM = 4_000_000  # configurations
-_MOST_TILES, _MOST_SIDES = 255, 63  # that a configuration's code has room for
+_NARROW = 0.08  # [m] maximum extent of a piece with three tiles; a longer one is divided into several pieces
+_ROOM = 4_000_000  # maximum number of configurations
+_MOST_TILES, _MOST_SIDES = 255, 63  # limits of the encoding of a configuration
 
 
 class Tiles(NamedTuple):
-    """What is known of tiles of ground, for the body at each place of its lattice."""
+    """Properties of tiles at each lattice place of the body."""
 
-    out: NDArray[np.uint64]  # (6, tiles, nx, ny, 2) directions in which a leg has a foot on a tile as far out as support asks
-    near: NDArray[np.int16]  # (6, nx, ny, k) tiles that a leg reaches, -1 for no more
-    apart: NDArray[np.bool_]  # (tiles, tiles) whether two feet may stand on them
-    onward: NDArray[np.bool_]  # (tiles, tiles) whether a foot may be set from the first onto the second
-    moves: NDArray[np.int64]  # (m, 2) of the body, in lattice steps
+    out: NDArray[np.uint64]  # (6, tiles, nx, ny, 2) directions in which a leg's foot on a tile is far enough out for support
+    near: NDArray[np.int16]  # (6, nx, ny, k) tiles within a leg's reach, -1 for no more
+    apart: NDArray[np.bool_]  # (tiles, tiles) whether two feet may stand on both
+    onward: NDArray[np.bool_]  # (tiles, tiles) whether a foot may step from the first to the second
+    moves: NDArray[np.int64]  # (m, 2) body motions, in lattice steps
 
 
 def passable(
     profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float, attempts: int = _ATTEMPTS
 ) -> bool | None:
-    """Whether there is a way: the roadmap finds one in so many attempts, or there can be none; offline, up to a minute.
+    """Decide whether a path exists; offline, up to a minute.
+
+    True if the roadmap finds one within `attempts`, False if there can be none.
 
     Returns:
-        None where neither is so: what is left out of `has_way` may stand in the way, or the roadmap has missed it.
+        None if undecided: a test that `has_way` leaves out may exclude a path, or the roadmap has missed it.
     """
     roadmap = Roadmap(profile, settings)
     for seed in range(attempts):
@@ -68,21 +70,23 @@ def passable(
 def has_way(
     profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float, room: int = _ROOM
 ) -> bool | None:
-    """Whether there is a way but for what is left out here; where there is none, the roadmap has none at these footholds.
+    """Return whether a path exists under the tests of this module.
+
+    If it does not, the roadmap has no path over these footholds either.
 
     Args:
         profile: The robot.
-        settings: Of the roadmap.
-        field: The strip, all of it known, its cells as wide as the body's lattice.
-        stance: To begin with.
-        goal_x: [m] {strip} where the body shall be.
-        room: Most configurations.
+        settings: Settings of the roadmap.
+        field: The strip, completely known, with the body's lattice as its resolution.
+        stance: First stance.
+        goal_x: [m] {strip} goal of the body.
+        room: Maximum number of configurations.
 
     Returns:
-        None where there are more.
+        None if there are more configurations.
 
     Raises:
-        ValueError: A foot to begin with stands on nothing, or cells and lattice are not alike.
+        ValueError: A foot of the first stance is not on a foothold, or resolution and lattice differ.
     """
     rules = rules_of(profile, settings)
     tile = _cut(field, settings)
@@ -103,7 +107,10 @@ def has_way(
 
 
 def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
-    """The tile (nx, ny) of each cell that a foot may be set on, -1 elsewhere: one of wide ground, three of a narrow piece."""
+    """Return the tile (nx, ny) of each foothold cell, -1 for other cells.
+
+    Wide ground is one tile, a narrow piece has three.
+    """
     carries = np.zeros(field.evaluation.shape, dtype=np.bool_)
     roadmap_search.candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, carries)
     part = np.full(carries.shape, -1, dtype=np.int16)
@@ -122,7 +129,7 @@ def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
             low, high = inside.min(axis=0), inside.max(axis=0)
             rows = np.unique([low[0], (low[0] + high[0]) // 2, high[0]])
             found, nearest = np.unique(np.abs(inside[:, :1] - rows).argmin(axis=1), return_inverse=True)
-            tile[tuple(inside.T)] = tiles + nearest  # none is left out
+            tile[tuple(inside.T)] = tiles + nearest  # no cell is left out
             tiles += len(found)
     return tile
 
@@ -135,11 +142,14 @@ def _tiles(
     corner: tuple[int, int],
     size: tuple[int, int],
 ) -> Tiles:
-    """All about tiles (nx, ny of cells), for so many places of the body from a corner of the lattice on."""
+    """Compute the properties of tiles (nx, ny).
+
+    `corner` and `size` define the body places on the lattice.
+    """
     rules, count = rules_of(profile, settings), int(tile.max()) + 1
     if abs(rules.lattice - field.resolution) > 1e-9:
         raise ValueError(f"cells as wide as the body's lattice, {rules.lattice} m, expected, found {field.resolution} m")
-    # 1. Where feet may be from the body, and in which directions they are far enough out; then the same for tiles.
+    # 1. Places of feet relative to the body, and the directions in which they are far enough out; then the same for tiles.
     carrying = field.elevation[tile >= 0]
     low, high = float(carrying.min()), float(carrying.max())
     window = _window(profile, settings, np.array(field.corner), low - high)
@@ -147,11 +157,11 @@ def _tiles(
     first = np.floor(np.array(field.corner) / rules.lattice + 1e-9).astype(np.int64) - corner
     level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64) + (window.shape[1] - 1)
     _reach(window, tile, level, first, window.shape[2] // 2, out)
-    # 2. Those that each leg reaches come first in its list.
+    # 2. The tiles within reach come first in each leg's list.
     reached = out.any(axis=-1)  # (6, tiles, nx, ny)
     near = np.argsort(~reached, axis=1, kind="stable")[:, : int(reached.sum(axis=1).max())]
     near = np.where(np.take_along_axis(reached, near, axis=1), near, -1).astype(np.int16)
-    # 3. Tiles beside each other, and the body's cone.
+    # 3. Permitted pairs of tiles, and the body's cone.
     ends = np.array([[f(np.argwhere(tile == t), axis=0) for f in (np.min, np.max)] for t in range(count)])
     widest = np.maximum(ends[:, None, 1] - ends[None, :, 0], ends[None, :, 1] - ends[:, None, 0]) * field.resolution
     apart = np.linalg.norm(widest, axis=-1) >= rules.feet_apart - 1e-9
@@ -163,13 +173,15 @@ def _tiles(
 
 
 def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, lowest: float) -> NDArray[np.uint64]:
-    """Directions (6, levels, n, n, words) in which a leg has a foot far enough out, none where it does not reach.
+    """Return the directions in which a foot is far enough out, for all foot offsets.
+
+    The shape is (6, levels, n, n, words). There is no direction where the leg does not reach.
 
     Args:
         profile: The robot.
-        settings: Of the roadmap.
-        corner: (2,) [m] a place of a foot whose offset from the body's lattice all have.
-        lowest: [m] of ground under the level of the body's floor; the highest is as far over it.
+        settings: Settings of the roadmap.
+        corner: (2,) [m] a foot place; all foot places have its offset from the body's lattice.
+        lowest: [m] lowest ground relative to the body's floor, below zero; the highest is as far above the floor.
     """
     rules, legs = rules_of(profile, settings), legs_of(profile, settings)
     levels = rules.lattice * np.arange(
@@ -189,9 +201,9 @@ def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, low
 
 
 def _directions(off: Array, margin: float) -> NDArray[np.uint64]:
-    """Directions (..., words) in which places (..., 2) [m] are as far out as a margin [m], as bits.
+    """Return, as bits, the directions in which places are at least a margin [m] out.
 
-    Between two that are told apart lie others: each stands for those half way to its neighbours.
+    Places are (..., 2) [m], the result is (..., words). Each bit stands for all directions up to half way to its neighbours.
     """
     n = 64 * _WORDS
     angle = 2.0 * np.pi / n * np.arange(n)
@@ -204,7 +216,7 @@ def _directions(off: Array, margin: float) -> NDArray[np.uint64]:
 
 @compiled
 def _label(carries: NDArray[np.bool_], part: NDArray[np.int16]) -> int:
-    """Number the pieces of ground that hang together; how many there are."""
+    """Number the connected pieces of ground; return how many there are."""
     pieces = 0
     stack = np.empty((carries.size, 2), np.int64)
     for i in range(carries.shape[0]):
@@ -235,9 +247,10 @@ def _reach(
     k: int,
     out: NDArray[np.uint64],
 ) -> None:
-    """Gather what cells tell into their tiles; cell (0, 0) is at a place `first` of the body's, k places are around it.
+    """Combine the directions of cells to those of their tiles.
 
-    A cell is so many levels over the lowest that the body's floor may be at; the floor may be at any.
+    Cell (0, 0) is at lattice place `first` of the body. The window has `k` places to every side. `level` is the height of a
+    cell in the window's levels with the body's floor at its lowest. All possible heights of the floor count.
     """
     levels = (window.shape[1] + 1) // 2
     for i in range(tile.shape[0]):
@@ -257,7 +270,7 @@ def _reach(
 
 @compiled
 def _holds(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int, y: int) -> bool:
-    """Whether the legs that stand may have their feet where the body is, with support."""
+    """Return whether the standing legs can support the body from their tiles."""
     for a in range(6):
         if a == swing:
             continue
@@ -283,7 +296,10 @@ def _note(
     first: NDArray[np.int32],
     nodes: int,
 ) -> int:
-    """Put a configuration among those to be looked at, unless it is known; how many there are now, -1 for too many."""
+    """Add a configuration to the open list unless it is known.
+
+    Return the number of configurations, -1 for too many.
+    """
     code = np.uint64(x) << np.uint64(6) | np.uint64(y)
     for leg in range(6):
         code = code << np.uint64(8) | np.uint64(tiles[leg])
@@ -311,9 +327,10 @@ def _grow(
     after: NDArray[np.int32],
     first: NDArray[np.int32],
 ) -> int:
-    """Whether the body's last row of places is reached (1), not (0), or there is no room to tell (-1).
+    """Search all configurations: return 1 if the last row of places is reached, or 0.
 
-    Lists of what is to be looked at, by the body's row: first of each, and after each; the furthest is taken first.
+    Return -1 if the memory is full. The open lists are per row of body places: `first` of each row and `after` of each node.
+    The furthest row is expanded first.
     """
     out, near, apart, onward, moves = ground
     tiles, steps = standing.copy(), standing.copy()

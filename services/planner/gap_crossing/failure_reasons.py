@@ -1,4 +1,4 @@
-"""Why a search ended without a way, in words: which test stops which leg where, and how wide the gap is."""
+"""Reasons for a failed search: the failing test, leg and place, and the gap width."""
 
 from typing import NamedTuple
 
@@ -24,25 +24,25 @@ WORDS = (
     "body or leg too close to the ground",
     "no room to swing",
 )
-NOBODY = 6  # in place of a leg: the whole robot
-_BESIDE = 0.05  # [m] of a leg's line that count as before it
-_WORTH_TELLING = 0.5  # [1] share of a leg's stroke from which a bare stretch is an obstacle
+NOBODY = 6  # index for the whole robot instead of a leg
+_BESIDE = 0.05  # [m] to either side of a leg's line, where ground counts as ahead of it
+_WORTH_TELLING = 0.5  # [1] share of a leg's stroke, from which a bare stretch is an obstacle
 
 
 class Why(NamedTuple):
-    """Why nothing leads on."""
+    """Reason why no step leads on."""
 
     words: str
-    unseen: bool  # whether it is for want of known ground
-    leg: int  # that fails the test, NOBODY for the whole robot
+    unseen: bool  # whether unknown ground is the cause
+    leg: int  # the leg whose test fails, NOBODY for the whole robot
 
 
 def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
-    """Why a stance is no beginning.
+    """Return why a stance cannot be the start of a section, as text.
 
     Args:
-        found: (7,) the test that each leg fails, then the whole robot.
-        repair: [m] by which the body may be shifted.
+        found: (7,) failed test of each leg, then of the whole robot.
+        repair: [m] maximum shift of the body.
     """
     legs = [f"{LEGS[leg]} leg: {WORDS[found[leg]]}" for leg in range(6) if found[leg]]
     whole = [WORDS[found[6]]] if found[6] else []
@@ -50,13 +50,13 @@ def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
 
 
 def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field) -> Why:
-    """Why nothing leads on from the furthest configurations.
+    """Return why no step leads on from the furthest configuration.
 
     Args:
-        fails: (tests, 7) how often each test failed there, by leg, the last for none.
-        body: (3,) [m] {strip} of the furthest.
+        fails: (tests, 7) number of failures of each test there, by leg; the last column is for the whole robot.
+        body: (3,) [m] {strip} body of the furthest configuration.
         feet: (6, 3) [m] {strip}.
-        strokes: (6,) [m] by which each foot can be set forward while the body stands.
+        strokes: (6,) [m] forward reach of each foot while the body stands.
         field: The strip.
     """
     x, y, _ = apply(field.T_world_strip, body)
@@ -74,9 +74,9 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
 
 
 def _gap(feet: Array, strokes: Array, field: Field) -> str:
-    """The stretch without a foothold that is the widest beside the stroke of the leg before which it lies, in words.
+    """Return the stretch without a foothold that is widest relative to a leg's stroke.
 
-    Nothing where it is no obstacle.
+    It lies ahead of that leg. The text is "" if it is no obstacle.
     """
     stretches = [_bare_before(foot, stroke, field) for foot, stroke in zip(feet, strokes, strict=True)]
     widths = np.array([width for width, _ in stretches])
@@ -91,7 +91,10 @@ def _gap(feet: Array, strokes: Array, field: Field) -> str:
 
 
 def _bare_before(foot: Array, stroke: float, field: Field) -> tuple[float, bool]:
-    """The widest stretch [m] ahead of a foot (3,) [m] {strip} that carries none and begins within a stroke; whether it ends."""
+    """Return the widest bare stretch [m] ahead of a foot, and whether it ends.
+
+    The foot is (3,) [m] {strip}. The stretch carries no foot and begins within a stroke.
+    """
     x0, y0 = field.corner
     half = round(_BESIDE / field.resolution)
     i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)

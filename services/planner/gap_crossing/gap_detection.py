@@ -1,4 +1,4 @@
-"""Where the ground ends before a gap on the straight way to a goal, and where it begins again behind it."""
+"""Gap detection: the near edge of a gap on the straight line to a goal."""
 
 from dataclasses import dataclass
 
@@ -8,37 +8,37 @@ from sextant.services.planner.navigation.traversability import MAX_STEP
 from sextant.services.planner.terrain import ACCEPTABLE, Terrain
 from sextant.shared.geometry import Array
 
-_HALF_WIDTH = 0.20  # [m] of the band ahead that is looked at: about where the feet go
-_CARRYING = 0.8  # [1] share of the band across from which ground carries the robot as anywhere
+_HALF_WIDTH = 0.20  # [m] half width of the band ahead that is checked, about the width of the feet
+_CARRYING = 0.8  # [1] share of the band across that must carry a foot for normal walking
 _KNOWN = 0.5  # [1] share of it that must be known
-_HIGHER = 0.1  # [1] share of the band that stands higher than legs step, from which it is a wall
-_BASE = 0.10  # [m] before a wall in which its foot carries nothing, either
-_WIDE = 0.06  # [m] along the way that must carry so little: what is narrower is stepped over
+_HIGHER = 0.1  # [1] share of the band higher than a step of the legs, from which it is a wall
+_BASE = 0.10  # [m] before a wall, where ground at its foot also carries none
+_WIDE = 0.06  # [m] minimum length of a gap; narrower ones are stepped over
 
 
 @dataclass(frozen=True, slots=True)
 class Verge:
-    """The near side of a gap."""
+    """The near edge of a gap."""
 
-    distance: float  # [m] to it from where the robot is
-    heading: float  # [rad] {world} of the way across
+    distance: float  # [m] from the robot to the edge
+    heading: float  # [rad] {world} of the line across
 
 
 def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verge | str:
-    """The first gap on the straight way between two places, or why there is none that could be crossed.
+    """Return the first gap on a straight line, or why there is none.
 
     Args:
         terrain: The newest map.
-        xy: (2,) [m] {world} where the robot is.
-        target: (2,) [m] {world} where it is to go.
-        ground: [m] {world} height of what it stands on.
+        xy: (2,) [m] {world} position of the robot.
+        target: (2,) [m] {world} goal.
+        ground: [m] {world} ground height under the robot.
     """
     way = target - xy
     length = float(np.linalg.norm(way))
     if length < terrain.map.resolution:
         return "the goal is here"
     heading = float(np.arctan2(way[1], way[0]))
-    reach = float(np.hypot(*terrain.map.elevation.shape)) * terrain.map.resolution  # no further is anything known
+    reach = float(np.hypot(*terrain.map.elevation.shape)) * terrain.map.resolution  # nothing is known beyond
     along = np.arange(0.0, min(length, reach), terrain.map.resolution)
     across = np.arange(-_HALF_WIDTH, _HALF_WIDTH + 1e-9, terrain.map.resolution)
     ahead = way / length
@@ -57,7 +57,7 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
 
 
 def _wide(flags: Array, cells: int) -> Array:
-    """Flags (n,) of runs of at least so many cells; those that reach to the end count."""
+    """Return flags (n,) of runs of at least `cells` cells, or runs at the end."""
     out = flags.copy()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):

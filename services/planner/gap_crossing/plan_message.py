@@ -1,4 +1,4 @@
-"""What planning a section came to, as everybody is told."""
+"""The message with the result of planning a section."""
 
 from typing import Literal
 
@@ -13,16 +13,16 @@ from sextant.shared.wire.messages import MAX_SECTION, MAX_TREE, PassagePlan
 def told(
     stamp_ns: int, section: int, found: Crossing | NoWay, T_world_strip: Array, goal: float, edges: Array, seconds: float
 ) -> PassagePlan:
-    """The message of a planning.
+    """Return the message with the result of planning a section.
 
     Args:
-        stamp_ns: [ns] when it ended.
-        section: Which section was planned.
-        found: What it came to.
+        stamp_ns: [ns] end of the planning.
+        section: Number of the section.
+        found: Result of the planning.
         T_world_strip: (4, 4).
-        goal: [m] {strip} where the body is to get.
+        goal: [m] {strip} goal of the body.
         edges: (n, 2, 3) [m] {strip} of the tree.
-        seconds: [s] that it took.
+        seconds: [s] planning time.
     """
     steps, end = found.steps[:MAX_SECTION], found.furthest if isinstance(found, NoWay) else found.end
     state: Literal["complete", "partial", "no way"]
@@ -48,7 +48,10 @@ def told(
 
 
 def _stopped(found: Crossing | NoWay) -> Array:
-    """Where (1, 3) [m] {strip} the furthest configuration fails a test: the leg's foot, or the body; (0, 3) where none does."""
+    """Return the place (1, 3) [m] {strip} where the furthest stance fails a test.
+
+    It is the foot of the failing leg, or the body; (0, 3) if no test fails.
+    """
     if isinstance(found, Crossing):
         return np.zeros((0, 3))
     return (found.furthest.body if found.leg == NOBODY else found.furthest.feet[found.leg])[None]

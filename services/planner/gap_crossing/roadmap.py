@@ -1,4 +1,7 @@
-"""The roadmap planner of Masri 2016, chapter 5: a section of single-leg steps across a strip, or why there is none."""
+"""Roadmap planner of Masri 2016, chapter 5.
+
+It plans a section of single-leg steps across a strip, or reports why there is none.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -15,17 +18,17 @@ from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 
-_LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
-_BAND = 0.35  # [m] either side of the middle line in which it counts
-_WORTH = 0.05  # [m] of the body's way that a section must bring
-_SPARE = 0.10  # [m] of the body's way that is planned beyond where a section ends that does not get to the goal
-_RETREAT = 0.06  # [m] of the body before the furthest that was reached
-_VERGE = 0.06  # [m] of bare ground before a foot, from which it stands among it and not at its verge
+_LIT = 0.3  # [1] known share of a row of cells, below which the known ground ends
+_BAND = 0.35  # [m] to either side of the middle line in which cells count
+_WORTH = 0.05  # [m] minimum body travel of a section
+_SPARE = 0.10  # [m] body travel planned beyond the end of a section that does not reach the goal
+_RETREAT = 0.06  # [m] of the body before its furthest place
+_VERGE = 0.06  # [m] of bare ground before a foot, from which the foot stands in bare ground and not at its edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stance:
-    """A robot on six feet, its yaw that of the strip."""
+    """A robot on six feet, with the yaw of the strip."""
 
     body: Array  # (3,) [m] {strip} body origin
     feet: Array  # (6, 3) [m] {strip} foot centres
@@ -33,13 +36,13 @@ class Stance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassageStep:
-    """One leg's step and the body's way meanwhile; leg -1 where only the body moves."""
+    """Step of one leg with the body's motion; leg -1 if only the body moves."""
 
     leg: int
     touchdown: Array  # (3,) [m] {strip} foot centre
     clearance: float  # [m] over the higher end
-    body: Array  # (3,) [m] {strip} at its end
-    margin: float  # [m] of support, the least of the step
+    body: Array  # [m] {strip} body at the end of the step, (3,)
+    margin: float  # [m] minimum support margin of the step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +51,7 @@ class Crossing:
 
     steps: tuple[PassageStep, ...]
     complete: bool  # whether it ends at the goal
-    reason: str  # why it ends where it does, in words
+    reason: str  # why it ends at this place
     generated: int  # n_g
     expanded: int  # n_e
     end: Stance
@@ -56,27 +59,28 @@ class Crossing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoWay:
-    """Why there is no section worth walking."""
+    """Reason why there is no section worth walking."""
 
-    reason: str  # in words
-    unseen: bool  # whether unknown ground stands in its way: another look may help
+    reason: str  # as text
+    unseen: bool  # whether unknown ground is in the way: another look may help
     furthest: Stance
     generated: int
     expanded: int
     fails: dict[str, int]  # how often each test failed
-    steps: tuple[PassageStep, ...] = ()  # to the furthest, for whoever wants to see it: nobody walks them
-    leg: int = NOBODY  # that fails the test which stops it there, NOBODY for the whole robot
-    closer: Crossing | None = None  # on towards the unknown ground, to where more of it may be seen
+    steps: tuple[PassageStep, ...] = ()  # to the furthest configuration, for display only; the robot does not execute them
+    leg: int = NOBODY  # the leg whose test fails there, NOBODY for the whole robot
+    closer: Crossing | None = None  # a section towards the unknown ground, to a place from which more of it may be seen
 
 
 class Roadmap:
-    """Grows trees of configurations from a stance towards a place along the strip. Same input and seed: same plan.
+    """Grows trees of configurations from a stance towards a place along the strip.
 
-    How long a search takes has a long tail: one that finds nothing in its share of the budget begins anew, with other samples.
+    The same input and seed give the same plan. The duration of a search has a long tail. So a tree that finds nothing in its
+    share of the budget is replaced by a new one with other samples.
     """
 
     def __init__(self, profile: RobotProfile, settings: PassageSettings | None = None):
-        """Make room for a robot's configurations."""
+        """Allocate memory for the configurations of a robot."""
         self._profile, self._settings = profile, settings or PassageSettings()
         self._legs, self._rules = legs_of(profile, self._settings), rules_of(profile, self._settings)
         self._tree = tree_of(self._settings.nodes)
@@ -84,36 +88,39 @@ class Roadmap:
 
     @property
     def edges(self) -> Array:
-        """(n, 2, 3) [m] {strip} body places at both ends of every step that was proven, of the newest tree, for the picture."""
+        """Return the edges (n, 2, 3) [m] {strip} of the current tree, for display.
+
+        They are the body places at both ends of every proven step.
+        """
         n = int(self._tree.counts[roadmap_search.NODES])
         proven = np.flatnonzero((self._tree.state[:n] == roadmap_search.PROVEN) & (self._tree.parent[:n] >= 0))
         return np.stack([self._tree.body[self._tree.parent[proven]], self._tree.body[proven]], axis=1)
 
     @property
     def expanded(self) -> int:
-        """n_e so far."""
+        """Return the number of expansions so far (n_e)."""
         return self._expanded_before + int(self._tree.counts[roadmap_search.EXPANDED])
 
     @property
     def generated(self) -> int:
-        """n_g so far."""
+        """Return the number of generated configurations so far (n_g)."""
         return self._generated_before + int(self._tree.counts[roadmap_search.NODES])
 
     def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
-        """Some stances (n) of the newest tree, for the bench."""
+        """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
     def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
-        """Start anew.
+        """Start a new search.
 
         Args:
             field: The strip.
-            stance: Where the robot stands.
-            goal_x: [m] {strip} where its body shall be.
-            seed: Of the samples.
+            stance: Stance of the robot.
+            goal_x: [m] {strip} goal of the body.
+            seed: Random seed of the samples.
 
         Raises:
-            ValueError: A stance that is none.
+            ValueError: The stance has wrong shapes or feet that are not finite.
         """
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
@@ -129,10 +136,12 @@ class Roadmap:
         self._plant()
 
     def grow(self, expansions: int) -> Crossing | NoWay | None:
-        """Go on for so many expansions; None while the budget is not used up and nothing is found.
+        """Continue the search; return None while it is undecided.
+
+        It is undecided while nothing is found and the budget is not used up. `expansions` limits this call.
 
         Raises:
-            ValueError: Nothing was begun.
+            ValueError: `begin` was not called.
         """
         if self._field is None:
             raise ValueError("a search that was begun expected: call begin() first")
@@ -157,11 +166,14 @@ class Roadmap:
         return self._outcome
 
     def _share(self) -> int:
-        """Expansions that a tree may have before another one is tried: twice as many every second time."""
+        """Return the expansions of the current tree before another one replaces it.
+
+        The number doubles with every second tree.
+        """
         return int(self._settings.patience * 2 ** (self._tries // 2))
 
     def _plant(self) -> None:
-        """Leave nothing but the root."""
+        """Reset the tree to its root."""
         tree = self._tree
         tree.counts[:] = 0
         tree.counts[roadmap_search.GOAL] = -1
@@ -173,20 +185,23 @@ class Roadmap:
         tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
 
     def _end_of_the_known(self, field: Field, stance: Stance) -> float:
-        """How far [m] {strip} the body may go before its front feet step on what is not known."""
+        """Return the limit [m] {strip} of the body that keeps feet on known ground."""
         front = float((self._legs.rest[:, 0]).max())
         known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _LIT)
         return np.inf if known >= field.elevation.shape[0] * field.resolution - 1e-9 else known - front - 0.03
 
     def _repaired(self, stance: Stance) -> Stance:
-        """The stance with its body moved by no more than allowed so that all legs hold it; notes what cannot be helped."""
+        """Return the stance with its body shifted so that all legs hold it.
+
+        The shift is limited by the settings. If no shift helps, the reason is kept in `_blame`.
+        """
         self._blame, self._blamed, self._shift = "", NOBODY, np.zeros(3)
         found = np.zeros(7, dtype=np.int64)
         roadmap_search.faults(self._legs, self._rules, 1, stance.feet, stance.body, found)
         if not found.any():
             return stance
         first = found.copy()
-        for strict in (0, 1):  # with all that is spared for the steps to come, or just so
+        for strict in (0, 1):  # first with the reserves for the next steps, then without
             for shift in _shifts(self._settings.repair, 0.005):
                 body = stance.body + shift
                 roadmap_search.faults(self._legs, self._rules, strict, stance.feet, body, found)
@@ -194,19 +209,19 @@ class Roadmap:
                     self._shift = shift
                     return replace(stance, body=body)
         if np.count_nonzero(first[:6]) == 1 and not first[6]:
-            return stance  # that leg's own step repairs it
+            return stance  # the next step of that leg repairs it
         self._blame, self._blamed = fault_in_words(first, self._settings.repair), int(np.flatnonzero(first)[0])
         return stance
 
     def _crossing(self, goal: int) -> Crossing | NoWay:
-        """The section to a configuration."""
+        """Return the section to a configuration."""
         x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
         seen = f"ground is known for {known:.2f} m ahead only"
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
             return self._no_way(seen, True, self._reached(goal))
-        end = self._before(goal, _SPARE)  # that no section ends where nothing leads on
+        end = self._before(goal, _SPARE)  # so that the section does not end in a dead end
         if self._tree.body[end, 0] < self._root.body[0] + _WORTH:
             end = goal
         if x >= self._tree.goal[0] - 1e-9:
@@ -214,7 +229,7 @@ class Roadmap:
         return self._section(end, False, f"so far in {self._settings.cycles} cycles of the gait")
 
     def _nothing_found(self) -> NoWay:
-        """What is left when the budget is used up, or everything was tried."""
+        """Return the result when the budget is used up or everything was tried."""
         best = self._best
         assert best is not None
         assert self._field is not None
@@ -227,9 +242,10 @@ class Roadmap:
         )
 
     def _ventures(self, steps: tuple[PassageStep, ...]) -> bool:
-        """Whether steps bring a robot that stands on the near side to where ground carries a foot only here and there.
+        """Return whether steps lead a robot from the near side into bare ground.
 
-        What is seen of such ground is seen from before it, so there is no use in standing in the middle of it without a way on.
+        Bare ground carries a foot only in some places. It is visible from the near side, so a stance in the middle of it
+        without a path onwards has no benefit.
         """
         assert self._field is not None
         rows, x0, resolution = bare(self._field), self._field.corner[0], self._field.resolution
@@ -243,7 +259,7 @@ class Roadmap:
         return any(within(float(step.touchdown[0])) for step in steps if step.leg >= 0)
 
     def _note_furthest(self) -> None:
-        """Keep how far this tree came, if none came further."""
+        """Keep the furthest configuration of this tree if it is the furthest of all trees."""
         tree = self._tree
         self._fails += tree.fails[0].sum(axis=1)
         furthest = int(tree.counts[roadmap_search.FURTHEST])
@@ -252,9 +268,9 @@ class Roadmap:
         self._best = self._reached(furthest)
 
     def _reached(self, node: int) -> "_Furthest":
-        """How far a configuration is, and what stops it there if it is the furthest."""
+        """Return a configuration, with the failed tests of the furthest stance."""
         tree = self._tree
-        # A place to wait for another look lies a little before the last one that was reached, which may be a dead end.
+        # The stance for another look is a little before the last reached one, which may be a dead end.
         back = self._before(node, _RETREAT)
         worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
         retreat = self._steps(back) if worth else ()
@@ -280,7 +296,7 @@ class Roadmap:
         return np.array([ground.x0 + i * ground.resolution, ground.y0 + j * ground.resolution, z])
 
     def _steps(self, node: int) -> tuple[PassageStep, ...]:
-        """The way from the root."""
+        """Return the steps from the root."""
         steps = [self._step(n) for n in self._back(node)][::-1]
         if self._shift.any():
             body = self._tree.body[0].copy()
@@ -288,7 +304,7 @@ class Roadmap:
         return tuple(steps)
 
     def _before(self, node: int, way: float) -> int:
-        """The configuration on the way to another from which its body goes so far [m] yet."""
+        """Return the configuration `way` [m] of body travel before a node on its path."""
         x = self._tree.body[:, 0]
         return next((n for n in self._back(node) if x[n] <= x[node] - way), 0)
 
@@ -305,17 +321,17 @@ class Roadmap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Furthest:
-    """How far the trees came."""
+    """Furthest configuration of all trees."""
 
     stance: Stance
-    fails: NDArray[np.int64]  # (tests, 7) what stopped it there
-    steps: tuple[PassageStep, ...]  # to it
-    retreat: tuple[PassageStep, ...]  # to a stance a little before
+    fails: NDArray[np.int64]  # (tests, 7) failed tests there
+    steps: tuple[PassageStep, ...]  # to the furthest stance
+    retreat: tuple[PassageStep, ...]  # to a stance a little before it
     retreat_stance: Stance
 
 
 def _shifts(most: float, step: float) -> Iterator[Array]:
-    """Body shifts [m] of at most so much, the shortest first."""
+    """Yield body shifts [m] up to a length, the shortest first."""
     n = int(most / step + 1e-6)
     grid = step * np.array(np.meshgrid(*[np.arange(-n, n + 1)] * 2, indexing="ij")).reshape(2, -1).T
     length = np.linalg.norm(grid, axis=1)

@@ -1,12 +1,14 @@
-"""The roadmap's search, compiled: robot configurations that grow from the root over body motions and footholds.
+"""Compiled search of the roadmap: a tree over body motions and footholds.
 
-Masri 2016, chapter 5, with what it leaves out. All of it is one file, since compiled functions must not call across files.
+It follows Masri 2016, chapter 5, and adds what the thesis leaves out. The whole search is one file, because compiled functions
+must not call across files.
 
-The search is lazy. A new configuration has passed what is cheap to know: reach and limits of all legs, support, torque, places
-of its feet. What is dear, the swing and the distances of legs to each other and to the ground, is proven when its turn comes.
-A configuration that was expanded for the leg whose turn it is comes back later, at a price, for the next leg in order.
+The search is lazy. A new configuration passes only the cheap tests: reach and limits of all legs, support, torque, and places
+of its feet. The expensive tests are the swing, and the distances of legs to each other and to the ground. They run when the
+configuration is next in the queue. After an expansion for the due leg, the configuration is queued again for the next leg in
+order, at a price.
 
-Joint limits are tested without inverse trigonometry: on directions, by the signs of cross products, and on the knee's cosine.
+Joint limits are tested without inverse trigonometry: as directions, by the signs of cross products, and by the knee's cosine.
 """
 
 import math
@@ -18,21 +20,23 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = range(12)  # tests, by what fails
+OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = range(12)  # test results
 TESTS = 12
-OPEN, PROVEN, REFUSED = 0, 1, 2  # what is known of the step to a configuration
-NODES, QUEUED, EXPANDED, BEST, GOAL, FURTHEST, PROVED = range(7)  # places in `Tree.counts`
+OPEN, PROVEN, REFUSED = 0, 1, 2  # proof state of the step to a configuration
+NODES, QUEUED, EXPANDED, BEST, GOAL, FURTHEST, PROVED = range(7)  # indices into `Tree.counts`
 COUNTS = 7
-ALL_STAND = -1  # in place of the leg that swings
-ROOT_FOOT = -1  # in place of a cell: the foot has not moved since the root
+ALL_STAND = -1  # instead of the swinging leg
+ROOT_FOOT = -1  # instead of a cell: the foot has not moved since the root
 _NEVER_SEEN = 127
-CROWDS, _CROWD = 512, 0.01  # places of equal progress, and [m] the length of one
-_SAMPLES = 9  # of a swing
-_AXIS = 0.035  # [m] from its coxa axis: nearer, a foot asks the coxa to whirl, and there is no telling where it is pushed
-_PIECES = 12  # of the way from one sample to the next
-_LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
-_RISES = (0.20, 0.05, 0.70)  # of time, of its way, of its level: no swing rises steeper
-_FALLS = (0.82, 0.95, 0.40)  # nor falls
+CROWDS, _CROWD = 512, 0.01  # number of progress bins, and [m] length of one
+_SAMPLES = 9  # number of samples of a swing
+_AXIS = (
+    0.035  # [m] minimum foot distance from the coxa axis; nearer, the coxa turns too fast and the foot's push is unpredictable
+)
+_PIECES = 12  # pieces of the path between two samples
+_LEVEL_SHARE = 0.8  # share of its clearance at which a swing is taken to be level
+_RISES = (0.20, 0.05, 0.70)  # shares of time, path and level height of the steepest possible rise
+_FALLS = (0.82, 0.95, 0.40)  # the same for the steepest descent
 
 
 # Columns of `Legs.table`.
@@ -41,20 +45,27 @@ LEG_COLUMNS = 25
 
 
 class Legs(NamedTuple):
-    """What the tests know of the legs.
+    """Leg parameters for the tests.
 
-    The table is one array, since each that is passed costs a call its count of references. Its leading axis: within limits by
-    a spare, and by the limits themselves. Its columns: mount (3) [m] {body}; cosine and sine of the neutral direction; coxa (5)
-    and femur (5), directions of the lower and upper limit as (cos, sin, cos, sin), and 1 if they are more than half a turn
-    apart; least and greatest cosine of the tibia angle; shortest and longest way [m] from femur axis to foot; lengths of coxa,
-    femur and tibia [m]; 1 for front legs, -1 for rear legs, 0 between; half length and half width of the body [m].
+    The table is one array, because each array argument costs reference counting in a call. Its leading axis selects the limits:
+    0 for limits with a reserve, 1 for the limits themselves. Its columns are:
+
+    - mount (3) [m] {body};
+    - cosine and sine of the neutral direction;
+    - coxa (5) and femur (5): directions of the lower and upper limit as (cos, sin, cos, sin), and 1 if they are more than half
+      a turn apart;
+    - minimum and maximum cosine of the tibia angle;
+    - shortest and longest distance [m] from femur axis to foot;
+    - lengths of coxa, femur and tibia [m];
+    - 1 for front legs, -1 for rear legs, 0 for middle legs;
+    - half length and half width of the body [m].
     """
 
     table: Array  # (2, 6, 25)
-    rest: Array  # (6, 2) [m] {body} nominal feet
-    stroke: Array  # (6, 2) [m] by which a foot may stand behind and before its nominal place
-    order: NDArray[np.int64]  # (6,) in which legs take turns
-    swing: Array  # (3, 9) of a swing: share of the time, share of the way, share of the height
+    rest: Array  # (6, 2) [m] {body} nominal foot positions
+    stroke: Array  # (6, 2) [m] maximum distance of a foot behind and before its nominal place
+    order: NDArray[np.int64]  # (6,) order in which legs take turns
+    swing: Array  # (3, 9) swing samples: shares of time, path and height
 
 
 class Rules(NamedTuple):
@@ -65,13 +76,13 @@ class Rules(NamedTuple):
     half_width: float
     half_height: float
     weight: float  # [N]
-    torque: float  # [N m] that a servo may give
-    easy_torque: float  # [N m] that it may give for hours
+    torque: float  # [N m] permitted servo torque
+    easy_torque: float  # [N m] torque that a servo sustains for hours
     height: float  # [m] of the body over the floor
-    climb: float  # [m] of the body in a step
-    centre_x: float  # [m] of the centre of mass from the body's middle
+    climb: float  # [m] maximum height change of the body in a step
+    centre_x: float  # [m] centre of mass relative to the body's middle
     centre_y: float
-    margin: float  # [m] of the centre of mass inside its standing feet
+    margin: float  # [m] minimum distance of the centre of mass inside the support polygon
     feet_apart: float
     legs_apart: float
     body_clear: float
@@ -80,73 +91,73 @@ class Rules(NamedTuple):
     least_lift: float
     most_lift: float
     lift_step: float
-    moved_most: float  # [m] by which a point of a swing may be moved into reach
-    lattice: float  # [m] of body places
-    alike_body: float  # [m] edge of the squares in which body places count as one
-    alike_foot: int  # [cells] likewise for feet
+    moved_most: float  # [m] maximum shift of a swing point into reach
+    lattice: float  # [m] lattice of body places
+    alike_body: float  # [m] edge of the squares in which body places count as the same
+    alike_foot: int  # [cells] the same for feet
     body_low: float  # [m] d_bmin
     body_high: float  # [m] d_bmax
     body_angle: float  # [rad] alpha
     foot_low: float  # d_lmin, as a share of the leg's stroke
-    foot_high: float  # d_lmax, likewise
+    foot_high: float  # d_lmax, as a share of the leg's stroke
     foot_angle: float  # [rad] beta
     foot_back: float  # [m] from the end of the leg's stroke back to the tip of the cone of footholds
-    strong: int  # [cells] F from which a place is taken as it is
-    wide: int  # [cells] F of a local minimum from which ground is wide
-    weakest: int  # [cells] F that a local minimum must have
+    strong: int  # [cells] F up to which a place is taken unchanged
+    wide: int  # [cells] F of a local minimum up to which ground is wide
+    weakest: int  # [cells] weakest permitted F of a local minimum
     drift: float  # [m] Delta y
-    depth: int  # most steps
-    step_gain: float  # [m] by which a step brings robot and feet on, for the cost to go
+    depth: int  # maximum number of steps
+    step_gain: float  # [m] progress of robot and feet in a step, for the cost to go
     eager: float  # weight of the cost to go
     lag_price: float  # of a foot that has its whole stroke behind it
     crowd_price: float  # of each expansion at the same progress
     turn_price: float
-    still_price: float  # of a step in which all stand
+    still_price: float  # of a step without a swing
     foothold_price: float
     margin_price: float
     torque_price: float
     aside_price: float
     move_samples: int  # m
     foot_samples: int  # n
-    rounds: int  # of all legs that one configuration may have
-    backward: float  # [m] that a foot may be set back
+    rounds: int  # of all legs that one configuration may take
+    backward: float  # [m] by which a foot may be placed further back
 
 
 class Ground(NamedTuple):
     """The strip: cell (i, j) is centred at (x0, y0) + resolution * (i, j) {strip}."""
 
     elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}, NaN where unknown
-    top: NDArray[np.float32]  # (nx, ny) [m] highest within a cell around, -inf where nothing is known
+    top: NDArray[np.float32]  # (nx, ny) [m] highest ground of the cell and its neighbours, -inf where unknown
     evaluation: NDArray[np.int8]  # (nx, ny) Masri's F
-    meant: NDArray[np.int32]  # (nx, ny) cell that a sampled cell stands for, -1 where it is not known yet
-    nearest: NDArray[np.int32]  # (nx, ny) cell that is seen and nearest to each, itself where it is seen
+    meant: NDArray[np.int32]  # (nx, ny) foothold cell of a sampled cell, -1 until it is computed
+    nearest: NDArray[np.int32]  # (nx, ny) nearest seen cell, the cell itself where it is seen
     resolution: float
     x0: float
     y0: float
 
 
 class Tree(NamedTuple):
-    """Configurations, queue and table of those known; `counts` and `fails` tell what happened."""
+    """Configurations, priority queue, hash table, and statistics (`counts`, `fails`)."""
 
     root: Array  # (6, 3) [m] {strip} feet
     body: Array  # (n, 3) [m] {strip}
     foot: NDArray[np.int32]  # (n, 6) cell, or ROOT_FOOT
     parent: NDArray[np.int32]  # (n,)
-    leg: NDArray[np.int8]  # (n,) that swung to get here
+    leg: NDArray[np.int8]  # (n,) leg that swung in the step to the configuration
     depth: NDArray[np.int16]  # (n,)
     state: NDArray[np.int8]  # (n,)
-    cost: Array  # (n,) of the way here
-    lift: Array  # (n,) [m] clearance of the swing to here
-    margin: Array  # (n,) [m] of the step to here
-    key: Array  # (q,) of the queue, a binary heap
+    cost: Array  # (n,) cost of the path from the root
+    lift: Array  # (n,) [m] clearance of that step
+    margin: Array  # (n,) [m] support margin of that step
+    key: Array  # (q,) keys of the queue, a binary heap
     queued: NDArray[np.int32]  # (q,)
     turn: NDArray[np.int16]  # (q,)
-    table: NDArray[np.int32]  # (2^k,) nodes by hash, -1 empty
+    table: NDArray[np.int32]  # (2^k,) nodes by hash, -1 for empty
     counts: NDArray[np.int64]  # (7,)
-    fails: NDArray[np.int64]  # (2, tests, 7) over all, and by those as far as any; last axis legs, then none
-    visits: NDArray[np.int64]  # (512,) expansions by progress
+    fails: NDArray[np.int64]  # (2, tests, 7) failures of all, and of the furthest; last axis: legs, then robot
+    visits: NDArray[np.int64]  # (512,) expansions by progress bin
     random: NDArray[np.uint64]  # (1,)
-    goal: Array  # (1,) [m] {strip} x of the body
+    goal: Array  # (1,) [m] {strip} goal x of the body
 
 
 # Random numbers -------------------------------------------------------------------------------------------------------------
@@ -154,7 +165,7 @@ class Tree(NamedTuple):
 
 @compiled
 def _uniform(state: NDArray[np.uint64]) -> float:
-    """In [0, 1), by xorshift64*."""
+    """Return a uniform random number in [0, 1), by xorshift64*."""
     x = state[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
@@ -165,7 +176,10 @@ def _uniform(state: NDArray[np.uint64]) -> float:
 
 @compiled
 def _bell(state: NDArray[np.uint64]) -> float:
-    """In [-1, 1]: the sum of three uniform ones, a Gaussian of a third within its bounds (Masri 2016, eq. 5.2 and 5.4)."""
+    """Return a random number in [-1, 1] from the sum of three uniform ones.
+
+    It approximates a Gaussian with a standard deviation of a third, within its bounds (Masri 2016, eq. 5.2 and 5.4).
+    """
     return (_uniform(state) + _uniform(state) + _uniform(state)) / 1.5 - 1.0
 
 
@@ -174,7 +188,7 @@ def _bell(state: NDArray[np.uint64]) -> float:
 
 @compiled
 def _between(c: float, s: float, table: Array, strict: int, leg: int, column: int) -> bool:
-    """Whether a direction lies between the two limits of a leg that begin at a column."""
+    """Return whether a direction lies between a leg's limits that begin at a column."""
     after = table[strict, leg, column] * s - table[strict, leg, column + 1] * c >= 0.0
     before = c * table[strict, leg, column + 3] - s * table[strict, leg, column + 2] >= 0.0
     return bool((after or before) if table[strict, leg, column + 4] > 0.0 else (after and before))
@@ -184,11 +198,11 @@ def _between(c: float, s: float, table: Array, strict: int, leg: int, column: in
 def _leg(
     table: Array, strict: int, leg: int, x: float, y: float, z: float
 ) -> tuple[int, float, float, float, float, float, float]:
-    """Whether a leg can hold its foot at (x, y, z) {body}.
+    """Test whether a leg can hold its foot at (x, y, z) {body}.
 
     Returns:
-        OK or REACH; horizontal reach from the femur axis and the shank's part of it [m]; femur axis and knee as the
-        direction (ux, uy) of the leg {body}, and the knee's reach and height from the femur axis.
+        OK or REACH; the horizontal distances [m] from femur axis to foot and from knee to foot; the leg's direction (ux, uy)
+        {body}; and the knee's horizontal distance and height from the femur axis [m].
 
     Source: Masri 2016, eq. (3.3)-(3.10) and (3.14)-(3.16), as `sextant.shared.robot.kinematics` reads them.
     """
@@ -202,7 +216,7 @@ def _leg(
         return REACH, reach, 0.0, 1.0, 0.0, 0.0, 0.0
     across = -t * math.sqrt(max(1.0 - knee * knee, 0.0))
     along = f + t * knee
-    # Direction of the femur, times the squared way.
+    # Direction of the femur, times the squared distance from femur axis to foot.
     fc, fs = reach * along + pz * across, pz * along - reach * across
     c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
     ok = _between(px * c + py * s, py * c - px * s, table, strict, leg, _COXA)
@@ -213,10 +227,11 @@ def _leg(
 
 @compiled
 def _placed(table: Array, leg: int, x: float, y: float) -> int:
-    """Whether a foot at (x, y) {body} may be there (Masri 2016, sections 5.1.1 and 5.2.1).
+    """Test whether a foot may be at (x, y) {body}.
 
-    Not under the body; front feet not behind its front, rear feet not before its rear. What that guards is balance, which
-    the support margin measures; so the level is that of the leg's own axis, and no more than the thesis' joint limits say.
+    A foot must not be under the body. In the thesis front feet must not be behind the body's front, and rear feet not before
+    its rear. The purpose is balance, which the support margin already measures. So the level here is the leg's own axis, which
+    is no stricter than the joint limits of the thesis. Source: Masri 2016, sections 5.1.1 and 5.2.1.
     """
     if abs(x) < table[0, leg, _ROOM] and abs(y) < table[0, leg, _ROOM + 1]:
         return UNDER
@@ -227,7 +242,7 @@ def _placed(table: Array, leg: int, x: float, y: float) -> int:
 
 @compiled
 def _foot(tree: Tree, ground: Ground, rules: Rules, code: int, leg: int) -> tuple[float, float, float]:
-    """Centre of a standing foot [m] {strip}."""
+    """Return the centre of a standing foot [m] {strip}."""
     if code == ROOT_FOOT:
         return tree.root[leg, 0], tree.root[leg, 1], tree.root[leg, 2]
     ny = ground.evaluation.shape[1]
@@ -241,9 +256,10 @@ def _foot(tree: Tree, ground: Ground, rules: Rules, code: int, leg: int) -> tupl
 
 @compiled
 def _support(rules: Rules, feet: Array, swing: int, body_x: float, body_y: float) -> float:
-    """How far [m] the centre of mass is inside the feet (6, 3) that stand, by the edges from leg to leg around the body.
+    """Return the distance [m] of the centre of mass inside the standing feet (6, 3).
 
-    Where a foot stands inside the hull of the others that is less than its distance from the hull, never more.
+    The edges connect neighbouring legs around the body. If a foot stands inside the hull of the others, the result is less than
+    the distance from the hull, never more.
     """
     x, y = body_x + rules.centre_x, body_y + rules.centre_y
     least = np.inf
@@ -253,7 +269,7 @@ def _support(rules: Rules, feet: Array, swing: int, body_x: float, body_y: float
         b = (a + 1) % 6
         if b == swing:
             b = (b + 1) % 6
-        # Legs go clockwise: inside is to the right of each edge.
+        # Legs are numbered clockwise: inside is to the right of each edge.
         ex, ey = feet[b, 0] - feet[a, 0], feet[b, 1] - feet[a, 1]
         length = math.sqrt(ex * ex + ey * ey)
         if length < 1e-6:
@@ -264,7 +280,10 @@ def _support(rules: Rules, feet: Array, swing: int, body_x: float, body_y: float
 
 @compiled
 def _floor(feet: Array, swing: int, radius: float) -> float:
-    """Mean height [m] of the three highest standing feet's soles (Lotriet 2024, section 6.4)."""
+    """Return the mean height [m] of the three highest standing feet's undersides.
+
+    Source: Lotriet 2024, section 6.4.
+    """
     a = b = c = -np.inf
     for leg in range(6):
         if leg == swing:
@@ -283,9 +302,9 @@ def _floor(feet: Array, swing: int, radius: float) -> float:
 def _stands(
     table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
 ) -> tuple[int, int, float]:
-    """Whether the standing legs hold a body: the test that fails, the leg, and the greatest torque [N m].
+    """Return the failed test or OK, its leg, and the greatest torque [N m].
 
-    Feet share the weight as springs under a stiff body do: by a plane over their places that balances it.
+    Feet share the weight like springs under a rigid body: the force is linear in the foot's position and balances the weight.
     """
     n = 0
     mx = my = 0.0
@@ -324,7 +343,7 @@ def _stands(
 
 @compiled
 def _landing(table: Array, rules: Rules, feet: Array, leg: int, body: Array, goal: Array) -> int:
-    """Whether a leg may set its foot down at a place (3,), the body being there and the others standing."""
+    """Test a leg's touchdown at `goal` (3,); the other legs stand."""
     test = _placed(table, leg, goal[0] - body[0], goal[1] - body[1])
     if test == OK:
         test, _, _, _, _, _, _ = _leg(table, 0, leg, goal[0] - body[0], goal[1] - body[1], goal[2] - body[2])
@@ -340,7 +359,7 @@ def _landing(table: Array, rules: Rules, feet: Array, leg: int, body: Array, goa
 
 @compiled
 def _lower(F: NDArray[np.int8], i: int, j: int) -> tuple[int, int]:
-    """The least of a cell and its eight neighbours."""
+    """Return the lowest of a cell and its eight neighbours."""
     bi, bj = i, j
     for a in range(max(i - 1, 0), min(i + 2, F.shape[0])):
         for b in range(max(j - 1, 0), min(j + 2, F.shape[1])):
@@ -351,11 +370,13 @@ def _lower(F: NDArray[np.int8], i: int, j: int) -> tuple[int, int]:
 
 @compiled
 def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tuple[int, int]:
-    """The foothold that a sampled cell stands for: by greedy descent of F (Masri 2016, section 5.2.1).
+    """Return the foothold of a sampled cell by greedy descent of F.
 
-    On wide ground, whose minimum is low, a cell that is good enough is its own, another is the first on its descent that is.
-    Narrow ground has its middle, the local minimum, and along the strip its first and last good cells: who must reach far
-    takes those. Of a minimum two cells wide the lower numbers are the middle.
+    On wide ground, where the minimum is low, a good cell is its own foothold. For another cell it is the first good cell on the
+    descent. Narrow ground has three footholds: its middle, which is the local minimum, and the first and last good cells along
+    the strip, for legs that must reach far. In a minimum two cells wide, the cell with the lower index is the middle.
+
+    Source: Masri 2016, section 5.2.1.
     """
     a, b = i, j
     good_i, good_j, good = i, j, F[i, j] <= strong
@@ -385,7 +406,7 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
 
 @compiled
 def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, candidate: NDArray[np.bool_]) -> None:
-    """Mark the cells to which some cell of the ground is resolved."""
+    """Mark the cells that are the foothold of any cell."""
     candidate[:] = False
     for i in range(F.shape[0]):
         for j in range(F.shape[1]):
@@ -398,10 +419,10 @@ def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, candid
 
 @compiled
 def nearest_seen(F: NDArray[np.int8], nearest: NDArray[np.int32]) -> None:
-    """The cell that is seen and nearest to each, along rows and columns, into (nx, ny), -1 where none is.
+    """Fill (nx, ny) with the nearest seen cell along rows and columns, -1 for none.
 
-    A sample on the floor of a gap stands for the edge beside it, from which it descends to a foothold; whether that floor is
-    seen makes no difference so.
+    A sample on the floor of a gap counts as the edge next to it, and descends to a foothold from there. So it makes no
+    difference whether the floor is seen.
     """
     nx, ny = F.shape
     queue, n = np.empty(nx * ny, np.int32), 0
@@ -424,7 +445,10 @@ def nearest_seen(F: NDArray[np.int8], nearest: NDArray[np.int32]) -> None:
 
 @compiled
 def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float, poses: Array) -> int:
-    """Femur axis, knee and foot of a leg into its row of poses (6, 9) [m] {strip}; REACH where its limits do not allow it."""
+    """Write femur axis, knee and foot of a leg to its row of poses (6, 9) [m] {strip}.
+
+    Return REACH if the joint limits exclude the pose.
+    """
     test, _, _, ux, uy, out, up = _leg(table, 1, leg, x - bx, y - by, z - bz)
     coxa = table[0, leg, _LINKS]
     mx, my, mz = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], bz + table[0, leg, _MOUNT + 2]
@@ -436,7 +460,10 @@ def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: 
 
 @compiled
 def _turns(table: Array, leg: int, x: float, y: float, z: float) -> bool:
-    """Whether coxa and femur may point as they must for a foot at (x, y, z) {body} at the end of the knee's reach or within."""
+    """Test the directions of coxa and femur for a foot at (x, y, z) {body}.
+
+    Beyond the reach of the knee, the direction at the end of its reach counts.
+    """
     px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
     f, t = table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]
     reach = math.sqrt(px * px + py * py) - table[0, leg, _LINKS]
@@ -449,7 +476,7 @@ def _turns(table: Array, leg: int, x: float, y: float, z: float) -> bool:
 
 @compiled
 def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
-    """Whether femur or tibia of one leg come nearer to those of another than so much [m].
+    """Return whether femur or tibia of two legs come closer than a distance [m].
 
     Source: Ericson, Real-Time Collision Detection, section 5.1.9.
     """
@@ -478,7 +505,7 @@ def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
 
 @compiled
 def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: float, y: float) -> float:
-    """Highest known ground [m] within a cell of a place, -inf where none is."""
+    """Return the highest known ground [m] within a cell of a place, else -inf."""
     i, j = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
     if i < 0 or j < 0 or i >= top.shape[0] or j >= top.shape[1]:
         return -np.inf
@@ -489,7 +516,10 @@ def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: f
 def _shank_clear(
     top: NDArray[np.float32], resolution: float, x0: float, y0: float, poses: Array, leg: int, clear: float
 ) -> bool:
-    """Whether a leg's tibia and knee stay over the ground by so much [m]; near its foot the foot's place counts."""
+    """Return whether a leg's tibia and knee stay above the ground by a distance [m].
+
+    Near the foot, the test of the foothold applies instead.
+    """
     fx, fy, fz = poses[leg, 6], poses[leg, 7], poses[leg, 8]
     for k in range(1, 5):
         s = 0.25 * k
@@ -501,7 +531,7 @@ def _shank_clear(
 
 @compiled
 def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -> bool:
-    """Whether the trunk stays over all ground under it."""
+    """Return whether the trunk stays above all ground under it."""
     top, resolution = ground.top, ground.resolution
     least = bz - rules.half_height - rules.body_clear
     x = -rules.half_length
@@ -510,7 +540,7 @@ def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -
         while y <= rules.half_width + 1e-9:
             if _top(top, resolution, ground.x0, ground.y0, bx + x, by + y) > least:
                 return False
-            y += 2.0 * resolution  # `top` looks a cell around
+            y += 2.0 * resolution  # `top` includes the neighbouring cells
         x += 2.0 * resolution
     return True
 
@@ -519,7 +549,10 @@ def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -
 def _into_reach(
     table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """A foot at the nearest place that its leg's knee allows, and by how much it was moved [m] (Masri 2016, section 5.4)."""
+    """Return the nearest place of a foot within its knee's reach, and the shift [m].
+
+    Source: Masri 2016, section 5.4.
+    """
     mx, my, up = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], z - bz - table[0, leg, _MOUNT + 2]
     coxa, short, far = table[0, leg, _LINKS], table[1, leg, _WAY] + 1e-4, table[1, leg, _WAY + 1] - 1e-4
     px, py = x - mx, y - my
@@ -538,7 +571,7 @@ def _into_reach(
 
 @compiled
 def _beside(table: Array, feet: Array, leg: int, bx: float, by: float, bz: float, poses: Array, apart: float) -> bool:
-    """Whether a leg, in its row of poses, comes nearer to one of its neighbours, which stand, than so much [m]."""
+    """Return whether a leg comes closer to a standing neighbour than `apart`."""
     for side in range(1, 6, 4):
         beside = (leg + side) % 6
         _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
@@ -551,7 +584,10 @@ def _beside(table: Array, feet: Array, leg: int, bx: float, by: float, bz: float
 def _steeply_apart(
     table: Array, rules: Rules, feet: Array, goal: Array, leg: int, b0: Array, b1: Array, lift: float, smooth: bool
 ) -> bool:
-    """Whether a leg, pushed outward or not, keeps apart from its neighbours where it rises and falls as steeply as any."""
+    """Return whether a leg keeps apart from others at its steepest rise and descent.
+
+    The foot may be pushed outward.
+    """
     poses = np.empty((6, 9))
     level = max(feet[leg, 2], goal[2]) + lift
     for at_end in range(2):
@@ -585,15 +621,15 @@ def _swing_test(
     lift: float,
     smooth: bool,
 ) -> int:
-    """Whether a swing with a clearance may be flown: in reach, over the ground, beside its neighbours.
+    """Test a swing with a clearance: reach, ground, and neighbouring legs.
 
-    The body meanwhile goes evenly, as between steps that join, or starts and stops.
+    The body moves at constant speed, as between consecutive steps, or starts and stops (`smooth`).
     """
     top, resolution, x0, y0 = ground.top, ground.resolution, ground.x0, ground.y0
     poses = np.empty((6, 9))
     level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
     last_x, last_y, last_z, last_bx, last_by, last_bz = feet[leg, 0], feet[leg, 1], feet[leg, 2], b0[0], b0[1], b0[2]
-    # A foot hardly moves at first and at last, while the body does.
+    # The foot hardly moves at the start and the end of the swing, but the body does.
     s = 0.5 * shape[0, 1]
     x, y, z = feet[leg, 0] - b0[0] - s * (b1[0] - b0[0]), feet[leg, 1] - b0[1] - s * (b1[1] - b0[1]), feet[leg, 2] - b0[2]
     if not _turns(table, leg, x, y, z):
@@ -611,7 +647,7 @@ def _swing_test(
         end_z = feet[leg, 2] if k < _SAMPLES // 2 else goal[2]
         x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
-        # It flies between the level that is sure, which the ground asks for, and its whole clearance: limits must allow both.
+        # The foot flies between the guaranteed level, which the ground requires, and its full clearance. Limits allow both.
         hx, hy, hz, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z))
         raw_x, raw_y, raw_z = x, y, end_z + up * (level - end_z)
         off_x, off_y = x - bx - table[0, leg, _MOUNT], y - by - table[0, leg, _MOUNT + 1]
@@ -627,7 +663,7 @@ def _swing_test(
             return GROUND
         if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
             return LEGS
-        # The foot's own way, closely, since one that is pushed outward is so at once: 2 cm, but for its rise and its fall.
+        # Sample the foot's path closely, as a folded leg may push it outward abruptly. 2 cm apply, but less near both ends.
         for m in range(1, _PIECES + 1 if k > 0 else 1):
             part = m / _PIECES
             u, v, w, _ = _into_reach(
@@ -650,7 +686,10 @@ def _swing_test(
 
 @compiled
 def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array, poses: Array) -> int:
-    """Whether the standing legs stay clear of each other and of the ground half way and at the end of the body's motion."""
+    """Test the standing legs against each other and the ground in a body motion.
+
+    The test applies half way and at the end.
+    """
     for half in range(1, 3):
         s = 0.5 * half
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
@@ -670,7 +709,7 @@ def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: i
 def _proven(
     table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
 ) -> tuple[int, float]:
-    """What is dear to know of a step: the test that it fails, or OK, and the clearance [m] with which its foot swings."""
+    """Run the expensive tests of a step: return the result and the clearance [m]."""
     test = _way_clear(table, rules, ground, feet, leg, b0, b1)
     if test != OK or leg == ALL_STAND:
         return test, 0.0
@@ -679,7 +718,7 @@ def _proven(
 
 @compiled
 def _way_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array) -> int:
-    """Whether trunk and standing legs stay clear of the ground, and the legs of each other."""
+    """Test trunk and standing legs against the ground, and legs against each other."""
     if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
         return GROUND
     return _stand_clear(table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
@@ -689,7 +728,10 @@ def _way_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int
 def _lifted(
     table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
 ) -> tuple[int, float]:
-    """The least clearance [m] with which a foot may swing, or the test that fails with the greatest."""
+    """Return OK and the lowest feasible clearance [m] of a swing.
+
+    Otherwise return the test that fails at the highest clearance.
+    """
     test = SWING
     lift = rules.least_lift
     while lift <= rules.most_lift + 1e-9:
@@ -704,7 +746,7 @@ def _lifted(
 
 @compiled
 def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> int:
-    """Prove the step that leads to a configuration and note its clearance; the test that fails, or OK."""
+    """Prove the step to a configuration, store its clearance, return the test result."""
     parent, leg = tree.parent[node], tree.leg[node]
     feet, goal = np.empty((6, 3)), np.zeros(3)
     for k in range(6):
@@ -729,17 +771,17 @@ def judge(
     verdict: NDArray[np.int64],
     lifts: Array,
 ) -> None:
-    """All tests of an expansion on given samples, as `grow` makes them, for the bench.
+    """Run all tests of an expansion on given samples, as `grow` does (benchmark).
 
     Args:
-        legs, rules, ground: What the tests know.
-        feet: (6, 3) [m] {strip} standing, none of them as it was found.
-        leg: That swings.
-        b0: (3,) [m] {strip} the body.
-        bodies: (m, 3) [m] {strip} where it may go.
+        legs, rules, ground: Parameters of the tests.
+        feet: (6, 3) [m] {strip} standing feet, all of which have moved since the root.
+        leg: The swinging leg.
+        b0: (3,) [m] {strip} body at the start.
+        bodies: (m, 3) [m] {strip} bodies at the end.
         goals: (m, n, 3) [m] {strip} footholds for each.
-        verdict: (m, n) out: the first test that fails, or OK.
-        lifts: (m, n) [m] out: clearances.
+        verdict: (m, n) output: the first failed test, or OK.
+        lifts: (m, n) [m] output: clearances.
     """
     table, codes = legs.table, np.zeros(6, np.int32)
     verdict[:], lifts[:] = OK, 0.0
@@ -780,7 +822,7 @@ def judge_all(
     verdict: NDArray[np.int64],
     lifts: Array,
 ) -> None:
-    """`judge` for many expansions: all arguments with one more leading axis."""
+    """Run `judge` for many expansions: all arguments have one more leading axis."""
     for k in range(len(leg)):
         judge(legs, rules, ground, feet[k], leg[k], b0[k], bodies[k], goals[k], verdict[k], lifts[k])
 
@@ -790,7 +832,7 @@ def judge_all(
 
 @compiled
 def _push(tree: Tree, key: float, node: int, turn: int) -> bool:
-    """Queue a configuration; False when the queue is full."""
+    """Queue a configuration; return False if the queue is full."""
     i = tree.counts[QUEUED]
     if i >= len(tree.key):
         return False
@@ -807,7 +849,7 @@ def _push(tree: Tree, key: float, node: int, turn: int) -> bool:
 
 @compiled
 def _pop(tree: Tree) -> tuple[float, int, int]:
-    """The configuration with the least key, and its turn."""
+    """Remove and return the configuration with the lowest key, and its turn."""
     first = tree.key[0], tree.queued[0], tree.turn[0]
     n = tree.counts[QUEUED] - 1
     tree.counts[QUEUED] = n
@@ -834,7 +876,7 @@ def _mixed(h: np.uint64, value: int) -> np.uint64:
 
 @compiled
 def _square(foot: NDArray[np.int32], node: int, leg: int, ny: int, edge: int) -> int:
-    """The square of so many cells in which a foot of a configuration stands."""
+    """Return the square of `edge` cells in which a foot of a configuration stands."""
     code = foot[node, leg]
     return int((code // ny) // edge * ny + (code % ny) // edge if code >= 0 and edge > 1 else code)
 
@@ -843,9 +885,9 @@ def _square(foot: NDArray[np.int32], node: int, leg: int, ny: int, edge: int) ->
 def _known(
     body: Array, foot: NDArray[np.int32], table: NDArray[np.int32], node: int, edge: float, foot_edge: int, ny: int
 ) -> bool:
-    """Whether there is a configuration already that counts as the one in the place of a node; if not, the node is noted.
+    """Return whether an equivalent configuration is known; if not, store the node.
 
-    Those count as one whose body and feet stand in the same squares.
+    Configurations are equivalent if body and feet are in the same squares.
     """
     ix, iy = math.floor(body[node, 0] / edge + 0.5), math.floor(body[node, 1] / edge + 0.5)
     h = _mixed(_mixed(np.uint64(88172645463325252), ix), iy)
@@ -878,7 +920,7 @@ def _fail(tree: Tree, far: bool, test: int, leg: int) -> None:
 
 @compiled
 def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> float:
-    """Steps still to go [1]: by the way that the body has before it, and that of the feet behind it."""
+    """Return the estimated steps to go [1], from the body's distance and the feet."""
     ahead = max(tree.goal[0] - bx, 0.0)
     lag = lagging = 0.0
     for leg in range(6):
@@ -890,7 +932,7 @@ def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> floa
 
 @compiled
 def _crowd(tree: Tree, rest: Array, feet: Array, bx: float) -> int:
-    """The number of those that are about as far along as a configuration: by its body, and by its feet."""
+    """Return the progress bin of a configuration: the mean progress of body and feet."""
     progress = bx
     for leg in range(6):
         progress += (feet[leg, 0] - rest[leg, 0]) / 6.0
@@ -899,11 +941,11 @@ def _crowd(tree: Tree, rest: Array, feet: Array, bx: float) -> int:
 
 @compiled
 def _key(tree: Tree, legs: Legs, rules: Rules, node: int, feet: Array, turn: int) -> float:
-    """By what a configuration is queued: the least first.
+    """Return the queue key of a configuration; the lowest is expanded first.
 
-    The weight of Masri 2016, eq. (5.5), as it must be meant: he takes F - d_g / d and expands the least, which would reward
-    distance still to go; here it is added. F is in the cost, as what each foothold falls short of the best. A place where
-    many have been expanded already becomes dearer, so that a search that got stuck turns to what lies further back.
+    This is the weight of Masri 2016, eq. (5.5), with a correction. He takes F - d_g / d and expands the lowest, which would
+    reward distance to go. Here that distance is added. F is part of the cost, as the difference of each foothold from the best.
+    A place with many expansions becomes more expensive, so that a search without progress continues further back.
     """
     crowded = rules.crowd_price * tree.visits[_crowd(tree, legs.rest, feet, tree.body[node, 0])]
     again = rules.turn_price * (turn + 7.0 * (turn // 7))
@@ -924,7 +966,7 @@ def _add(
     price: float,
     margin: float,
 ) -> bool:
-    """Add a configuration unless it is known; False when there is no room for more."""
+    """Add a configuration unless it is known; return False if the memory is full."""
     node = tree.counts[NODES]
     if node >= len(tree.parent):
         return False
@@ -945,7 +987,7 @@ def _add(
 
 @compiled
 def _swung_last(tree: Tree, node: int) -> int:
-    """The leg that swung last on the way to a configuration, or none."""
+    """Return the leg that swung last on the path to a configuration, or none."""
     while tree.leg[node] < 0 and tree.parent[node] >= 0:
         node = tree.parent[node]
     return int(tree.leg[node])
@@ -953,7 +995,10 @@ def _swung_last(tree: Tree, node: int) -> int:
 
 @compiled
 def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array, bx: float, last: int, turn: int) -> int:
-    """The leg that a configuration is expanded for: the one in turn, then the others as they have fallen back, then none."""
+    """Return the leg for which a configuration is expanded.
+
+    The order is: the due leg, the others by their lag, then none.
+    """
     due = order[0]
     for k in range(6):
         if order[k] == last:
@@ -962,7 +1007,7 @@ def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array,
         return int(due)
     if turn > 5:
         return ALL_STAND
-    # The one that has fallen back the most of those not yet taken: few legs, so count who is before each.
+    # Of the legs not yet taken, select the one with the largest lag. With six legs, counting those before each is enough.
     for leg in range(6):
         lag = (bx + rest[leg, 0] - feet[leg, 0]) / stroke[leg, 0]
         before = 0
@@ -977,7 +1022,7 @@ def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array,
 
 @compiled
 def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, x: float, y: float, bx: float) -> float:
-    """What a foothold costs: near an edge more than in the middle, off the robot's track more than on it."""
+    """Return the price of a foothold: higher near an edge and off the nominal track."""
     F = ground.evaluation[code // ground.evaluation.shape[1], code % ground.evaluation.shape[1]]
     poor = max(0, F + 3)
     aside = abs(y - legs.rest[leg, 1])
@@ -986,9 +1031,9 @@ def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, 
 
 @compiled
 def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int, leg: int, far: bool, work: Array) -> bool:
-    """Add what one leg can do from a configuration: up to m motions of the body with up to n footholds each.
+    """Expand a configuration for one leg: up to m body motions, n footholds each.
 
-    Its feet are the first six rows of `work` (12, 3). Returns False when there is no room for more.
+    The first six rows of `work` (12, 3) hold the feet. Return False if the memory is full.
     """
     feet, after = work[:6], work[6:12]
     codes = tree.foot[node]
@@ -1009,7 +1054,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         distance = rules.body_low + (rules.body_high - rules.body_low) * _uniform(tree.random)
         phi = rules.body_angle * _bell(tree.random)
         if m == 0 and tree.depth[node] == 0:
-            distance = 0.0  # a repaired stance may have no room to move before its first step
+            distance = 0.0  # a repaired stance may not allow motion before its first step
         dx, dy = distance * math.cos(phi), distance * math.sin(phi)
         body[0] = rules.lattice * round((b0[0] + dx) / rules.lattice)
         body[1] = rules.lattice * round((b0[1] + dy) / rules.lattice)
@@ -1019,7 +1064,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
             known = known or (abs(last_x[k] - body[0]) + abs(last_y[k] - body[1]) < 1e-6)
         if known or abs(body[1]) > rules.drift + max(abs(tree.body[0, 1]) - rules.drift, 0.0):
             continue
-        # 1. The body's motion, over the legs that stand.
+        # 1. Body motion, with the legs that stand.
         margin = min(begin, _support(rules, feet, leg, body[0], body[1]))
         if margin < rules.margin:
             _fail(tree, far, MARGIN, leg)
@@ -1037,7 +1082,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
             if not _add(tree, ground, legs, rules, node, leg, body, ROOT_FOOT, feet, rules.still_price + price, margin):
                 return False
             continue
-        # 2. Footholds of the leg that swings.
+        # 2. Footholds of the swinging leg.
         if not _footholds(tree, ground, legs, rules, node, leg, body, feet, after, price, margin, far):
             return False
     return True
@@ -1045,7 +1090,10 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
 
 @compiled
 def _has_sunk(ground: Ground, code: int, x: float, y: float) -> bool:
-    """Whether a foot stands since the root where the map says that none can: on what gave way under it, so it may step back."""
+    """Return whether a foot stands, since the root, on ground that the map excludes.
+
+    That ground gave way under the foot, so the foot may step back.
+    """
     if code != ROOT_FOOT:
         return False
     i = math.floor((x - ground.x0) / ground.resolution + 0.5)
@@ -1069,7 +1117,7 @@ def _footholds(
     margin: float,
     far: bool,
 ) -> bool:
-    """Add configurations with a leg's footholds for one motion of the body; False when there is no room for more."""
+    """Add configurations with footholds for one body motion; False if memory is full."""
     F = ground.evaluation
     nx, ny = F.shape
     tip_x = body[0] + legs.rest[leg, 0] - legs.stroke[leg, 0] - rules.foot_back
@@ -1079,7 +1127,7 @@ def _footholds(
     nearest = rules.foot_back + rules.foot_low * whole
     rearmost = feet[leg, 0] - rules.backward
     if _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
-        rearmost, nearest = -np.inf, rules.foot_back  # as far back as its leg reaches
+        rearmost, nearest = -np.inf, rules.foot_back  # as far back as the leg reaches
     else:
         nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
         if nearest >= farthest:
@@ -1094,7 +1142,7 @@ def _footholds(
         if not (0 <= i < nx and 0 <= j < ny):
             _fail(tree, far, UNKNOWN, leg)
             continue
-        unseen = F[i, j] == _NEVER_SEEN  # what fails from here on may do so for want of sight
+        unseen = F[i, j] == _NEVER_SEEN  # later failures of this sample may be due to unseen ground
         if unseen and ground.nearest[i, j] >= 0:
             i, j = ground.nearest[i, j] // ny, ground.nearest[i, j] % ny
         code = ground.meant[i, j]
@@ -1133,9 +1181,9 @@ def _footholds(
 
 @compiled
 def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) -> int:
-    """Expand configurations; how many were, fewer than asked for where the search has come to its end.
+    """Expand configurations; return the number of expansions.
 
-    It ends with `counts[GOAL]` set, or with nothing queued, or with no room left.
+    It is lower than requested if the search ends: with `counts[GOAL]` set, with an empty queue, or with full memory.
     """
     work = np.empty((12, 3))
     done = 0
@@ -1176,7 +1224,10 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
 
 @compiled
 def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, found: NDArray[np.int64]) -> None:
-    """The test that each leg of a stance fails in (7,), the last that of the whole robot; by the limits themselves if 1."""
+    """Write the failed test of each leg of a stance, then of the robot, to (7,).
+
+    `strict` 1 selects the joint limits without the reserve.
+    """
     for leg in range(6):
         test, _, _, _, _, _, _ = _leg(
             legs.table, strict, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
@@ -1187,7 +1238,7 @@ def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, foun
 
 @compiled
 def landings(legs: Legs, leg: int, places: Array, found: NDArray[np.int64]) -> None:
-    """The test that a leg fails with its foot at each of some places (n, 3) [m] {body}, into (n,), the others left aside."""
+    """Write to (n,) the failed test of a leg for foot places (n, 3) [m] {body}."""
     for n in range(len(places)):
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         found[n] = _placed(legs.table, leg, x, y)

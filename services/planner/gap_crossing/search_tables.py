@@ -1,4 +1,4 @@
-"""A robot and its settings as the compiled search reads them."""
+"""Tables of a robot and its settings for the compiled search."""
 
 import numpy as np
 
@@ -22,11 +22,11 @@ from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
-_EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
+_EASY = 1.0 / 3.0  # share of stall torque that a servo sustains for hours (AX-12A data; assumed equal for the RX-64)
 
 
 def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
-    """What the tests know of a robot's legs."""
+    """Return the leg parameters for the tests."""
     links, mount = profile.links, profile.T_body_coxa[:, :3, 3]
     fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0.0, np.sign(mount[:, 0]))
     unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / LEVEL]))[:, 0]
@@ -51,7 +51,7 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
 
 
 def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
-    """Lengths and limits of the tests."""
+    """Return the lengths and limits of the tests."""
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
     centre = resting_centre_of_mass(profile)
@@ -110,10 +110,10 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
 
 
 def ground_of(field: Field) -> Ground:
-    """What the search sees of a strip.
+    """Return the ground of a strip for the search.
 
-    Layers are copied: views of a message, or what was made of them, are arrays of other types, for each of which the search
-    would be compiled anew when it comes, with the robot in mid-gap.
+    The layers are copied. Views of a message and arrays derived from it have other array types. For each new type the search
+    would be compiled again, while the robot stands in the middle of the gap.
     """
     evaluation = field.evaluation.copy()
     meant, nearest = np.full((2, *evaluation.shape), -1, dtype=np.int32)
@@ -130,7 +130,7 @@ def ground_of(field: Field) -> Ground:
 
 
 def tree_of(nodes: int) -> Tree:
-    """Room for so many configurations, all of it touched."""
+    """Allocate a tree for a number of configurations and touch all of its memory."""
     slots = 1 << max(4, int(np.ceil(np.log2(2 * nodes))))
     queue = 2 * nodes
 
@@ -158,13 +158,19 @@ def tree_of(nodes: int) -> Tree:
 
 
 def _directions(limits: Array) -> Array:
-    """Limits (6, 2) [rad] as (cos, sin) of both and whether they are more than half a turn apart: (6, 5)."""
+    """Return limits (6, 2) [rad] as a table (6, 5).
+
+    The columns are cosine and sine of both limits, and whether they are more than half a turn apart.
+    """
     low, high = limits[:, 0], limits[:, 1]
     return np.column_stack([np.cos(low), np.sin(low), np.cos(high), np.sin(high), high - low > np.pi])
 
 
 def _strokes(profile: RobotProfile, settings: PassageSettings) -> Array:
-    """How far (6, 2) [m] a foot may stand behind and before its nominal place on level ground, by its leg's limits."""
+    """Return the stroke (6, 2) [m] of each foot behind and before its nominal place.
+
+    It holds on level ground within the limits of the leg.
+    """
     feet = profile.rest_feet(settings.body_height or profile.stance.body_height)
     off = 0.005 * np.arange(1, 80)
     out = np.empty((6, 2))

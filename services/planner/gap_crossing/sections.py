@@ -1,4 +1,4 @@
-"""Which part of a passage is planned next: to where the ground carries as anywhere again."""
+"""Sections: the part of a gap crossing that is planned next."""
 
 from dataclasses import replace
 
@@ -9,27 +9,29 @@ from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN
 
-_BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the whole robot to stand behind it
-_ROOM = 0.80  # [m] of ground that carries as anywhere, on which the whole robot stands and walks on
-_HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
-_CARRYING = 0.8  # [1] share of that band from which ground carries the robot as anywhere
-_KNOWN = 0.3  # [1] share of it that is known at the end of what is known
-_BORDER = 0.05  # [m] at the strip's far end that tells of no gap: what lies beside a strip counts as vacant
-_UNDER = 0.7  # [1] share of the radius of what gave way, in which the ground has sunk with the foot for certain
-_GONE = 1  # of the evaluation function: no foot stands there
+_BEYOND = 0.40  # [m] from the gap to the body's centre, with which the whole robot stands behind the gap
+_ROOM = 0.80  # [m] of normal ground, enough for the whole robot to stand and walk on
+_HALF_WIDTH = 0.20  # [m] half width of the band ahead that is checked for the end of the gap
+_CARRYING = 0.8  # [1] share of the band that must carry a foot for normal walking
+_KNOWN = 0.3  # [1] share of it that is known at the end of the known ground
+_BORDER = 0.05  # [m] at the strip's far end where no gap is detected, because cells outside a strip count as vacant
+_UNDER = 0.7  # [1] share of the radius of failed ground, in which the ground has certainly sunk with the foot
+_GONE = 1  # evaluation function of a cell without a foothold
 
 
 def goal_behind(field: Field, x: float, target: float) -> float | None:
-    """Where the body is to get for the whole robot to stand behind what carries it only here and there.
+    """Return the body's goal, from which the whole robot stands behind bare ground.
+
+    Bare ground carries a foot only in some places.
 
     Args:
         field: The strip.
         x: [m] {strip} of the body.
-        target: [m] likewise, of what is behind it all.
+        target: [m] {strip} of the goal behind all bare ground.
 
     Returns:
-        [m] {strip}, at most the target and behind the first such stretch, though others may follow after room to walk; None
-        where none is nearer than there is room to walk, and where it is past the target.
+        [m] {strip}, at most the target and behind the first bare stretch. Other stretches may follow after room to walk. None
+        if there is no bare stretch within the room to walk, or if the body is past the target.
     """
     rows = bare(field)
     centres = field.corner[0] + field.resolution * np.arange(len(rows))
@@ -41,12 +43,12 @@ def goal_behind(field: Field, x: float, target: float) -> float | None:
 
 
 def without(field: Field, sole: Array, radius: float) -> Field:
-    """The same ground, of which a disc carries nothing, since it gave way under a foot.
+    """Return the field with a disc that carries no foot, where the ground gave way.
 
     Args:
         field: The strip.
-        sole: (3,) [m] {strip} underside of the foot: as low as it went, the ground under it is at the most.
-        radius: [m] within which no foot shall stand; the ground is lower in the inner part of the disc.
+        sole: (3,) [m] {strip} underside of the foot; the ground under it is at most this high.
+        radius: [m] of the disc; the ground is lowered in the inner part of the disc.
     """
     nx, ny = field.evaluation.shape
     x0, y0 = field.corner
@@ -60,7 +62,10 @@ def without(field: Field, sole: Array, radius: float) -> Field:
 
 
 def bare(field: Field) -> NDArray[np.bool_]:
-    """Which (nx,) rows of cells across carry a foot only here and there; none beyond what is known or at the strip's end."""
+    """Return which (nx,) rows of cells carry a foot only in some places.
+
+    Rows beyond the known ground and at the end of the strip do not count.
+    """
     y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
     band = field.evaluation[:, np.abs(y) <= _HALF_WIDTH]
     known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > _KNOWN)

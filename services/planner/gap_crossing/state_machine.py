@@ -1,6 +1,7 @@
-"""The deliberate crossing of Masri 2016, step by step: stop, raise the body, look, plan a section, walk it, and again.
+"""State machine of the gap crossing: stop, look, plan a section, walk it.
 
-Pure: time, pose and maps come in, what to do next comes out. Section 4.7 (the look) and chapter 5 of the thesis.
+It repeats these stages until the robot stands behind the gap. It has no side effects: time, pose and maps are inputs, the next
+action is the output. Source: Masri 2016, section 4.7 (the look) and chapter 5.
 """
 
 from collections.abc import Callable
@@ -24,34 +25,34 @@ from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.runtime.stopwatch import stopwatch_ns
 from sextant.shared.wire.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
 
-STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
-BEHIND = 0.5  # [m] of it behind the body
-_REQUEST_NS = 400_000_000  # [ns] between two requests of the map
-_AHEAD_NS = 1_000_000_000  # [ns] by which a map may seem to be of later
-_STILL_NS = 700_000_000  # [ns] at rest before a map counts: the scans of this place are in it
-_PATIENCE_NS = 6_000_000_000  # [ns] that a map may take to come
-_LOOKS = 3  # at one stop, at most
-_WORTH = 60  # cells that a look must show
-_LEAST_WORTH = 20  # likewise, once no way was found for want of seeing
-_RISE = 0.01  # [m] from which a look is from higher up
-_BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m] and [rad] from where it looked off, and tries to get there
-_NEARLY = 0.02  # [m] short of its goal where a section has come to it
-_ASIDE, _TURNED = 0.30, np.radians(10.0)  # [m] and [rad] off the strip, from which the robot is elsewhere
-_POSE_S = 2.0  # [s] for raising the body and lowering it
-_PER_TICK = 4_000  # expansions for each message of the actuator, 25 a second: a core does as many meanwhile, 100 000 a second
-_OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
-ATTEMPTS = 8  # attempts at planning a section, each with other samples
-PLANNINGS = 3  # plannings at one place of the body, within
-_SAME_PLACE = 0.03  # [m], before it says that there is no way
-_YIELDED = 0.055  # [m] around a foot that found nothing, where ground is taken to carry none
-_SUNK = 0.012  # [m] of a standing foot below the mapped ground, from which that ground has given way
+STRIP = (2.7, 1.0)  # [m] length and width of the requested map; Masri 2016, section 4.4
+BEHIND = 0.5  # [m] of the map behind the body
+_REQUEST_NS = 400_000_000  # [ns] between two map requests
+_AHEAD_NS = 1_000_000_000  # [ns] by which the stamp of a map may lie in the future
+_STILL_NS = 700_000_000  # [ns] of rest before a map counts, so that it contains the scans from this place
+_PATIENCE_NS = 6_000_000_000  # [ns] maximum time to wait for a map
+_LOOKS = 3  # maximum number of looks at one stop
+_WORTH = 60  # minimum number of cells that a look must reveal
+_LEAST_WORTH = 20  # the same, after the search found no path because of unseen ground
+_RISE = 0.01  # [m] from which a look counts as raised
+_BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m], [rad] tolerance and attempts of the return from a look
+_NEARLY = 0.02  # [m] distance from its goal at which a section counts as complete
+_ASIDE, _TURNED = 0.30, np.radians(10.0)  # [m] and [rad] off the strip, from which the robot counts as being elsewhere
+_POSE_S = 2.0  # [s] duration of raising or lowering the body
+_PER_TICK = 4_000  # expansions per actuator message, 25 messages a second: 100 000 a second, the capacity of a core
+_OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] from a standing foot to its planned foothold, from which the robot plans again
+ATTEMPTS = 8  # attempts to plan a section, each with other samples
+PLANNINGS = 3  # maximum number of plannings at one place
+_SAME_PLACE = 0.03  # [m] radius of one place of the body
+_YIELDED = 0.055  # [m] around a foot without ground, where ground counts as no foothold
+_SUNK = 0.012  # [m] from the mapped ground down to a standing foot, from which the ground has given way
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
-    """The robot as it is, or will be when the running step is over."""
+    """Robot as it is, or as it will be when the running step is over."""
 
     body: Array  # (4, 4) {world}
     feet: Array  # (6, 3) [m] {world} foot centres
@@ -59,28 +60,28 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Nothing to do now, and why."""
+    """No action now, with the reason."""
 
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Over:
-    """The robot stands behind the gap."""
+    """Final: the robot stands behind the gap."""
 
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """There is no way across, and why."""
+    """Final: the gap cannot be crossed, with the reason."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """A step to be sent."""
+    """A step to send."""
 
     stride: Stride
     number: int
@@ -89,24 +90,24 @@ class Move:
 
 
 class Sections(Protocol):
-    """Who plans sections; `Roadmap` does."""
+    """A planner of sections, implemented by `Roadmap`."""
 
     @property
     def edges(self) -> Array:
-        """(n, 2, 3) [m] {strip} of the tree."""
+        """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
     def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
-        """Start anew."""
+        """Start a new search."""
         ...
 
     def grow(self, expansions: int) -> Crossing | NoWay | None:
-        """Go on; None while nothing is decided."""
+        """Continue the search; return None while it is undecided."""
         ...
 
 
 class Errand:
-    """One passage, from where the robot stands before the gap until it stands behind it."""
+    """One gap crossing, from the stance before the gap to a stance behind it."""
 
     def __init__(
         self,
@@ -118,16 +119,16 @@ class Errand:
         yielded: list[Array],
         stopwatch: Callable[[], int] = stopwatch_ns,
     ):
-        """Begin where the robot stands.
+        """Start from the robot's current stance.
 
         Args:
             profile: The robot.
-            settings: Of the planner.
-            roadmap: The planner of sections.
-            standing: How the robot stands, facing the way across.
-            target: (2,) [m] {world} where it is to get, straight ahead.
-            yielded: (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was; it adds to them.
-            stopwatch: [ns] measures how long planning takes, for the report.
+            settings: Settings of the planner.
+            roadmap: Planner of sections.
+            standing: Robot before the gap, facing across.
+            target: (2,) [m] {world} goal, straight ahead.
+            yielded: (3,) [m] {world} undersides of feet that found no ground, or lower ground; this class appends to the list.
+            stopwatch: [ns] clock for the planning time in the report.
         """
         self._profile, self._settings, self._roadmap, self._stopwatch = profile, settings, roadmap, stopwatch
         self._target = target.copy()
@@ -136,57 +137,57 @@ class Errand:
         origin = xy - BEHIND * np.array([np.cos(self.heading), np.sin(self.heading)])
         self._T_world_strip = from_xyz_rpy((*origin, 0.0), (0.0, 0.0, self.heading))
         self._stage: Stage = "survey"
-        self._since_ns = -1  # when it came to rest
+        self._since_ns = -1  # when the robot came to rest
         self._asked_ns = -1
         self._looks = 0
         self._section = 0
-        self._seed = ATTEMPTS  # of the section: so many attempts have been made
+        self._seed = ATTEMPTS  # number of attempts for the section
         self._map_ns = -1  # of the map that was used last
         self._field: Field | None = None
-        self._base = 0  # number of the step before the section's first
+        self._base = 0  # number of the step before the first step of the section
         self._steps: tuple[PassageStep, ...] = ()
-        self._pending: Move | None = None  # of the body alone, until the legs begin it
+        self._pending: Move | None = None  # a step of the body alone, until the actuator begins it
         self._walking_pose: Array = standing.body
         self._yielded, self._trail = yielded, Trail()
-        self._newest_step = -1  # of the actuator
+        self._newest_step = -1  # newest step number of the actuator
         self._worth, self._returns = _WORTH, 0
-        self._because = ""  # why the newest section was not walked to its end, in words
-        self._gave_way = ""  # which feet found nothing in this section, in words
-        self._touch_ns: NDArray[np.int64] | None = None  # what was felt before does not count
-        self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
+        self._because = ""  # why the last section was not completed
+        self._gave_way = ""  # which feet found no ground in this section
+        self._touch_ns: NDArray[np.int64] | None = None  # earlier touches do not count
+        self._tried: list[Array] = []  # (2,) [m] {world} body places of previous plannings
         self._begun_ns = -1
-        self._stopped = ""  # why the newest planning found no way, in words
-        self._walks = ""  # what the steps that it walks, or has walked last, are, in words
-        self._goal = 0.0  # [m] {strip} of the section
-        self._planning_ns = 0  # measured
+        self._stopped = ""  # why the last planning found no path
+        self._walks = ""  # name of the steps that are executed or were executed last
+        self._goal = 0.0  # [m] {strip} goal of the section
+        self._planning_ns = 0  # measured planning time
         self._report: PassagePlan | None = None
 
     @property
     def report(self) -> PassagePlan | None:
-        """What the newest planning came to, once."""
+        """Return the result of the last planning, once."""
         report, self._report = self._report, None
         return report
 
     @property
     def walked(self) -> bool:
-        """Whether there was anything to cross, and a way."""
+        """Return whether there was a gap and a path across it."""
         return self._walks != ""
 
     def request(self, now_ns: int) -> PassageRequest | None:
-        """The request for the map of the strip, when it is time to repeat it."""
+        """Return a request for the map of the strip when it is due, else None."""
         if 0 <= now_ns - self._asked_ns < _REQUEST_NS:
             return None
         self._asked_ns = now_ns
         return PassageRequest(now_ns, self._T_world_strip[:2, 3].copy(), self.heading, *STRIP)
 
     def advance(self, state: ActuatorState, standing: Standing, map_: PassageMap | None, refused: str) -> "Outcome":
-        """What to do now.
+        """Return the next action.
 
         Args:
-            state: What the legs do.
-            standing: How the robot stands when the running step is over.
-            map_: The newest map of the strip.
-            refused: Why the actuator did not take the step that was sent last, in words, or nothing.
+            state: State of the actuator.
+            standing: Robot when the running step is over.
+            map_: Newest map of the strip.
+            refused: Why the actuator refused the last step, or "".
         """
         resting = _rests(state)
         self._since_ns = (state.stamp_ns if self._since_ns < 0 else self._since_ns) if resting else -1
@@ -198,7 +199,7 @@ class Errand:
         if self._pending is not None and state.step < self._pending.number:
             if not refused:
                 return self._pending
-            self._looks = _LOOKS  # no further look; what is known must do
+            self._looks = _LOOKS  # no further look: the known ground must suffice
         self._pending = None
         if self._stage == "walk":
             return self._walk(state, standing, refused)
@@ -213,7 +214,10 @@ class Errand:
     # ------------------------------------------------------------------------------------------------- looking
 
     def _look(self, state: ActuatorState, standing: Standing, map_: PassageMap | None) -> "Outcome":
-        """Wait for a map made at rest; where another view would show more, take it; then go back to walking height."""
+        """Wait for a map taken at rest, then plan.
+
+        If another view would reveal more, look from there first and return to the walking height.
+        """
         still_ns = state.stamp_ns - self._since_ns
         newest, latest = max(self._since_ns + _STILL_NS, self._map_ns + 1), state.stamp_ns + _AHEAD_NS
         came = map_ is not None and newest <= map_.stamp_ns <= latest
@@ -238,7 +242,10 @@ class Errand:
         return self._enter("plan", Wait("planning"))
 
     def _return(self, state: ActuatorState, standing: Standing) -> "Outcome":
-        """Go back from a look to where the robot stood, once more if it did not get there; then plan."""
+        """Return from a look to the stance before it, then plan.
+
+        The return is repeated once if the robot missed the pose.
+        """
         off = inverse(self._walking_pose) @ standing.body
         back = np.linalg.norm(off[:3, 3]) < _BACK and np.abs(rpy_from_rotation(off[:3, :3])).max() < _BACK_TURN
         if back or self._returns >= _RETURNS:
@@ -247,7 +254,7 @@ class Errand:
         return self._enter("return", self._pose(state, standing, self._walking_pose, "back from the look"))
 
     def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
-        """A step in which the body alone moves."""
+        """Return a step in which only the body moves."""
         nobody = np.zeros(6, dtype=np.bool_)
         stride = Stride(
             nobody, standing.feet, standing.feet[:, :2], np.zeros(6), body, body, standing.feet, 0, 1.0, _POSE_S, GOOD
@@ -256,7 +263,7 @@ class Errand:
         return self._pending
 
     def _feel(self, state: ActuatorState) -> None:
-        """Remember where a foot found nothing to stand on."""
+        """Record places where a foot found no ground."""
         before, self._touch_ns = self._touch_ns, state.touch_ns.copy()
         if before is None:
             return
@@ -266,7 +273,10 @@ class Errand:
             self._gave_way = f"no ground under the {' and '.join(LEGS[leg] for leg in new)} foot"
 
     def _marked(self, field: Field, feet: Array) -> Field:
-        """The same ground, without what gave way under a foot, and as low as feet (6, 3) [m] {strip} stand in it by now."""
+        """Return the field updated by touch.
+
+        Ground that gave way under a foot carries none. Ground is no higher than the feet (6, 3) [m] {strip} that stand on it.
+        """
         gone = [apply(field.T_strip_world, place) for place in self._yielded]
         soles = feet - [0.0, 0.0, self._profile.foot.radius]
         on_gone = [any(np.hypot(*(sole - place)[:2]) < _YIELDED for place in gone) for sole in soles]
@@ -281,7 +291,7 @@ class Errand:
     # ------------------------------------------------------------------------------------------------- planning
 
     def _plan(self, state: ActuatorState, standing: Standing) -> "Outcome":
-        """Grow the roadmap by as much as there is time for; a section that is found is walked."""
+        """Grow the roadmap within the time budget; walk a section once it is found."""
         assert self._field is not None
         root = self._in_strip(standing)
         if self._begun_ns < 0:
@@ -310,14 +320,14 @@ class Errand:
             return Wait(f"planning section {self._section} of the passage")
         self._begun_ns = -1
         if isinstance(found, NoWay) and found.closer is not None and self._seed == ATTEMPTS:
-            found = found.closer  # once other samples have found nothing either: it may be a dead end
+            found = found.closer  # after all attempts have failed: it may be a dead end
         self._report = self._tell(state.stamp_ns, found)
         self._stopped = found.reason if isinstance(found, NoWay) else ""
         if isinstance(found, NoWay):
             if self._seed < ATTEMPTS:
                 return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
             if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
-                self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that shows little may do
+                self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that reveals little may be enough
                 return self._enter("survey", Wait(f"looking at the passage{self._because}"))
             back = self._trail.back([apply(self._field.T_strip_world, place) for place in self._yielded], _YIELDED)
             if back:
@@ -329,19 +339,25 @@ class Errand:
         return self._set_out(found.steps, state, f"walking section {self._section} of the passage: {len(found.steps)} steps")
 
     def _look_anew(self, found: NoWay, xy: Array) -> "Outcome":
-        """Where there was no way plan once more on a map that more scans have made better, so often and no more."""
+        """Plan again on a map with more scans, up to `PLANNINGS` times at one place.
+
+        Use this where no path was found.
+        """
         if self._plannings_at(xy) < PLANNINGS:
             self._because = f" again: {found.reason}"
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
-        """Walk steps from here, saying so in words."""
+        """Start to walk steps; `words` is the reason for the status."""
         self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, ATTEMPTS, _WORTH
         return self._enter("walk", Wait(words))
 
     def _once_more_here(self, xy: Array) -> str:
-        """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
+        """Record that a section starts at a place (2,) [m] {world}.
+
+        Return why another attempt there is useless, or "".
+        """
         if self._plannings_at(xy) >= PLANNINGS:
             words = f"after {PLANNINGS} plannings at one place the robot does not get on"
             return f"{words}: {self._stopped}" if self._stopped else words
@@ -349,7 +365,7 @@ class Errand:
         return ""
 
     def _plannings_at(self, xy: Array) -> int:
-        """How often a section was planned at a place (2,) [m] {world}."""
+        """Return how often a section was planned at a place (2,) [m] {world}."""
         return sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried)
 
     def _in_strip(self, standing: Standing) -> Stance:
@@ -360,22 +376,25 @@ class Errand:
         return float(apply(inverse(self._T_world_strip), np.array([*xy, 0.0]))[0])
 
     def _enter(self, stage: Stage, first: "Outcome") -> "Outcome":
-        """Go on to another stage, which has to come to rest anew."""
+        """Enter another stage; the robot must come to rest again first."""
         self._stage, self._since_ns = stage, -1
         return first
 
     # ------------------------------------------------------------------------------------------------- walking
 
     def _walk(self, state: ActuatorState, standing: Standing, refused: str) -> "Outcome":
-        """Send the section's next step; where the legs are not as planned, or it is over, stop and look again."""
+        """Return the next step of the section.
+
+        If it is complete, or the feet are not where planned, stop and look again.
+        """
         assert self._field is not None
         resting = _rests(state)
-        done = state.step - self._base  # steps of the section that have begun, or are over
+        done = state.step - self._base  # number of steps of the section that have begun or are over
         why = self._astray(standing, min(done, len(self._steps)))
         if why and resting and done > 0 and not self._astray(standing, done - 1):
             if state.stamp_ns - self._since_ns < _STILL_NS:
                 return Wait("a foot had no hold; standing")
-            # The step was not taken: some foot had to find its ground first. It is due again.
+            # The step was not taken, because some foot had to find its ground first. It is due again.
             self._base, done, why = self._base + 1, done - 1, ""
         why = self._gave_way or refused or why
         if done >= len(self._steps) or why:
@@ -386,14 +405,14 @@ class Errand:
             self._trail.ended(done)
             self._because = f" again: {why}" if why else ""
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
-        if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1 without rest a foot looks for its ground
+        if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1, a foot searches for ground
             return Wait(self._words(done))
         return Move(
             self._stride(standing, self._steps[done]), state.step + 1, done == len(self._steps) - 1, self._words(done + 1)
         )
 
     def _stride(self, standing: Standing, step: PassageStep) -> Stride:
-        """A step of the section as it crosses the wire."""
+        """Return a step of the section as a step in {world}."""
         assert self._field is not None
         T = self._field.T_world_strip
         swing = np.arange(6) == step.leg
@@ -408,7 +427,10 @@ class Errand:
         return Stride(swing, touchdown, touchdown[:, :2], clearance, body, body, standing.feet, 0, 1.0, duration, GOOD)
 
     def _astray(self, standing: Standing, done: int) -> str:
-        """Which foot will not stand where the plan has it after so many steps, in words, or nothing."""
+        """Return which foot stands away from its planned foothold, or "".
+
+        `done` is the number of completed steps of the section.
+        """
         assert self._field is not None
         feet = apply(self._field.T_strip_world, standing.feet)
         newest = {step.leg: step for step in self._steps[:done] if step.leg >= 0}
@@ -420,7 +442,7 @@ class Errand:
         return ""
 
     def _sunk(self, standing: Standing, done: int) -> list[Array]:
-        """Undersides (3,) [m] {world} of feet that stand lower than the ground was: it has given way."""
+        """Return undersides (3,) [m] {world} of feet where the ground gave way."""
         assert self._field is not None
         feet = apply(self._field.T_strip_world, standing.feet)
         newest = {step.leg: step for step in self._steps[:done] if step.leg >= 0}
@@ -431,14 +453,14 @@ class Errand:
         return f"passage, {self._walks}: step {step} of {len(self._steps)}"
 
     def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
-        """What planning came to, for everybody."""
+        """Return the message with the planning result."""
         assert self._field is not None
         T, edges = self._field.T_world_strip, self._roadmap.edges
         return told(stamp_ns, self._section, found, T, self._goal, edges, self._planning_ns * 1e-9)
 
 
 def _rests(state: ActuatorState) -> bool:
-    """Whether no step is walked, and no foot looks for its ground."""
+    """Return whether no step is executed and no foot searches for ground."""
     return state.phase >= 1.0 and state.mode is Mode.HOLD
 
 

@@ -1,4 +1,4 @@
-"""What the search sees of a strip: heights, evaluation function, and where it lies."""
+"""Strip map for the search: heights, evaluation function and pose."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,9 +12,10 @@ from sextant.shared.wire.messages import UNKNOWN, PassageMap
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A strip {strip}: x along it, y to the left, z up; the origin in the middle of its near side, on world height 0.
+    """A strip with frame {strip}: x along it, y to the left, z up.
 
-    Cell (i, j) is centred at resolution * (i + 1/2, j + 1/2 - ny / 2).
+    The origin is in the middle of its near side at world height 0. Cell (i, j) is centred at
+    resolution * (i + 1/2, j + 1/2 - ny / 2).
     """
 
     elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}, NaN where unknown
@@ -31,7 +32,7 @@ class Field:
 
     @classmethod
     def of(cls, passage: PassageMap) -> "Field":
-        """The field of a surveyed strip."""
+        """Convert the mapper's passage map."""
         along = np.array([np.cos(passage.heading), np.sin(passage.heading)])
         left = np.array([-along[1], along[0]])
         ny = passage.elevation.shape[1]
@@ -42,17 +43,20 @@ class Field:
 
     @cached_property
     def T_strip_world(self) -> Array:
-        """(4, 4) inverse of `T_world_strip`."""
+        """Return the inverse (4, 4) of `T_world_strip`."""
         return inverse(self.T_world_strip)
 
     @property
     def corner(self) -> tuple[float, float]:
-        """Centre of cell (0, 0) [m] {strip}."""
+        """Return the centre of cell (0, 0) [m] {strip}."""
         return 0.5 * self.resolution, 0.5 * self.resolution * (1 - self.elevation.shape[1])
 
     @cached_property
     def top(self) -> NDArray[np.float32]:
-        """(nx, ny) [m] highest known ground of each cell and its eight neighbours, -inf where none is known."""
+        """Return the highest known ground (nx, ny) [m] of each cell and its neighbours.
+
+        It is -inf where nothing is known.
+        """
         h = np.where(np.isnan(self.elevation), np.float32(-np.inf), self.elevation)
         for axis in range(2):
             out = h.copy()
@@ -64,21 +68,25 @@ class Field:
         return np.ascontiguousarray(h)
 
     def lowest_at(self, place: Array) -> float:
-        """Lowest known ground [m] in the 3x3 cells around a place (2+,) [m] {strip}, NaN where none is known."""
+        """Return the lowest known ground [m] around a place (2+,) [m] {strip}, or NaN.
+
+        The 3x3 cells around the place count.
+        """
         i, j = np.rint((place[:2] - self.corner) / self.resolution).astype(np.int64)
         around = self.elevation[max(i - 1, 0) : max(i + 2, 0), max(j - 1, 0) : max(j + 2, 0)]
         known = around[np.isfinite(around)]
         return float(known.min()) if known.size else np.nan
 
     def known_until(self, start: float, half_width: float, least: float) -> float:
-        """How far [m] there is ground that is known, from a place on: to the last row of cells of which a share is.
+        """Return the end [m] of the known ground from a place on.
 
-        What lies before may hold cells that nobody has seen, as the floor of a gap behind its edge: no foot goes there.
+        It is the end of the last row with a sufficient share of known cells. Rows before it may have unseen cells, such as the
+        floor of a gap behind its edge. No foot goes there.
 
         Args:
-            start: [m] from where.
+            start: [m] start of the search.
             half_width: [m] of the band around the middle line that counts.
-            least: [1] share of the row in it.
+            least: [1] minimum known share of a row in the band.
         """
         nx, ny = self.elevation.shape
         y = (np.arange(ny) + 0.5) * self.resolution - 0.5 * ny * self.resolution

@@ -1,4 +1,4 @@
-"""Whether a map of a passage is one of the strip that was asked for, and can be believed."""
+"""Validation of a strip map: the requested strip, with plausible content."""
 
 import numpy as np
 
@@ -6,19 +6,19 @@ from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
 from sextant.shared.wire.messages import PassageMap
 
-_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
-_SAME_PLACE, _SAME_WAY = 0.5, 1e-3  # [cells] and [rad] by which a strip may lie off the one that was asked for
-_LOOK_AWAY = 0.2  # [m] from where the body is, at most, and
-_LOOK_TURNED = np.radians(25.0)  # [rad] about any axis
+_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest plausible cells
+_SAME_PLACE, _SAME_WAY = 0.5, 1e-3  # [cells] and [rad] maximum offset from the requested strip
+_LOOK_AWAY = 0.2  # [m] maximum distance of a look from the body's pose
+_LOOK_TURNED = np.radians(25.0)  # [rad] maximum turn about any axis
 
 
 def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float]) -> str:
-    """What is wrong with a map, in words, or nothing.
+    """Return why a map is invalid, or "".
 
     Args:
-        map_: As it came.
-        T_world_strip: (4, 4) of the strip that was asked for.
-        size: [m] its length and width.
+        map_: The received map.
+        T_world_strip: (4, 4) requested strip.
+        size: [m] requested length and width.
     """
     if map_.elevation.size == 0:
         return map_.reason or "it holds no cell"
@@ -40,7 +40,7 @@ def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float])
 
 
 def is_near(T_world_look: Array, T_world_body: Array) -> bool:
-    """Whether a pose for a look (4, 4) can be taken from where the body stood to begin with (4, 4), and left again."""
+    """Return whether a look's pose (4, 4) is near the body's initial pose (4, 4)."""
     move = inverse(T_world_body) @ T_world_look
     turn = np.abs(rpy_from_rotation(move[:3, :3])).max()
     return bool(np.linalg.norm(move[:3, 3]) <= _LOOK_AWAY and turn <= _LOOK_TURNED)

@@ -1,8 +1,8 @@
-"""Walking without a map: the ground is taken for the plane of the feet, and every foot comes down until it touches.
+"""Walking without a map: the ground is assumed to be the plane of the feet.
 
-The actuator stops a foot where it meets ground. So a touchdown is planned lower than the ground is expected, as low as the leg
-reaches within reason, and higher ground stops the foot on its way. Nothing is known ahead: steps are short and slow, feet go
-high, and the next step is planned when all six feet stand and have been measured.
+Every foot descends until it touches. The actuator stops a foot where it meets ground. So a touchdown is planned below the
+expected ground, up to 5 cm and within the reach of the leg. Higher ground stops the foot earlier. The terrain ahead is unknown:
+steps are short and slow, feet go high, and the next step is planned after all six feet stand and have been measured.
 """
 
 from collections.abc import Set
@@ -19,18 +19,18 @@ from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import VelocityCommand
 
-_DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
-_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] of the ground ahead that must be seen, by
-_SEEN = 0.4  # [1] share of it, and
-_LEVEL = 0.10  # [m] within which its middle height must lie of the plane of the feet
-_FOLLOWED = 0.3  # share of the way to the slope of the newest feet by which the body leans with them
+_DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
+_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] region of the ground ahead that must be seen
+_SEEN = 0.4  # [1] share of it that must be seen
+_LEVEL = 0.10  # [m] maximum difference between its median height and the plane of the feet
+_FOLLOWED = 0.3  # [1] share by which the body follows the slope of the newest feet in each step
 
 
 class ByTouch:
-    """Plans steps over ground that nobody sees."""
+    """Plans steps over ground that the camera does not see."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Plan for a robot."""
+        """Initialize for a robot."""
         self._profile = profile
         self._settings = settings
         front, middle, rear = (settings.touch_width * radius for radius in profile.stance.foot_radius_from_coxa)
@@ -43,26 +43,26 @@ class ByTouch:
         self._strides = StridePlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:
-        """What can be walked of a command: feet go high."""
+        """Return the command with the higher lift of walking by touch."""
         return replace(command, lift=max(command.lift, self._settings.touch_lift))
 
     def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
-        """The ground that feet (6, 3) [m] {world}, which all stand, let expect."""
+        """Return the expected ground for standing feet (6, 3) [m] {world}."""
         return plane_of(stamp_ns, feet - [0.0, 0.0, self._profile.foot.radius])
 
     def underfoot(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
-        """The same ground with what is unseen where the robot was put down taken for the plane of its feet.
+        """Return the map with unseen cells near the start replaced by the feet's plane.
 
-        The camera sees nothing so near, wherever it looks.
+        The camera cannot see ground so close to the robot, in any direction.
 
         Args:
             terrain: The newest map.
             feet: (6, 3) [m] {world} foot centres, all standing.
-            put_down: (2,) [m] {world} where the robot stood before its first step.
-            course: [rad] {world} where it is to walk.
+            put_down: (2,) [m] {world} position of the robot before its first step.
+            course: [rad] {world} direction of motion.
 
         Returns:
-            None where the ground ahead is not seen either, or lies elsewhere than the plane.
+            The map; None if the ground ahead is also unseen, or does not lie in that plane.
         """
         xy, height, slope = plane_through(feet - [0.0, 0.0, self._profile.foot.radius])
         ahead = np.array([np.cos(course), np.sin(course)])
@@ -88,12 +88,14 @@ class ByTouch:
     def choose(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
     ) -> tuple[Stride | Blocked, int]:
-        """The next step and the number of its way, or why there is none: legs that are not due may take it, too.
+        """Return the next step and the number of its way, or why there is none.
+
+        Legs that are not due may also swing.
 
         Args:
-            situations: What it may begin with, the legs most due first.
-            terrain: The ground that is expected.
-            refused: Ways that are not to be tried.
+            situations: Possible starts of the step, the most due legs first.
+            terrain: The expected ground.
+            refused: Ways that must not be tried.
         """
         found, way = self._strides.choose(situations, terrain, refused)
         if isinstance(found, Blocked) or not found.swing.any():
@@ -102,10 +104,10 @@ class ByTouch:
         return self._lowered(self._along(found, begin)), way
 
     def _along(self, stride: Stride, at: Situation) -> Stride:
-        """The same step with the body along the plane of the feet, averaged over a few steps.
+        """Return the step with the body parallel to the feet, averaged over a few steps.
 
-        Nothing tells where down is: each foothold is measured with an error, and a body that is held level by them tilts by the
-        sum of those errors. Along its feet it lies as the ground does.
+        There is no gravity reference here. Each foothold has a measurement error. A body that is kept level by footholds tilts
+        by the sum of these errors. A body that is parallel to its feet follows the ground.
         """
         level = from_xyz_rpy(stride.body_goal[:3, 3], (0.0, 0.0, yaw_of(stride.body_goal)))
         slope = slope_under(at.feet, level)
@@ -115,7 +117,10 @@ class ByTouch:
         return replace(stride, body_goal=goal) if self._strides.reached(stride.touchdown, goal).all() else stride
 
     def _lowered(self, stride: Stride) -> Stride:
-        """The same step with its feet sent as far below the ground that is expected as their legs reach."""
+        """Return the step with its touchdowns lowered as far as the legs reach.
+
+        `_DEPTHS` lists the depths below the expected ground.
+        """
         touchdown = stride.touchdown.copy()
         for depth in _DEPTHS:
             lower = stride.touchdown - [0.0, 0.0, depth]

@@ -1,4 +1,4 @@
-"""How high the body goes, by Lotriet's floor height (section 6.4), and how it leans where level legs would not reach."""
+"""Body height from Lotriet's floor height (section 6.4), and lean for reach."""
 
 import numpy as np
 
@@ -7,17 +7,22 @@ from sextant.shared.geometry import Array, apply, inverse, rotation_from_rpy, tr
 
 
 def floor_height(ground: Array) -> float:
-    """Mean of the three highest of (6,) [m] {world} footholds (Lotriet 2024, section 6.4)."""
+    """Return the mean of the three highest of (6,) [m] {world} footholds.
+
+    Source: Lotriet 2024, section 6.4.
+    """
     return float(np.sort(ground)[-3:].mean())
 
 
 def clear_of_ground(floor: float, terrain: Terrain, T_world_body: Array, size: tuple[float, float, float]) -> float:
-    """The floor raised to the highest ground under the body's bounding box, legs left out (Lotriet 2024, section 6.4).
+    """Return the floor raised to the highest ground under the body's rectangle.
+
+    Ground under the legs does not count (Lotriet 2024, section 6.4).
 
     Args:
         floor: [m] {world} floor height by the footholds.
         terrain: The map.
-        T_world_body: (4, 4) where the body will be.
+        T_world_body: (4, 4) body pose at the end of the step.
         size: [m] length, width and height of the body.
     """
     half = np.array(size[:2]) / 2
@@ -27,7 +32,7 @@ def clear_of_ground(floor: float, terrain: Terrain, T_world_body: Array, size: t
 
 
 def slope_under(stance: Array, T_world_body: Array) -> Array:
-    """Roll and pitch (2,) [rad] with which a body would lie parallel to the plane through the ground under the feet.
+    """Return roll and pitch (2,) [rad] of the plane through the ground under the feet.
 
     Args:
         stance: (6, 3) [m] {world} ground under the feet.
@@ -40,6 +45,9 @@ def slope_under(stance: Array, T_world_body: Array) -> Array:
 
 
 def leaning(T_world_body: Array, lean: Array, stoop: float) -> Array:
-    """A level body (4, 4) that leans by roll and pitch (2,) [rad] and is lower by a stoop [m]."""
+    """Return a level body pose (4, 4) with a lean and a lower height.
+
+    The lean is roll and pitch (2,) [rad]; `stoop` [m] lowers the body.
+    """
     R = rotation_from_rpy([*lean, yaw_of(T_world_body)])
     return transform(R, T_world_body[:3, 3] - [0.0, 0.0, stoop])

@@ -1,6 +1,6 @@
-"""The nearest cell that carries a foot: Lotriet's semi-radial search, with his constraints of reach and stability.
+"""Foothold search: Lotriet's semi-radial search with limits of reach and distance.
 
-The thesis searches squares of growing size, so a corner cell may win over a nearer one; here cells are tried in the order of
+The thesis searches squares of growing size, so a corner cell may win over a nearer one. Here cells are tried in the order of
 their true distance (Lotriet 2024, section 6.3).
 """
 
@@ -20,23 +20,26 @@ Reachable = Callable[[Array], NDArray[np.bool_]]
 
 @dataclass(frozen=True, slots=True)
 class Foothold:
-    """Where a foot shall stand."""
+    """A place for a foot."""
 
-    p_world: Array  # (3,) [m] the ground under it
+    p_world: Array  # (3,) [m] ground under the foot
     moved: float  # [m] from its nominal place
-    room: float  # how good it is, see `Terrain.suitability`
+    room: float  # suitability, see `Terrain.suitability`
 
 
 @dataclass(frozen=True, slots=True)
 class NoFoothold:
-    """Why there is none, in words."""
+    """Reason why there is no foothold."""
 
     reason: str
-    unseen: bool = False  # most of the cells that were tried have not been seen
+    unseen: bool = False  # most of the candidate cells are unseen
 
 
 def offsets_by_distance(radius: float, resolution: float) -> Array:
-    """Offsets (n, 2) [m] of all cells within a radius, the nearest first; equal distances in a fixed order."""
+    """Return offsets (n, 2) [m] of all cells within a radius, the nearest first.
+
+    Equal distances have a fixed order.
+    """
     n = int(np.ceil(radius / resolution))
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
     offsets = np.stack([i.ravel(), j.ravel()], axis=1)
@@ -49,7 +52,9 @@ def offsets_by_distance(radius: float, resolution: float) -> Array:
 def nearest_foothold(
     terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
 ) -> Foothold | NoFoothold:
-    """The best foothold around a nominal one, of those alike the nearest: `Terrain.suitability` tells good ones from poor ones.
+    """Find the most suitable foothold near a nominal one; of equals, the nearest.
+
+    `Terrain.suitability` rates the places.
 
     Args:
         terrain: The map.
@@ -57,12 +62,12 @@ def nearest_foothold(
         offsets: (n, 2) [m] of the cells to try, in order; the first is (0, 0).
         others: (k, 2) [m] {world} feet to keep away from.
         min_distance: [m] from them.
-        reachable: Tells of (m, 3) [m] {world} points on the ground which the leg reaches.
+        reachable: Returns (m,) for points (m, 3) [m] {world} on the ground whether the leg reaches them.
 
     Returns:
-        The foothold, or how many cells failed which test.
+        The foothold, or the number of cells that failed each test.
     """
-    # Where nothing speaks against it, the foot lands where the gait wants it; that is the rule, so it is looked at first.
+    # The nominal place is usually good, so it is tried alone first.
     found = _search(terrain, nominal[None], others, min_distance, reachable)
     if isinstance(found, Foothold):
         return found
@@ -73,7 +78,10 @@ def nearest_foothold(
 def _search(
     terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
 ) -> Foothold | NoFoothold:
-    """The one of (n, 2) [m] {world} places that carries a foot and is nearest to the nominal one, None for the first."""
+    """Return the best of (n, 2) [m] {world} places, the nearest to the nominal one.
+
+    Without a nominal place, return the first of the best.
+    """
     suitability = terrain.suitability(xy)
     footing = terrain.footing(xy)
     unknown = np.isnan(suitability) | ~np.isfinite(footing)
@@ -87,7 +95,7 @@ def _search(
     if within.any():
         if nominal is None:
             return Foothold(points[int(np.argmax(within))], 0.0, best)
-        # The cells lie around the nominal place's cell, not around itself: their order is theirs, the distance is judged anew.
+        # The cells are ordered around the centre of the nominal cell, so the distance from the nominal place is computed again.
         moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
         nearest = int(np.argmin(moved))
         return Foothold(points[nearest], float(moved[nearest]), best)

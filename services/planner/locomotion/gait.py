@@ -1,8 +1,8 @@
-"""Which legs swing, and where they would like to land: gaits as groups of legs that swing together.
+"""Gaits: groups of legs that swing together, their order and their touchdowns.
 
-Lotriet's tripod gait (2024, section 5.3) with its active sextant and its inversion of the supporting legs, said of any number
-of groups: a step swings one group, a cycle is as many steps as there are groups, and between two swings of its own a leg
-stands for all the others. A gait may change at every step, since the legs alone say which of them is due.
+This is Lotriet's tripod gait (2024, section 5.3), with its active sextant and its inversion of the supporting legs, generalised
+to any number of groups. A step swings one group. A cycle has one step per group. Each leg swings in one step of the cycle and
+stands in all others. The gait may change at every step, because the positions of the feet alone decide which group is due.
 """
 
 from dataclasses import dataclass
@@ -13,34 +13,34 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.wire.messages import GaitName
 
-_EVEN = 0.005  # [m] and less between two tripods is none; the smaller strides of other gaits ask for less
-_SLOWEST = 0.1  # [1] of the fastest foot's way; feet that move less than that say little
+_EVEN = 0.005  # [m] difference between two tripods that counts as none; other gaits, with shorter steps, use less
+_SLOWEST = 0.1  # [1] share of the fastest foot's motion; slower feet count as this fast
 
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """A rhythm of steps."""
+    """A cycle of steps."""
 
-    groups: tuple[tuple[int, ...], ...]  # legs that swing together, in the order in which even ones follow each other
-    pace: float  # duration of its steps, of the tripod's: the fewer legs swing, the less there is to hand over
+    groups: tuple[tuple[int, ...], ...]  # legs that swing together, in their order when all are equally due
+    pace: float  # duration of a step relative to the tripod's; fewer swinging legs need less time to hand over load
 
     @property
     def stances(self) -> int:
-        """Steps of a cycle for which a leg stands."""
+        """Return the number of steps of a cycle in which a leg stands."""
         return len(self.groups) - 1
 
     @property
     def slowness(self) -> float:
-        """Time that a way takes by strides of one length, of the tripod's."""
+        """Return the time for a distance at equal step length, relative to the tripod."""
         return self.stances * self.pace
 
     @property
     def duty(self) -> float:
-        """Share of a cycle for which a leg stands."""
+        """Return the share of a cycle in which a leg stands."""
         return self.stances / len(self.groups)
 
 
-# Opposite legs make the pairs of the ripple, so that four are left on all sides; the wave runs from the rear up either side.
+# Ripple pairs are opposite legs, so four feet stand around the body. The wave goes from rear to front on each side.
 GAITS: dict[GaitName, Gait] = {
     "tripod": Gait(((0, 2, 4), (1, 3, 5)), 1.0),
     "ripple": Gait(((1, 4), (0, 3), (2, 5)), 0.8),
@@ -49,7 +49,7 @@ GAITS: dict[GaitName, Gait] = {
 
 
 def active_sextant(direction: Array, rest_feet: Array) -> int:
-    """Index of the leg in whose sextant a direction of motion falls.
+    """Return the index of the leg whose sextant contains a direction of motion.
 
     Args:
         direction: (2,) {body} direction of motion.
@@ -62,21 +62,21 @@ def active_sextant(direction: Array, rest_feet: Array) -> int:
 
 
 def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list[NDArray[np.bool_]]:
-    """The groups of a gait as they are due to swing: that which is furthest behind along the motion first.
+    """Return the groups of a gait, the one furthest behind along the motion first.
 
-    The thesis swings the active sextant's tripod and inverts that when the active leg is already stretched beyond its nominal
-    length (5.16). One leg is a poor witness once footholds have been moved by the terrain, so here whole groups are compared;
-    where they are even the active sextant begins and the gait's own order goes on.
+    The thesis swings the active sextant's tripod. It inverts it when the active leg is already stretched beyond its nominal
+    length (5.16). On rough terrain a single leg is unreliable, because its foothold may be far from the nominal place. So whole
+    groups are compared here. Between equal groups the active sextant's group comes first, then the order of the gait.
 
     Args:
-        gait: The rhythm.
-        along: (6, 2) {body} direction in which the body moves over each foot, at most of length one; a robot that turns has
-            six of them.
+        gait: The gait.
+        along: (6, 2) {body} direction in which the body moves over each foot, at most of length one. Under rotation the six
+            directions differ.
         feet: (6, 3) [m] {body} standing feet.
         rest_feet: (6, 3) [m] {body} resting feet.
 
     Returns:
-        For each group, (6,) True for its legs.
+        For each group, (6,) flags, True for its legs.
 
     Source: Lotriet 2024, eq. (5.15) and (5.16).
     """
@@ -86,7 +86,7 @@ def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list
     waiting = [gait.groups[(first + k) % len(gait.groups)] for k in range(len(gait.groups))]
     order = []
     while waiting:
-        # Least squares of what the fastest foot has moved: near the centre of a turn a foot has little way to fall behind.
+        # Least squares relative to the fastest foot: near the centre of a turn a foot can hardly fall behind.
         lead = [float(ahead[list(legs)].sum() / moved[list(legs)].sum()) for legs in waiting]
         due = next(k for k, value in enumerate(lead) if value < min(lead) + _EVEN / gait.stances)
         order.append(np.isin(np.arange(6), waiting.pop(due)))
@@ -94,7 +94,7 @@ def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list
 
 
 def directions(velocity: Array, yaw_rate: float, rest_feet: Array) -> Array:
-    """How the body moves over each resting foot (6, 2) {body}, the fastest of length one.
+    """Return the motion of the body over each resting foot (6, 2) {body}, at most 1.
 
     Args:
         velocity: (2,) [m/s] {body} of the body.
@@ -106,7 +106,10 @@ def directions(velocity: Array, yaw_rate: float, rest_feet: Array) -> Array:
 
 
 def carried_on(T_world_body: Array, travel: Array, turn: float, steps: float) -> Array:
-    """Where a body (4, 4) is some steps later, each of which travels (2,) [m] {body} and turns [rad] on the way."""
+    """Return the body pose (4, 4) after a number of steps.
+
+    Each step travels by (2,) [m] {body} and turns by [rad] at the same time.
+    """
     whole = int(steps)
     for share in [1.0] * whole + [steps - whole]:
         half = share * turn / 2
@@ -117,16 +120,18 @@ def carried_on(T_world_body: Array, travel: Array, turn: float, steps: float) ->
 
 
 def nominal_touchdowns(rest_feet: Array, T_world_body: Array) -> Array:
-    """Where swinging feet land on unobstructed ground: at rest under the body as it will be in the middle of their stance.
+    """Return where swinging feet land on unobstructed ground.
+
+    A foot is at its resting place when the body is in the middle of the foot's stance.
 
     Args:
         rest_feet: (6, 3) [m] {body} resting feet.
-        T_world_body: (4, 4) that body, level.
+        T_world_body: (4, 4) body pose in the middle of the stance, level.
 
     Returns:
         (6, 2) [m] {world}.
 
-    Source: Lotriet 2024, eq. (5.19) and (5.20): rest position plus stride length times direction, a stride of his being
-    what a foot moves from rest to either side, half of what the body travels while the foot stands.
+    Source: Lotriet 2024, eq. (5.19) and (5.20): rest position plus stride length times direction. His stride is the motion of a
+    foot from rest to either side, which is half of the body's travel during the stance.
     """
     return np.asarray(rest_feet[:, :2] @ T_world_body[:2, :2].T + T_world_body[:2, 3])

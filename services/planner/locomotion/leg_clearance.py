@@ -1,7 +1,7 @@
-"""Whether the whole of each leg, not its foot alone, stays clear of the ground that is known while a step is walked.
+"""Collision check between the legs and the known ground during a step.
 
-Where a link would come too near, the foot is lifted higher, and so are knee and shank; where no lift helps there is no such
-step. Ground that has not been seen stands in nobody's way, and what a leg is too near to before the step cannot be helped.
+If a link would come too close, the foot is lifted higher, which also lifts knee and shank. If no lift helps, the step is
+impossible. Unseen ground is no obstacle. A leg that is already too close before the step does not exclude the step.
 """
 
 from dataclasses import dataclass
@@ -14,46 +14,46 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_inverse, leg_nearest_reachable
 from sextant.shared.robot.profile import LEGS, LegLinks, RobotProfile
 
-# A swing as it is checked, at shares of its time: it passes below that of the feet.
+# Checked swing, at shares of its time: a lower bound of the actual foot path.
 SWING_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
-_ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the way over the ground
-_RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # share of the height over start, then over touchdown
-LEVEL = 0.8  # of the clearance, over the higher end: there it flies
-# The same for its end, closer: what of the level's height over the touchdown is left at shares of the way.
+_ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the ground distance
+_RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # of the height over start, then touchdown
+LEVEL = 0.8  # [1] share of the clearance, over the higher end, at which the checked swing is level
+# The end of the swing, more finely: share of the level's height over the touchdown that is left, at shares of the distance.
 _SINKS_AT, _SINKS_TO = [0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95], [1.0, 0.97, 0.92, 0.80, 0.69, 0.54, 0.33]
-_BESIDE = 0.02  # [m] around its touchdown, where the foot comes straight down beside what stands there
-_LIFTS = 4  # that are tried, up to the highest
+_BESIDE = 0.02  # [m] around a touchdown in which the foot descends vertically next to obstacles
+_LIFTS = 4  # number of lifts to try, up to the highest
 
-# Samples of a leg: shares of its femur, then of its tibia. What is nearer to the foot is judged as the foot's place.
+# Samples of a leg: shares of its femur, then of its tibia. Points nearer to the foot count as part of the foothold.
 _FEMUR = np.array([0.4, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 _TIBIA = np.array([0.0, 0.0, 0.0, 0.17, 0.34, 0.51, 0.68, 0.85])
 _BELOW = np.zeros((1, 2))  # [m]
-_AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] a shank's radius, and how well an edge is known
-_WORSE = 0.01  # [m] by which a leg may come nearer to what it is too near to already
-_RISES = 0.01 * np.outer([1, 2, 3, 4, 5], [0, 0, 1])  # [m] of a foot that leaves the ground
-_PUSHED = 0.002  # [m] sideways, from which on it counts
-_FINELY = np.linspace(0.0, 1.0, 21)  # shares of a swing's time at which it is looked whether the foot is pushed
-# By then, at the latest, it has come along so much of its way, and risen by so much: beside something high it first goes up.
+_AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] shank radius and map error at edges
+_WORSE = 0.01  # [m] by which a leg that is already too close may come closer
+_RISES = 0.01 * np.outer([1, 2, 3, 4, 5], [0, 0, 1])  # [m] rise of a foot that leaves the ground
+_PUSHED = 0.002  # [m] minimum sideways push that counts
+_FINELY = np.linspace(0.0, 1.0, 21)  # shares of a swing's time at which the push is checked
+# Latest progress of a foot along its path, and its latest rise: next to a high obstacle it rises first.
 _LATE_TIME, _LATE_ALONG = [0.0, 0.3, 0.44, 0.62, 0.82, 1.0], [0.0, 0.05, 0.23, 0.60, 0.92, 1.0]
 _LATE_RISE_TIME, _LATE_RISEN = [0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0], [0.0, 0.16, 0.44, 0.72, 0.95, 1.0, 0.5, 0.0]
-# [m] around a foot that is pushed aside: it is as thick as it is, and an edge is known to within a centimetre.
+# [m] around a foot that is pushed aside: the foot's radius, and the uncertainty of an edge of about 1 cm.
 _AROUND_FOOT = np.concatenate([r * np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4]) for r in (0.01, 0.02)])
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """What legs and body do in a step."""
+    """Motion of legs and body in a step."""
 
     start: Array  # (6, 3) [m] {world} foot centres
-    end: Array  # (6, 3) [m] {world} likewise; a standing foot's is its start
-    T_start: Array  # (4, 4) body {world}
+    end: Array  # (6, 3) [m] {world} foot centres at the end; equal to the start for a standing foot
+    T_start: Array  # (4, 4) {world} body pose
     T_end: Array  # (4, 4)
     swing: NDArray[np.bool_]  # (6,)
 
 
 @dataclass(frozen=True, slots=True)
 class Touching:
-    """A link that would touch the ground."""
+    """A link or foot that would touch the ground."""
 
     leg: int
     reason: str
@@ -68,17 +68,17 @@ def cleared(
     profile: RobotProfile,
     terrain: Terrain,
 ) -> Array | Touching:
-    """The clearances (6,) [m] by which the feet must pass over both ends so that the legs keep a margin to the ground.
+    """Return the clearances (6,) [m] with which the legs keep clear of the ground.
 
-    A folded leg whose foot cannot come as near as its way would have it pushes the foot aside, off the way that was looked at;
-    what stands there must be lower than the foot.
+    A folded leg cannot bring its foot as close as the foot's path requires: it pushes the foot aside, off the checked path. The
+    ground there must be lower than the foot.
 
     Args:
         way: The step.
-        clearance: (6,) [m] that the feet's own ways ask for.
-        margin: [m] of the links' middle lines over the ground.
-        foot_margin: [m] of feet that are pushed aside, over what stands there.
-        highest: [m] of clearance that a leg can lift its foot by.
+        clearance: (6,) [m] that the paths of the feet require, over the higher end.
+        margin: [m] between the links' centre lines and the ground.
+        foot_margin: [m] between the ground and a foot that is pushed aside.
+        highest: [m] maximum clearance of a leg.
         profile: The robot.
         terrain: The map.
     """
@@ -106,10 +106,10 @@ def cleared(
 def stands_clear(
     leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> NDArray[np.bool_]:
-    """With which (n,) of foot centres (n, 3) [m] {world} one leg keeps a margin [m] to the ground, the body at (4, 4).
+    """Return which (n,) foot centres keep one leg clear of the ground.
 
-    The ground beside its links counts as well as that below: a shank is as thick as it is, and an edge stands about where the
-    map shows it.
+    The ground next to the links counts as well as the ground below, because a shank has a thickness and an edge in the map has
+    an uncertainty. Foot centres are (n, 3) [m] {world}, the body pose is (4, 4), and the margin is in [m].
     """
     T = T_world_body @ profile.T_body_coxa[leg]
     gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain, _AROUND)
@@ -119,10 +119,10 @@ def stands_clear(
 def rises_clear(
     leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> NDArray[np.bool_]:
-    """From which (n,) of foot centres (n, 3) [m] {world} one leg's foot rises without being pushed against the ground.
+    """Return from which (n,) foot centres one leg's foot rises without touching.
 
-    A folded leg cannot lift its foot straight up: it pushes it outwards, and what stands there must be a margin [m] lower than
-    the foot by then. It may have to wherever the body is, (k, 4, 4), while the foot stands.
+    A folded leg cannot lift its foot vertically: it pushes the foot outwards. The ground there must be lower than the foot by a
+    margin [m]. This must hold for all body poses (k, 4, 4) while the foot stands. Foot centres are (n, 3) [m] {world}.
     """
     T = (T_world_body @ profile.T_body_coxa[leg])[:, None]
     R, p = T[..., :3, :3], T[..., None, :3, 3]
@@ -136,11 +136,13 @@ def rises_clear(
 
 
 def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
-    """Where feet pass at least, at `SWING_TIME`: up beside the start, over both ends at a share of the clearance, and down.
+    """Return the lowest paths of feet at `SWING_TIME`.
+
+    A foot rises next to its start, passes over both ends at a share of the clearance, and descends.
 
     Args:
-        start: (n, 3) [m] foot centres.
-        end: (n, 3) [m] likewise.
+        start: (n, 3) [m] foot centres at the start.
+        end: (n, 3) [m] foot centres at the end.
         clearance: (n,) [m] over the higher end.
 
     Returns:
@@ -150,7 +152,10 @@ def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
 
 
 def _shape(start: Array, end: Array, clearance: Array, time: Array, along: Array, risen: Array) -> Array:
-    """Feet (k, n, 3) [m] at (k,) shares of a swing's time, by shares (k,) of the way and of the height, as `swing_shape`."""
+    """Return feet (k, n, 3) [m] at shares (k,) of a swing's time, as `swing_shape`.
+
+    `along` and `risen` (k,) are shares of the distance and of the height.
+    """
     level = np.maximum(start[:, 2], end[:, 2]) + LEVEL * clearance
     feet = start + along[:, None, None] * (end - start)
     lower = np.where(time[:, None] < 0.5, start[:, 2], end[:, 2])
@@ -159,16 +164,16 @@ def _shape(start: Array, end: Array, clearance: Array, time: Array, along: Array
 
 
 def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) -> Array:
-    """The clearance (n,) [m] with which feet, on their way down, pass over what stands before their touchdowns.
+    """Return the clearance (n,) [m] with which descending feet pass obstacles.
 
     Args:
-        ground: (m, n) [m] highest ground at even shares of the ways, see `Terrain.ground_along`.
-        start: (n, 3) [m] undersides of the feet.
-        end: (n, 3) [m] likewise.
+        ground: (m, n) [m] highest ground at even shares of the paths, see `Terrain.ground_along`.
+        start: (n, 3) [m] undersides of the feet at the start.
+        end: (n, 3) [m] undersides of the feet at the end.
         margin: [m] over that ground.
 
     Returns:
-        (n,) [m] over the higher end, -inf where nothing stands there.
+        (n,) [m] over the higher end, -inf where there is no obstacle.
     """
     share = np.linspace(0.0, 1.0, len(ground))[:, None]
     left = (1.0 - share) * np.linalg.norm((end - start)[:, :2], axis=1)
@@ -178,7 +183,7 @@ def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) ->
 
 
 def links_at(q: Array, links: LegLinks) -> Array:
-    """Samples (..., 8, 3) [m] {coxa} along a leg's femur and tibia at joint angles q (..., 3) [rad]."""
+    """Return samples (..., 8, 3) [m] {coxa} of femur and tibia at q (..., 3) [rad]."""
     femur, shank = q[..., 1:2], q[..., 1:2] + q[..., 2:3]
     along, beyond = links.femur * _FEMUR, links.tibia * _TIBIA
     reach = links.coxa + np.cos(femur) * along + np.cos(shank) * beyond
@@ -190,9 +195,12 @@ def links_at(q: Array, links: LegLinks) -> Array:
 def _too_near(
     way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Where links come nearer to the ground than a margin, or than they are to begin with: (9, 6, 8), with gaps and places."""
+    """Return where links come closer to the ground than a margin, gaps and points.
+
+    The flags have shape (9, 6, 8). A link that starts closer than the margin may come closer by `_WORSE`.
+    """
     feet = np.where(way.swing[:, None], swing_shape(way.start, way.end, clearance), way.start)
-    # The body turns by a few degrees in a step: between two poses so near their mean is one, too.
+    # The body turns by a few degrees in a step, so the mean of two poses is nearly a rigid transform.
     T = way.T_start + SWING_TIME[:, None, None] * (way.T_end - way.T_start)
     gaps, points = _gaps(feet, T[:, None] @ profile.T_body_coxa, profile.leg_reach, profile.links, terrain)
     return gaps < np.minimum(margin, gaps[0].min(axis=-1, keepdims=True) - _WORSE), gaps, points
@@ -201,10 +209,13 @@ def _too_near(
 def _pushed(
     way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Legs (6,) that would push their feet against what stands beside their ways, and where (6, 2) [m] {world}."""
+    """Return legs (6,) that would push their feet against ground next to their paths.
+
+    The second value is the place (6, 2) [m] {world}.
+    """
     sooner = np.interp(_FINELY, SWING_TIME, _ALONG), np.interp(_FINELY, SWING_TIME, _RISEN)
     later = np.interp(_FINELY, _LATE_TIME, _LATE_ALONG), np.interp(_FINELY, _LATE_RISE_TIME, _LATE_RISEN)
-    highest = clearance / LEVEL  # what folds a leg is the top of its foot's way, not what it passes over at least
+    highest = clearance / LEVEL  # the top of a foot's path folds the leg, not the lowest path
     feet = np.concatenate([_shape(way.start, way.end, highest, _FINELY, *shares) for shares in (sooner, later)])
     time = np.tile(_FINELY, 2)
     T = (way.T_start + time[:, None, None] * (way.T_end - way.T_start))[:, None] @ profile.T_body_coxa
@@ -218,7 +229,7 @@ def _pushed(
     at: Array = (R @ reached[..., None])[..., 0] + p
     ground = np.fmax.reduce(terrain.heights(at[..., None, :2] + _AROUND_FOOT), axis=-1)
     radius = profile.foot.radius
-    # What is no higher than the ground that a foot leaves, or comes to, stands in nobody's way.
+    # Ground no higher than the ground at the start or at the touchdown of a foot is no obstacle.
     leaves, comes = (np.fmax(foot[:, 2] - radius, terrain.heights(foot[:, :2])) for foot in (way.start, way.end))
     level = np.where(time[:, None] < 0.5, leaves, comes)
     passes = at[..., 2] - radius - (1.0 - LEVEL) * clearance
@@ -230,15 +241,17 @@ def _pushed(
 def _gaps(
     feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain, around: Array = _BELOW
 ) -> tuple[Array, Array]:
-    """How high (..., 8) [m] a leg's samples are over the ground, infinite where that is unknown, and where they are.
+    """Return heights (..., 8) [m] of a leg's samples over the ground, and the samples.
+
+    The height is infinite where the ground is unknown.
 
     Args:
         feet: (..., 3) [m] {world} foot centres.
-        T_world_coxa: (..., 4, 4) of the legs.
+        T_world_coxa: (..., 4, 4) coxa poses of the legs.
         reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
         links: Coxa, femur and tibia lengths [m].
         terrain: The map.
-        around: (k, 2) [m] beside a sample where the ground counts.
+        around: (k, 2) [m] offsets from a sample at which the ground counts.
     """
     R, p = T_world_coxa[..., :3, :3], T_world_coxa[..., :3, 3]
     feet_coxa = ((feet - p)[..., None, :] @ R)[..., 0, :]

@@ -1,4 +1,7 @@
-"""Places where a foot found no ground, whatever the camera says: no foot goes there again."""
+"""Places where a foot found no ground.
+
+They are never used as footholds again, even if the camera shows ground there.
+"""
 
 from dataclasses import replace
 
@@ -8,24 +11,24 @@ from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import HAZARDS, ActuatorState, TerrainMap
 
-_RADIUS = 0.04  # [m] around such a place
-_KEPT = 64  # places remembered, the newest
+_RADIUS = 0.04  # [m] around such a place that is refused
+_KEPT = 64  # maximum number of places, the newest
 _NO_GROUND = HAZARDS.index("no ground by touch")
 _REFUSED = 2.0  # a score that no foothold has
 
 
 class Holes:
-    """Remembers what feet have found by what the legs say of them."""
+    """Remembers places where the actuator reported a foot without ground."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Start without places."""
         self.places: Array = np.zeros((0, 2))  # [m] {world}
         self._heard_ns = np.full(6, -1, dtype=np.int64)
-        self._marked: tuple[TerrainMap, int, Terrain] | None = None  # for how many places a map was marked last
+        self._marked: tuple[TerrainMap, int, Terrain] | None = None  # map, count and result of the last call
         self._count = 0
 
     def update(self, state: ActuatorState, T_world_odom: Array) -> None:
-        """Take in the newest findings."""
+        """Add the newest places from the actuator's state."""
         new = (state.touch_ns != self._heard_ns) & ~state.touch_carries & (state.touch_ns >= 0)
         self._heard_ns = state.touch_ns.copy()
         if new.any():
@@ -34,7 +37,7 @@ class Holes:
             self._count += len(found)
 
     def marked(self, terrain: Terrain) -> Terrain:
-        """The same terrain with these places refused."""
+        """Return the terrain with these places marked as no footholds."""
         if not len(self.places):
             return terrain
         if self._marked is None or self._marked[0] is not terrain.map or self._marked[1] != self._count:

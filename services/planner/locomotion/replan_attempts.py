@@ -1,36 +1,45 @@
-"""What is left to try when the actuator refuses the next step: once more the same, shorter, with other legs, nothing."""
+"""Ways that remain after the actuator has refused the next step.
 
-Way = tuple[int, int]  # which of the commands it is by, and which way of taking a step by it, see `StridePlanner.choose`
+They are, in order: the same step again, a shorter step, a step with other legs, none.
+"""
+
+Way = tuple[int, int]  # index of the command, and number of the way to take a step by it, see `StridePlanner.choose`
 
 
 class Refusals:
-    """The refusals of one step that the robot is to take, forgotten when it takes it or is asked for something else."""
+    """Refusals of the next step.
+
+    They are forgotten when the robot takes the step or receives another command.
+    """
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing has been refused."""
+        """Reset: no way has been refused."""
         self.count = 0
         self._ways: frozenset[Way] = frozenset()
-        self.reason = ""  # of the last refusal, in words
-        self.given_up = False  # until something changes; it is tried again now and then all the same
+        self.reason = ""  # of the last refusal
+        self.given_up = False  # no way was left; cleared by `forget`, while the planner still retries from time to time
 
     def of(self, command: int) -> frozenset[int]:
-        """Ways that need not be tried by one of the commands."""
+        """Return the ways that are refused for one of the commands."""
         return frozenset(way for by, way in self._ways if by == command)
 
     def add(self, way: Way, reason: str) -> None:
-        """Note that a way was refused. The first time the same may pass, by newer estimates."""
+        """Note that a way was refused.
+
+        After the first refusal the same way may be tried again, with newer estimates.
+        """
         self.count += 1
         self.reason = reason
         if self.count > 1:
             self._ways |= {way}
 
     def give_up(self) -> None:
-        """Note that no way is left; the next attempt may take any."""
+        """Note that no way is left; the next attempt may use any way."""
         self.given_up, self._ways = True, frozenset()
 
     def words(self) -> str:
-        """Why nothing goes on."""
+        """Return why there is no step."""
         return f"the actuator refuses every step that the ground allows: {self.reason}"

@@ -1,4 +1,4 @@
-"""One step of the walk: footholds for the legs that swing and a place for the body, or the reason why there is none."""
+"""Plan one step: footholds and body pose, or the reason why there is none."""
 
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
@@ -26,49 +26,49 @@ from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import VelocityCommand
 
-SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
-_WIDTHS = (1.0, 1.5)  # of the search for footholds: the wider where the narrower leaves no step
-_ROOM_ENOUGH = 1.75  # of a foothold's suitability: for more a step is not made shorter
-_DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
-_DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
-_DEARER_YET = 2.5  # where a foot goes higher than commanded, over uneven ground: there legs stand less well, too
+SHARES = (1.0, 0.7, 0.45, 0.25)  # shares of the commanded travel, tried in this order
+_WIDTHS = (1.0, 1.5)  # factors of the foothold search radius; the wider one only if the narrower one finds no step
+_ROOM_ENOUGH = 1.75  # suitability of a foothold; above it the step is not shortened for a better one
+_DESCENT = np.array([0.0, 0.0, 0.03])  # [m] above a foothold, from where the foot descends vertically
+_DEARER = 2.0  # cost of height relative to ground distance: the body covers half of a foot's ground distance
+_DEARER_YET = 2.5  # the same where a foot goes higher than commanded, over uneven ground where the stance is less firm
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
-_LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
-_GATHERED = 0.02  # [m] by which a step on the spot must bring feet nearer to their resting places, all together
-_ASIDE, _AROUND = (0.02, 0.04, 0.06), np.arange(8) * np.pi / 4  # [m] and [rad] of a shift of the body that makes room for a leg
-_SHIFT_S = 1.0  # [s] that it takes
-_REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
+_LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the ground's slope by which the body may lean
+_GATHERED = 0.02  # [m] minimum total approach of the feet to their resting places in a step on the spot
+_ASIDE, _AROUND = (0.02, 0.04, 0.06), np.arange(8) * np.pi / 4  # [m] and [rad] of body shifts that make room for a leg
+_SHIFT_S = 1.0  # [s] duration of such a shift
+_REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may be lower than estimated
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Where the robot will be when the step begins, all feet standing."""
+    """Robot at the start of the step, all feet standing."""
 
-    T_world_body: Array  # (4, 4) where the body should be
+    T_world_body: Array  # (4, 4) reference body pose
     feet: Array  # (6, 3) [m] {world} foot centres
-    swing: NDArray[np.bool_]  # (6,) legs that are to swing
+    swing: NDArray[np.bool_]  # (6,) legs that will swing
     command: VelocityCommand
 
 
 @dataclass(frozen=True, slots=True)
 class Stride:
-    """A step that can be walked."""
+    """A feasible step."""
 
     swing: NDArray[np.bool_]
     touchdown: Array  # (6, 3) [m] {world} foot centres
-    nominal: Array  # (6, 2) [m] {world} where swinging feet would land on unobstructed ground
+    nominal: Array  # (6, 2) [m] {world} touchdowns on unobstructed ground
     clearance: Array  # (6,) [m]
     body_goal: Array  # (4, 4) {world}
-    body_after: Array  # (4, 4) {world} where the body would be when the swinging feet are to leave their touchdowns
-    start: Array  # (6, 3) [m] {world} foot centres before it
-    moved: int  # footholds away from their nominal place
-    share: float  # of the commanded travel
+    body_after: Array  # (4, 4) {world} body pose when the swinging feet will leave their touchdowns
+    start: Array  # (6, 3) [m] {world} foot centres before the step
+    moved: int  # number of footholds away from their nominal place
+    share: float  # share of the commanded travel
     duration: float  # [s]
-    room: float  # how good its poorest foothold is, see `Terrain.suitability`
-    instead: str = ""  # why legs that were due more do not take it, in words
+    room: float  # suitability of its poorest foothold, see `Terrain.suitability`
+    instead: str = ""  # why legs that are due earlier do not take the step
 
     def moved_by(self, T: Array) -> "Stride":
-        """The same step after a correction (4, 4) of where the world is believed to be."""
+        """Return the step after a correction (4, 4) of the {world} estimate."""
         nominal = apply(T, np.column_stack([self.nominal, self.touchdown[:, 2]]))[:, :2]
         touchdown, start = apply(T, self.touchdown), apply(T, self.start)
         goal, after = T @ self.body_goal, T @ self.body_after
@@ -77,29 +77,27 @@ class Stride:
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """Why there is no step, in words."""
+    """Reason why there is no step."""
 
     reason: str
-    leg: int = -1  # the leg it fails for, -1 for the whole robot
-    unseen: bool = False  # for it the ground has not been seen
-    touching: bool = False  # it would run into the ground that it is to rise from, or pass
+    leg: int = -1  # the leg that fails, -1 for the whole robot
+    unseen: bool = False  # the ground for that leg is unseen
+    touching: bool = False  # the leg would touch the ground next to it as it rises or passes
 
 
 class StridePlanner:
-    """Plans steps for one robot; it keeps only tables."""
+    """Plans steps for one robot; it keeps only lookup tables."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Plan for a robot."""
+        """Initialize for a robot."""
         self._profile = profile
         self._settings = settings
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets: dict[
-            float, Array
-        ] = {}  # [m] of the cells to try by `_WIDTHS`, made for the resolution of the map at hand
+        self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `_WIDTHS`, for the current map resolution
         self._offsets_resolution = 0.0  # [m]
 
     def objection(self, command: VelocityCommand) -> str:
-        """Why a command cannot be walked by this robot anywhere, in words, or nothing."""
+        """Return why this robot can never execute a command, or ""."""
         low, high = self._profile.stance.body_height_range
         if not low <= command.body_height <= high:
             return f"a body height of {low:g} to {high:g} m expected, {command.body_height:g} m commanded"
@@ -109,11 +107,17 @@ class StridePlanner:
         return ""
 
     def duration(self, command: VelocityCommand) -> float:
-        """How long [s] a step in the commanded gait takes where its feet need not be lifted far."""
+        """Return the duration [s] of a step in the commanded gait.
+
+        A step whose feet must go high takes longer.
+        """
         return self._profile.stance.step_s * GAITS[command.gait].pace
 
     def short_of(self, command: VelocityCommand, stride: Stride) -> str:
-        """By how much a step is slower than commanded, since legs reach no further and move no faster, in words."""
+        """Return by how much a step is slower than commanded, as text, or "".
+
+        The limits are the reach and the speed of the legs.
+        """
         asked = float(np.linalg.norm(command.velocity))
         reached = float(np.linalg.norm(self._travel(command, 1.0)[0])) / stride.duration
         if reached > asked - 1e-3:
@@ -129,11 +133,16 @@ class StridePlanner:
         width: float = 1.0,
         foot_margin: float | None = None,
     ) -> Stride | Blocked:
-        """The longest step towards the command onto good footholds; some of `SHARES` are not to be tried.
+        """Return the longest step in the commanded direction onto good footholds.
 
-        Where there is none, the one whose poorest foothold has the most room around it. Footholds are looked for within the
-        robot's search radius times a width of `_WIDTHS`. Feet that a folded leg pushes aside keep a margin [m] to what
-        stands there; the settings', when left out.
+        If no step has good footholds only, return the one whose poorest foothold is the most suitable.
+
+        Args:
+            at: Start of the step.
+            terrain: The map.
+            refused: Indices into `SHARES` that must not be tried.
+            width: Factor of the robot's search radius for footholds, one of `_WIDTHS`.
+            foot_margin: [m] between the ground and a foot that a folded leg pushes aside; default `Settings.sink_margin`.
         """
         foot_margin = self._settings.sink_margin if foot_margin is None else foot_margin
         best: Stride | None = None
@@ -153,17 +162,21 @@ class StridePlanner:
     def choose(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
     ) -> tuple[Stride | Blocked, int]:
-        """The step to take and the number of its way, or why legs that are most due cannot take it.
+        """Return the next step and the number of its way, or why there is none.
 
-        Feet go further from their places only where no legs find a step otherwise: what is gained on a ditch is lost on rubble,
-        where long reaches take time. Only where that does not help either, a folded leg may push its foot against what stands
-        beside it; and before that the body alone shifts to where the leg has room. Ways are counted through the situations, and
-        in each through the shares of the travel; the last is that shift.
+        The reason is that of the most due legs. The order of attempts is:
+
+        1. All situations with the narrow foothold search, then all with the wide one. A wider search helps at a ditch, but
+           costs time on rubble, where long reaches are slow.
+        2. A shift of the body alone to where a leg has room, if that leg would touch the ground.
+        3. As 1, but a folded leg may push its foot against the ground next to it.
+
+        Ways are numbered by situation, and within a situation by share of the travel. The shift has the last number.
 
         Args:
-            situations: What it may begin with, the legs most due first.
+            situations: Possible starts of the step, the most due legs first.
             terrain: The map.
-            refused: Ways that are not to be tried.
+            refused: Ways that must not be tried.
         """
         first: Blocked | None = None
         for foot_margin in (self._settings.sink_margin, -np.inf):
@@ -173,7 +186,7 @@ class StridePlanner:
                 if isinstance(found, Stride):
                     return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
                 first = first or found
-            shift = len(situations) * (len(SHARES) + 1)  # behind those of `gather`
+            shift = len(situations) * (len(SHARES) + 1)  # numbered after the ways of `gather`
             if first is not None and first.touching and foot_margin > -np.inf and shift not in refused:
                 shifted = self._make_room(situations[0], first.leg, terrain)
                 if shifted is not None:
@@ -181,7 +194,10 @@ class StridePlanner:
         return first or Blocked("every step was refused"), 0
 
     def _make_room(self, at: Situation, leg: int, terrain: Terrain) -> Stride | None:
-        """The step of the body alone, the smallest and straightest away from a leg's foot, after which its legs can swing."""
+        """Return a step of the body alone after which the legs of a situation can swing.
+
+        The shift is the smallest one; among equals it is the one most directly away from the foot of `leg`.
+        """
         body = at.T_world_body
         away = np.arctan2(*(body[:2, 3] - at.feet[leg, :2])[::-1])
         turns = _AROUND[np.argsort(np.abs((_AROUND + np.pi) % (2.0 * np.pi) - np.pi), kind="stable")]
@@ -198,15 +214,15 @@ class StridePlanner:
     def gather(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
     ) -> tuple[Stride | Blocked, int]:
-        """A step on the spot that brings feet back under the body, and the number of its way; or why there is none.
+        """Return a step on the spot that brings feet back under the body, and its number.
 
-        Short steps towards ground that has not been seen leave all legs stretched: then no step goes on from there, even
-        once the ground is seen. Each such step brings feet nearer to their resting places, so they come to an end.
+        Short steps towards unseen ground leave all legs stretched. Then no further step is possible, even once the ground is
+        seen. Each step of this kind brings feet nearer to their resting places, so their number is limited.
 
         Args:
-            situations: What it may begin with, the legs most due first.
+            situations: Possible starts of the step, the most due legs first.
             terrain: The map.
-            refused: Ways that are not to be tried; they are counted on from those of `choose`.
+            refused: Ways that must not be tried; their numbers continue those of `choose`.
         """
         for way, at in enumerate(situations, len(SHARES) * len(situations)):
             found = self._attempt(at, terrain, 0.0, _WIDTHS[0], self._settings.sink_margin) if way not in refused else None
@@ -219,9 +235,9 @@ class StridePlanner:
         return Blocked("no step on the spot brings feet nearer to their resting places"), 0
 
     def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
-        """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own.
+        """Return the step with its touchdowns chosen again on a newer map.
 
-        Nothing is better that asks for more lift than the foot has been given.
+        A leg keeps its touchdown if there is no other one, or if the other one needs more lift than the foot was given.
         """
         touchdown = stride.touchdown.copy()
         for leg in np.flatnonzero(stride.swing).tolist():
@@ -283,7 +299,10 @@ class StridePlanner:
         return Stride(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
-        """What the body travels (2,) [m] {body} and turns [rad] in a step: as commanded, as far as legs reach."""
+        """Return the body's travel (2,) [m] {body} and turn [rad] in a step.
+
+        They are as commanded, limited by the reach of the legs.
+        """
         settings, gait = self._settings, GAITS[command.gait]
         duration = self.duration(command)
         travel = command.velocity * duration
@@ -293,15 +312,18 @@ class StridePlanner:
         return travel, share * float(np.clip(command.yaw_rate * duration, -limit, limit))
 
     def _standing_next(self, command: VelocityCommand, feet: Array, T_world_body: Array) -> NDArray[np.bool_]:
-        """Legs (6,) that will stand in the step after one that ends with feet (6, 3) [m] and a body (4, 4), both {world}."""
+        """Return the legs (6,) that stand in the following step.
+
+        The present step ends with feet (6, 3) [m] and body (4, 4), both in {world}.
+        """
         rest = self._profile.rest_feet(command.body_height)
         along = directions(command.velocity, command.yaw_rate, rest)
         return ~swing_order(GAITS[command.gait], along, apply(inverse(T_world_body), feet), rest)[0]
 
     def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
-        """The same poses at the height over the floor that is commanded, climbing no faster than the robot can.
+        """Return the poses at the commanded height over the floor, within the climb limit.
 
-        Where legs would not reach the ground from there, the body is lower or leans with the ground, no more than it takes.
+        If legs would not reach the ground from there, the body is lower or leans with the ground, as little as necessary.
         """
         ground = at.feet[:, 2] - self._profile.foot.radius
         ahead = terrain.footing(nominal)
@@ -313,7 +335,7 @@ class StridePlanner:
         T_end, T_after = T_end.copy(), T_after.copy()
         T_end[2, 3] = T_after[2, 3] = height
         stance = np.column_stack([np.where(at.swing[:, None], nominal, at.feet[:, :2]), ground])
-        # A place that carries no foot is not worth stooping for.
+        # An unsuitable place does not justify a lower body.
         wanted = ~at.swing | (terrain.suitability(nominal) > NONE)
         lowest = max(floor + self._profile.stance.body_height_range[0], now - climb)
         second_best = T_end, T_after
@@ -329,12 +351,14 @@ class StridePlanner:
         return second_best
 
     def _postures(self, T_world_body: Array, slope: Array, room: float) -> Iterator[tuple[Array, float]]:
-        """Leans (2,) [rad], roll and pitch, and stoops [m] that a body may take, by rising departure from level and height.
+        """Yield possible leans (2,) [rad] (roll, pitch) and height reductions [m].
+
+        They are ordered by departure from level and from the commanded height.
 
         Args:
-            T_world_body: (4, 4) the body as it is.
-            slope: (2,) [rad] of the ground, as `leaning` takes it.
-            room: [m] by which the body may be lower.
+            T_world_body: (4, 4) current body pose.
+            slope: (2,) [rad] of the ground, in the convention of `leaning`.
+            room: [m] maximum height reduction.
         """
         settings = self._settings
         most = min(1.0, np.radians(settings.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
@@ -347,7 +371,7 @@ class StridePlanner:
     def _foothold(
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain, width: float = 1.0
     ) -> Foothold | NoFoothold:
-        """The best foothold of one leg near its nominal place.
+        """Return the best foothold of one leg near its nominal place.
 
         The other feet (6, 3) [m] {world} are NaN where not known yet.
         """
@@ -355,11 +379,11 @@ class StridePlanner:
         known[leg] = False
         others = feet[known, :2]
 
-        passed = np.stack([T_end, (T_end + T_after) / 2.0, T_after])  # by the body while the foot stands, see `_too_near`
+        passed = np.stack([T_end, (T_end + T_after) / 2.0, T_after])  # body poses while the foot stands
 
         def reachable(points: Array) -> NDArray[np.bool_]:
             at = points + self._foot_up
-            above = at + _DESCENT  # a folded leg comes down further out
+            above = at + _DESCENT  # a folded leg descends further out
             reached = self._reaches(leg, (above, T_end), (at, T_end), (at, T_after))
             for T in (T_end, T_after):
                 reached[reached] = stands_clear(leg, at[reached], T, self._settings.leg_margin, self._profile, terrain)
@@ -372,20 +396,23 @@ class StridePlanner:
         return nearest_foothold(terrain, nominal, self._offsets[width], others, self._profile.stance.foot_distance, reachable)
 
     def _reaches(self, leg: int, *ways: tuple[Array, Array]) -> NDArray[np.bool_]:
-        """Which (n,) of foot centres (n, 3) [m] {world} one leg reaches from a body pose, in each of some pairs of the two."""
+        """Return which (n,) of foot centres one leg reaches from all of some body poses.
+
+        Each pair holds foot centres (n, 3) [m] {world} and a body pose.
+        """
         profile = self._profile
         feet = np.stack([apply(profile.T_coxa_body[leg] @ inverse(T), feet_world) for feet_world, T in ways])
         q = leg_inverse(feet, profile.links)
         limits = profile.joint_limits[leg]
-        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=(0, 2)))  # NaN, out of reach, is in no limits
+        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=(0, 2)))  # NaN, out of reach, fails
 
     def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
-        """Which legs (6,) have their feet (6, 3) [m] {world} in reach."""
+        """Return which legs (6,) reach their feet (6, 3) [m] {world}."""
         q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
         return np.asarray(within_limits(self._profile, q).all(axis=1))
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
-        """Which leg would be overstretched at the end of the step, in words, or nothing."""
+        """Return which leg would be overstretched at the end of the step, or ""."""
         bad = np.flatnonzero(~self.reached(feet_world, T_world_body))
         return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
 
@@ -399,7 +426,10 @@ class StridePlanner:
         return f"the centre of mass would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
     def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
-        """Clearance (6,) [m] over both ends: over what lies between them, too, and more where the ground is rough."""
+        """Return the clearance (6,) [m] over the higher end of each foot's path.
+
+        It includes the ground between the ends, and is higher on rough ground.
+        """
         settings = self._settings
         start, end = feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
         higher, lower = np.maximum(start, end), np.minimum(start, end)
@@ -416,15 +446,15 @@ class StridePlanner:
 def time_to_swing(
     profile: RobotProfile, settings: Settings, start: Array, end: Array, clearance: Array, dearer: Array | float = _DEARER
 ) -> Array:
-    """How long (n,) [s] a step takes in which feet go from start to end (n, 3) [m], no faster than servos can for long.
+    """Return the duration (n,) [s] of steps at the sustainable speed of the servos.
 
     Args:
         profile: The robot.
-        settings: Of the planner.
-        start: (n, 3) [m] foot centres.
-        end: (n, 3) [m] likewise.
+        settings: Settings of the planner.
+        start: (n, 3) [m] foot centres at the start.
+        end: (n, 3) [m] foot centres at the end.
         clearance: (n,) [m] over the higher end.
-        dearer: By how much height counts for more than way, (n,) or for all.
+        dearer: Cost of height relative to ground distance, (n,) or one value.
     """
     up_and_down = 2.0 * clearance + np.abs((end - start)[:, 2])
     way = np.linalg.norm((end - start)[:, :2], axis=1) + dearer * up_and_down

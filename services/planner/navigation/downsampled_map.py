@@ -1,4 +1,4 @@
-"""A map in coarse cells, and what is around each: extremes, means and distances over squares of cells."""
+"""Downsampled map and filters over squares of cells: extremes, means, distances."""
 
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -12,22 +12,23 @@ from sextant.shared.geometry import Array
 Mask = NDArray[np.bool_]
 Layer = TypeVar("Layer", bound=NDArray[Any])
 
-_AGREE = 2  # cells of the map that must be as high, so that one wrong measurement makes no wall
+_AGREE = 2  # cells of the map that must agree in height, so that one wrong measurement makes no wall
 
 
 @dataclass(frozen=True, slots=True)
 class CoarseMap:
-    """A map in coarse cells, from the cell `first` (2,) of the world's grid on."""
+    """A downsampled map; its first cell has index `first` (2,) in the world grid."""
 
     first: NDArray[np.int64]
     layers: dict[str, Array]  # (n, m) each, by name
 
 
 def coarse(terrain: Terrain, block: int) -> CoarseMap:
-    """A map by blocks of block x block cells that lie on the world's grid of them; what its border cuts off is left out.
+    """Downsample a map to blocks of block x block cells, aligned with the world grid.
 
-    Layers: known, share [1] of the cell; footing, share of it that carries a foot; bare, share of what is known of it that has
-    no foothold in reach; high and low [m] {world}, of as many cells as must agree, NaN where nothing is known.
+    Incomplete blocks at the border are dropped. Layers: known, share [1] of known cells; footing, share [1] of cells that carry
+    a foot; bare, share [1] of the known cells without a foothold in reach; high and low [m] {world}, extreme heights on which
+    `_AGREE` cells agree, NaN where nothing is known.
     """
     first_fine = np.floor(terrain.map.origin / terrain.map.resolution + 1e-6).astype(np.int64)
     first = -(-first_fine // block)
@@ -40,7 +41,7 @@ def coarse(terrain: Terrain, block: int) -> CoarseMap:
 
     height = terrain.map.elevation
     known, foothold = np.isfinite(height), terrain.footholds()
-    reach = max(1, int(0.04 / terrain.map.resolution))  # a square within the 6 cm that are searched
+    reach = max(1, int(0.04 / terrain.map.resolution))  # a square within the search radius of 6 cm
     bare = known & ~dilated(foothold, reach)
     count = blocks(known).sum(axis=2)
     rank = np.clip(np.minimum(_AGREE, count) - 1, 0, None)[..., None]
@@ -58,7 +59,7 @@ def coarse(terrain: Terrain, block: int) -> CoarseMap:
 
 
 def shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:
-    """A layer moved along an axis, filled where nothing comes from."""
+    """Return a layer shifted along an axis, with a fill value at the border."""
     out = np.full_like(layer, fill)
     source, target = [slice(None), slice(None)], [slice(None), slice(None)]
     n = layer.shape[axis]
@@ -69,25 +70,31 @@ def shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:
 
 
 def over_square(layer: Layer, before: int, after: int, take: np.ufunc, fill: float) -> Layer:
-    """The extreme of a layer over squares from `before` cells before to `after` cells behind each."""
+    """Return the extreme of a layer over squares around each cell.
+
+    The squares reach from `before` cells before to `after` cells behind the cell.
+    """
     for axis in (0, 1):
         layer = take.reduce([shifted(layer, by, axis, fill) for by in range(-after, before + 1)])
     return layer
 
 
 def dilated(mask: Mask, reach: int) -> Mask:
-    """A mask with so many cells more to every side."""
+    """Return a mask dilated by `reach` cells to every side."""
     return over_square(mask, reach, reach, np.logical_or, False)
 
 
 def wide(mask: Mask, width: int) -> Mask:
-    """What of a mask is covered by squares of so many cells that lie in it."""
+    """Return the part of a mask that squares of `width` cells inside the mask cover."""
     inside = over_square(mask, 0, width - 1, np.logical_and, False)
     return over_square(inside, width - 1, 0, np.logical_or, False)
 
 
 def closed(low: Array, width: int) -> Array:
-    """Ground (n, m) [m] with what is low and narrower than so many cells filled up to beside it; NaN where unknown."""
+    """Return ground (n, m) [m] with depressions narrower than `width` cells filled.
+
+    Unknown cells stay NaN.
+    """
     reach = width // 2
     raised = over_square(np.where(np.isnan(low), -np.inf, low), reach, reach, np.maximum, -np.inf)
     lowered = over_square(np.where(np.isinf(raised), np.inf, raised), reach, reach, np.minimum, np.inf)
@@ -95,12 +102,15 @@ def closed(low: Array, width: int) -> Array:
 
 
 def lowest_around(ground: Array) -> Array:
-    """The lowest known ground of each cell and its eight neighbours, inf for none."""
+    """Return the lowest known ground of each cell and its eight neighbours, else inf."""
     return over_square(np.where(np.isnan(ground), np.inf, ground), 1, 1, np.minimum, np.inf)
 
 
 def mean_around(layer: Array, reach: int) -> Array:
-    """The mean of a layer over squares of so many cells to every side, the border's cells going on beyond it."""
+    """Return the mean of a layer over squares of `reach` cells to every side.
+
+    The border cells are repeated beyond the border.
+    """
     wide = np.pad(layer, reach + 1, mode="edge")
     total = wide.cumsum(axis=0).cumsum(axis=1)
     k = 2 * reach + 1
@@ -108,7 +118,7 @@ def mean_around(layer: Array, reach: int) -> Array:
 
 
 def distance(mask: Mask, most: float) -> Array:
-    """Distance (n, m) [cells] to the nearest cell of a mask, at most so much."""
+    """Return the distance (n, m) [cells] to the nearest cell of a mask, clipped."""
     reach = int(np.ceil(most))
     along = np.where(mask, 0.0, np.inf)
     for by in range(1, reach + 1):

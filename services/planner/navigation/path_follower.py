@@ -1,8 +1,8 @@
-"""Leads the robot to a goal: which way, facing where, how fast; and what it does where there is no way.
+"""Path follower: walking direction, heading and speed on the way to a goal.
 
-The way is found anew as the map changes. The camera looks ahead, so the robot turns to face the way it goes. Where it cannot
-go on although the map knows no reason, it remembers the place and takes another way. Ground that it has not seen is open to
-it: where no way is left over that either, there is nothing more to look for, and it says what stands in the way.
+The path is planned again as the map changes. The camera looks forward, so the robot turns to face its path. If it makes no
+progress although the map shows no reason, it remembers the place and takes another path. Unseen ground is traversable for the
+planner. If there is no path even over unseen ground, no further look can help, and the robot reports the obstacle.
 """
 
 from dataclasses import dataclass, field
@@ -20,70 +20,70 @@ from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
 
-_SPARE = 0.045  # [m] between the feet and what they must keep away from
-_LIKED = 0.20  # [m] that the robot would like to have beyond that
-_DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
-_FURTHEST = 1e4  # [m]
-_REPLAN_NS = 500_000_000  # [ns] between two looks for a way
-_PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
-_LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
-_FACE = 0.45  # [m] along the way, where it looks where all the way is seen, and
-_FORESIGHT = 1.4  # [m] along the way, within which it looks at what it has not seen
-_AHEAD = 10.0  # [m] along the way, of which the ground is looked at; no map reaches so far
-_VEILED = 0.02  # [1] share of the ground under it, from which a place on the way counts as not seen
-_HALT = 0.35  # [m] before such a place it turns before it walks
-_TURN_FIRST = radians(50.0)  # off the way, from which it turns before it walks
+_SPARE = 0.045  # [m] margin between the feet and an obstacle
+_LIKED = 0.20  # [m] preferred additional margin
+_DETOUR = 1.5  # [m] maximum distance from the straight line between two waypoints
+_FURTHEST = 1e4  # [m] maximum coordinate of a waypoint
+_REPLAN_NS = 500_000_000  # [ns] minimum time between two path searches
+_PASSED = 0.10  # [m] minimum radius within which an intermediate waypoint counts as passed
+_LOOK_AHEAD = 0.25  # [m] along the path, to the point that the robot walks to
+_FACE = 0.45  # [m] along the path, to the point that it faces if the path is seen
+_FORESIGHT = 1.4  # [m] along the path, within which it looks at unseen ground
+_AHEAD = 10.0  # [m] along the path, within which the ground is checked; beyond the size of any map
+_VEILED = 0.02  # [1] share of unseen ground under the robot, from which a place on the path counts as unseen
+_HALT = 0.35  # [m] distance to such a place, below which the robot turns before it walks
+_TURN_FIRST = radians(50.0)  # heading error, above which the robot turns before it walks
 _TURN_GAIN = 1.2  # [1/s]
-_TURN = 0.21  # [rad/s] at most
-_WORTH = 0.85  # [1] cost of another way, of that of the one being walked, from which it is taken
-_OFF_WAY = 0.20  # [m] from the way, from which another is taken whatever it costs
-_STUCK_AHEAD = 0.08  # [m] beyond its feet along the way lies the place where it cannot go on
-_STUCK_RADIUS = 0.08  # [m]
-_ELSEWHERE = radians(20.0)  # between what it faces and what it faced, from which that is another place
-_FACED = radians(6.0)  # off a place, from which it is being looked at
-_TURN_ABOUT = radians(90.0)  # off what it would look at first, from which it looks at what is nearer to where it faces
-_IN_SIGHT = radians(25.0)  # off where it faces, up to which a place is in the picture
-_SIGHT = 1.3  # [m] to which ground shows
-_SOON_BESIDE = BESIDE + 0.20  # [m] from it, within which it must be in the picture before the robot walks on
+_TURN = 0.21  # [rad/s] maximum yaw rate
+_WORTH = 0.85  # [1] relative cost below which a new path replaces the current one
+_OFF_WAY = 0.20  # [m] from the current path, beyond which a new one replaces it at any cost
+_STUCK_AHEAD = 0.08  # [m] from the feet along the path to the place that counts as impassable
+_STUCK_RADIUS = 0.08  # [m] radius of an impassable place
+_ELSEWHERE = radians(20.0)  # heading change, from which the robot faces another place
+_FACED = radians(6.0)  # heading error, below which the robot looks at a place
+_TURN_ABOUT = radians(90.0)  # heading error to the first unseen place, from which it looks at one with a smaller error instead
+_IN_SIGHT = radians(25.0)  # heading error, up to which a place is in the image
+_SIGHT = 1.3  # [m] range at which ground is visible
+_SOON_BESIDE = BESIDE + 0.20  # [m] distance to a place that must be in the image before the robot walks on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heading:
-    """What to do now."""
+    """Commands for the next step."""
 
-    commands: tuple[VelocityCommand, ...]  # the first that can be walked; none: it has arrived
+    commands: tuple[VelocityCommand, ...]  # in order of preference; none: arrived
     words: str
 
 
 @dataclass(slots=True, eq=False)
 class _Errand:
-    """A goal, and what was found on the way to it."""
+    """A goal and the state on the way to it."""
 
     goal: Goal
-    begin: Array  # (2,) [m] {world} of the straight way to the next waypoint
-    leg: int = 0  # the next waypoint
+    begin: Array  # (2,) [m] {world} start of the straight line to the next waypoint
+    leg: int = 0  # index of the next waypoint
     arrived: bool = False
-    map: TerrainMap | None = None  # on which the way was found
+    map: TerrainMap | None = None  # the map of the last path search
     planned_ns: int = 0
     crossing: Crossing | None = None
     found: Way | NoWay | None = None
-    way: Way | None = None  # that is being walked
-    stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places where it could not go on
+    way: Way | None = None  # the path that the robot follows
+    stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places without progress
     stuck_reason: str = ""
-    reason: str = ""  # why the newest command could not be walked, in words
+    reason: str = ""  # why the newest command has no step
     progress: Progress = field(default_factory=Progress)  # to the next waypoint
-    facing: float = 0.0  # [rad] {world} where the newest command turns to
+    facing: float = 0.0  # [rad] {world} heading of the newest command
 
 
 class Pilot:
-    """Leads to one goal at a time."""
+    """Follows the path to one goal at a time."""
 
     def __init__(self, profile: RobotProfile):
-        """Lead a robot."""
+        """Initialize for a robot."""
         self._profile = profile
         feet = profile.rest_feet()
-        half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # it must be able to turn
-        # Beside a hole the feet that reach out furthest to the side may stand closer, by as much as footholds are looked for.
+        half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # the robot must be able to turn
+        # Next to a hole the outermost feet may stand closer, by the radius of the foothold search.
         closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + _SPARE
         self._size = Size(half, min(closer, half), half + _LIKED)
         self._prices = Prices()
@@ -92,44 +92,44 @@ class Pilot:
 
     @property
     def path(self) -> Array:
-        """(k, 2) [m] {world} corners of the way being walked."""
+        """Return the corners (k, 2) [m] {world} of the current path."""
         errand = self._errand
         return np.zeros((0, 2)) if errand is None or errand.way is None else errand.way.corners[:MAX_PATH]
 
     def lead(self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int) -> Heading | NoWay:
-        """What to do to come to a goal.
+        """Return the next commands towards a goal, or why there is no path.
 
         Args:
-            goal: Where to.
+            goal: The goal.
             terrain: The newest map.
-            T_world_body: (4, 4) where the body is.
-            body: (4, 4) {world} where it will be when the next step begins.
-            now_ns: [ns]
+            T_world_body: (4, 4) current body pose.
+            body: (4, 4) {world} body pose at the start of the next step.
+            now_ns: [ns] current time.
         """
         nonsense = objection(goal)
         if nonsense:
             return NoWay(nonsense)
         xy = body[:2, 3]
-        # 1. Another goal: what was found on the way to the old one does not count.
+        # 1. For a new goal, discard the state of the old one.
         if self._errand is None or not same_goal(goal, self._errand.goal):
             self._errand = _Errand(goal, xy.copy())
         errand = self._errand
         errand.goal = goal
-        # 2. Which waypoint is next.
+        # 2. Select the next waypoint.
         target = goal.waypoints[errand.leg]
         while errand.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
             errand.begin, errand.way, errand.map, errand.progress = target, None, None, Progress()
             errand.leg += 1
             target = goal.waypoints[errand.leg]
-        # A robot that has arrived does not start again because its estimate moves a little.
+        # A robot that has arrived does not start again because of small changes of its estimate.
         near = _length(target - xy) <= goal.tolerance * (2.0 if errand.arrived else 1.0)
         errand.arrived = near and errand.leg == len(goal.waypoints) - 1
         if errand.arrived:
             errand.way = None
             return Heading((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
         if _off(errand.begin, target, xy) > _DETOUR:
-            errand.begin = xy.copy()  # somebody else has led it away
-        # 3. The way, anew when the map has changed and some time has passed, or the robot does not get on.
+            errand.begin = xy.copy()  # another client has moved it
+        # 3. Plan the path again if the map has changed and `_REPLAN_NS` has passed, or if there is no progress.
         if errand.way is not None:
             self._watch(errand, target, body, now_ns)
         changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
@@ -145,17 +145,20 @@ class Pilot:
         return self._profile.stance.step_s * GAITS[goal.gait].pace
 
     def note(self, reason: str) -> None:
-        """Note why the robot stands, in words."""
+        """Note why the robot stands, for the report of a stall."""
         if self._errand is not None:
             self._errand.reason = reason
 
     def pause(self) -> None:
-        """Leave out the time until the robot is led again: what held it up is no property of the ground."""
+        """Exclude the time until the next call of `lead` from stall detection.
+
+        The cause of such a delay is not a property of the ground.
+        """
         if self._errand is not None:
             self._errand.progress.pause()
 
     def _watch(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> None:
-        """Where the robot does not get on the place ahead is one where it cannot go on."""
+        """Mark the place ahead as impassable if the robot makes no progress."""
         assert errand.way is not None
         assert errand.crossing is not None
         xy, yaw = body[:2, 3], yaw_of(body)
@@ -163,19 +166,19 @@ class Pilot:
         left, error = _extent(way) + _length(target - way[-1]), abs(_wrapped(errand.facing - yaw))
         words = errand.progress.update(now_ns, np.array([*xy, yaw]), left, error, errand.goal.speed)
         if not errand.progress.astray_s:
-            errand.reason = ""  # of something else
+            errand.reason = ""  # it belongs to an earlier command
         if not words:
             return
-        # A place where it could be, so that it takes another way, and never this one again.
+        # The first place ahead that is free for the body, so that the robot takes another path and never this one again.
         ahead = np.arange(self._size.half_width + _STUCK_AHEAD, min(_extent(way), _AHEAD), errand.crossing.edge)
         places = np.array([*(_along(way, d) for d in ahead), way[-1]])
         free = np.isfinite(errand.crossing.at(errand.crossing.cost, places))
         errand.stuck.append(places[int(np.argmax(free))])
         errand.stuck_reason = f"{words}: {errand.reason}" if errand.reason else words
-        errand.map, errand.progress = None, Progress()  # another way, now
+        errand.map, errand.progress = None, Progress()  # plan another path immediately
 
     def _plan(self, errand: _Errand, place: Array, target: Array) -> None:
-        """Find the way; the old one stays where another is hardly cheaper."""
+        """Plan the path; keep the current one unless the new one is clearly cheaper."""
         xy, stuck = place[:2], np.array(errand.stuck).reshape(-1, 2)
         crossing = self._ground.crossing(self._size, self._prices, place, stuck, _STUCK_RADIUS)
         crossing = crossing.beside(errand.begin, target, _DETOUR)
@@ -188,21 +191,21 @@ class Pilot:
         if errand.way is not None:
             old, off = _rest(errand.way.corners, xy)
             cost = cost_of(crossing, old)
-            same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # the ground that is kept may reach further by now
+            same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # the known ground may reach further now
             if same_end and off < _OFF_WAY and found.cost > _WORTH * cost:
                 errand.way = Way(old, cost)
                 return
         errand.way, errand.progress.changed = found, True
 
     def _follow(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> Heading:
-        """Walk along the way, facing it."""
+        """Follow the path, facing it."""
         assert errand.way is not None
         goal, xy, yaw = errand.goal, body[:2, 3], yaw_of(body)
         way, _ = _rest(errand.way.corners, xy)
         left = _extent(way)
         to = _along(way, _LOOK_AHEAD) - xy
         course = atan2(to[1], to[0])
-        # Face what is not seen of the way yet, and stop before it; over what is seen it may walk sideways while it turns.
+        # Face the unseen part of the path and stop before it. Over seen ground the robot may walk sideways while it turns.
         veiled_at, veiled = self._veiled(errand, way, yaw)
         if veiled is None:
             facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
@@ -213,13 +216,13 @@ class Pilot:
         errand.progress.changed |= abs(_wrapped(yaw + error - errand.facing)) > _ELSEWHERE
         errand.facing = yaw + error
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
-        # No further in a step than to the end, nor around a corner.
+        # A step goes no further than to the look-ahead point, and not past a corner.
         speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s(goal))
         velocity = speed * np.array([cos(course - yaw), sin(course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > turn_first:
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
-        # Ground too near to be seen shows from further back, or from beside.
+        # Ground that is too close to be seen becomes visible from further back, or from the side.
         for away in (pi, pi / 2, -pi / 2):
             back = course - yaw + away
             wanted.append((0.5 * speed * np.array([cos(back), sin(back)]), 0.0))
@@ -228,9 +231,11 @@ class Pilot:
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
 
     def _veiled(self, errand: _Errand, way: Array, yaw: float) -> tuple[float, Array | None]:
-        """How far [m] along a way (k, 2) ground begins that is not seen but could be from here, and the place (2,) to look at.
+        """Return distance [m] and place (2,) of the unseen ground to look at.
 
-        That is the first such place, unless the robot would have to turn about for it, and another shows sooner.
+        The distance is along the path (k, 2) [m] to the first ground that is unseen but visible from here. The place is that
+        ground, unless the robot would have to turn far for it and another place needs a smaller turn. It is None if there is no
+        such ground.
         """
         crossing = errand.crossing
         assert crossing is not None
@@ -257,7 +262,7 @@ class Pilot:
 
 
 def objection(goal: Goal) -> str:
-    """Why a goal is none for anybody, in words, or nothing."""
+    """Return why a goal is invalid, or ""."""
     if not (goal.tolerance > 0.0 and goal.speed > 0.0):
         return f"a goal's tolerance and speed greater than 0 expected, found {goal.tolerance:g} m and {goal.speed:g} m/s"
     if np.abs(goal.waypoints).max() > _FURTHEST:
@@ -266,7 +271,7 @@ def objection(goal: Goal) -> str:
 
 
 def _off(start: Array, end: Array, xy: Array) -> float:
-    """Distance [m] of a place (2,) from the straight way between two others."""
+    """Return the distance [m] of a place (2,) from a line segment."""
     return _rest(np.stack([start, end]), xy)[1]
 
 
@@ -275,12 +280,15 @@ def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> Veloc
 
 
 def same_goal(a: Goal, b: Goal) -> bool:
-    """Whether two goals are one place."""
+    """Return whether two goals have the same waypoints and tolerance."""
     return a.tolerance == b.tolerance and np.array_equal(a.waypoints, b.waypoints)
 
 
 def _rest(corners: Array, xy: Array) -> tuple[Array, float]:
-    """What is left of a way (k, 2) [m] from the place on it that is nearest to a robot (2,) [m], and how far that is [m]."""
+    """Return the rest of a path (k, 2) [m] and the robot's distance [m] from the path.
+
+    The rest begins at the robot (2,) [m] and continues from the nearest point of the path.
+    """
     start, step = corners[:-1], np.diff(corners, axis=0)
     s = np.clip(((xy - start) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12), 0.0, 1.0)
     on = start + s[:, None] * step
@@ -290,7 +298,7 @@ def _rest(corners: Array, xy: Array) -> tuple[Array, float]:
 
 
 def _along(way: Array, distance: float) -> Array:
-    """The place (2,) so far [m] along a way (k, 2), at most its end."""
+    """Return the place (2,) at a distance [m] along a path (k, 2), at most its end."""
     for a, b in pairwise(way):
         length = _length(b - a)
         if length >= distance:
@@ -300,7 +308,7 @@ def _along(way: Array, distance: float) -> Array:
 
 
 def _extent(way: Array) -> float:
-    """How long [m] a way (k, 2) is."""
+    """Return the length [m] of a path (k, 2)."""
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 

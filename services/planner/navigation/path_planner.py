@@ -1,4 +1,4 @@
-"""The cheapest way over coarse cells from one place to another, or what stands around the place it begins at."""
+"""Path planner: the cheapest path over the traversability map, or the obstacle."""
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
@@ -11,48 +11,48 @@ from sextant.services.planner.navigation.traversability import FAR, OPEN, WORDS,
 from sextant.services.planner.terrain import LONGEST
 from sextant.shared.geometry import Array
 
-_ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
+_ESCAPE = 8.0  # cost per metre from an impassable place to free ground
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
-_DIAGONAL = 0.41421356  # by which a diagonal is longer than a straight step, at most
-_MISSES = 4  # cells in turn to which there is no straight way, beyond which none is looked for
-_FLAT = 0.20  # [m] of a region's width up to which it is a line
+_DIAGONAL = 0.41421356  # difference between a diagonal and a straight step
+_MISSES = 4  # consecutive cells without a straight line, after which the search for longer lines ends
+_FLAT = 0.20  # [m] width of a region up to which it is reported as a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """A way to walk."""
+    """A path."""
 
-    corners: Array  # (k, 2) [m] {world}, where it begins and ends included
-    cost: float  # [m] of open ground that would be as dear
+    corners: Array  # (k, 2) [m] {world}, including start and end
+    cost: float  # [m] of open ground at the same cost
 
 
 @dataclass(frozen=True, slots=True)
 class NoWay:
-    """Why there is none, in words."""
+    """Reason why there is no path."""
 
     reason: str
 
 
 def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Way | NoWay:
-    """The cheapest way.
+    """Find the cheapest path.
 
     Args:
-        crossing: What can be crossed.
-        start: (2,) [m] {world} where it begins.
-        goal: (2,) [m] {world} where it ends; if that lies beyond what is kept of the ground, at the border before it.
-        nearby: [m] from the goal that will do where the robot cannot stand on the goal itself.
+        crossing: The traversability map.
+        start: (2,) [m] {world} start of the path.
+        goal: (2,) [m] {world} end of the path. If it lies outside the map, the path ends at the border towards it.
+        nearby: [m] permitted distance from the goal if the robot cannot stand on the goal itself.
     """
-    # 1. Where it ends: at the goal, or as far towards it as the cells reach, or beside it.
+    # 1. The end: the goal, or the last cell towards it, or a free cell near it.
     aim = _clipped(crossing, start, goal)
     end = _nearest_free(crossing, crossing.cell(aim), nearby if aim is goal else np.inf)
     if end is None:
         return NoWay(f"no way to {_place(goal)}: {_around(crossing, crossing.cell(goal))} is too near to it")
-    # 2. The cells on the way.
+    # 2. The cells of the path.
     cells, reached = cheapest_cells(crossing.cost, crossing.room, crossing.cell(start), end)
     if cells is None:
         return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}")
-    # 3. Its corners.
+    # 3. The corners of the path.
     points = crossing.centres(cells)
     last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
     points = np.vstack([start, points[1:-1], last])
@@ -63,20 +63,21 @@ def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Wa
 def cheapest_cells(
     cost: Array, room: Array, start: tuple[int, int], end: tuple[int, int]
 ) -> tuple[NDArray[np.int64] | None, NDArray[np.bool_]]:
-    """The cheapest way between two cells by A*, to the eight neighbours of each and never past a closed one's corner.
+    """Find the cheapest path between two cells by A*.
 
-    Where the start is closed, cells as closed lead out of it that have no less room.
+    Each cell has eight neighbours. A diagonal step must not cut the corner of a closed cell. If the start is closed, the path
+    leaves it through closed cells with no less room.
 
     Args:
-        cost: (n, m) of a cell's length in a cell, 1 or more; inf where it is closed.
-        room: (n, m) distance to what closes them.
-        start: Where it begins.
-        end: Where it ends.
+        cost: (n, m) cost per cell length, 1 or more; inf for closed cells.
+        room: (n, m) distance to the obstacle that closes a cell.
+        start: First cell.
+        end: Last cell.
 
     Returns:
-        The cells (k, 2), or None; and which cells (n, m) were looked at.
+        The cells (k, 2), or None; and the cells (n, m) that the search has expanded.
     """
-    # Cells are numbered row by row, with a closed border around them.
+    # Cells are numbered row by row, with a closed border around the grid.
     n, m = cost.shape
     row, closed = m + 2, float("inf")
     price: list[float] = np.pad(cost, 1, constant_values=np.inf).ravel().tolist()
@@ -98,7 +99,7 @@ def cheapest_cells(
             to = cell + step
             there = price[to]
             if here < closed:
-                # No corner of what is closed is cut: of a diagonal both cells beside it must be open.
+                # Both cells next to a diagonal must be open, so no corner of a closed cell is cut.
                 if there == closed or price[cell + down] == closed or price[cell + across] == closed:
                     continue
                 total = so_far + length * (here + there) / 2
@@ -120,7 +121,10 @@ def cheapest_cells(
 
 
 def straightened(crossing: Crossing, points: Array) -> Array:
-    """The corners (k, 2) [m] of a way (n, 2) [m] whose straight stretches cost no more than what they leave out."""
+    """Return the corners (k, 2) [m] of a path (n, 2) [m] with straight segments.
+
+    A straight segment costs no more than the part of the path that it replaces.
+    """
     so_far = np.concatenate([[0.0], np.cumsum([cost_of(crossing, points[k : k + 2]) for k in range(len(points) - 1)])])
     corners, at = [0], 0
     while at < len(points) - 1:
@@ -138,14 +142,17 @@ def straightened(crossing: Crossing, points: Array) -> Array:
 
 
 def cost_of(crossing: Crossing, corners: Array) -> float:
-    """What a way (k, 2) [m] costs, [m] of open ground; inf where it is closed but for its beginning, which may be."""
+    """Return the cost of a path (k, 2) [m], in metres of open ground.
+
+    It is inf if the path enters closed ground. Only its beginning may be closed.
+    """
     total, left = 0.0, False
     for a, b in pairwise(corners):
         length = float(np.linalg.norm(b - a))
         count = max(2, int(np.ceil(2.0 * min(length, LONGEST) / crossing.edge)) + 1)
         costs = crossing.at(crossing.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
         closed = np.isinf(costs)
-        # Out of a place where it ought not to be it may go, but not back into one.
+        # The path may leave a closed place, but must not enter one.
         if (closed[1:] & ~closed[:-1]).any() or (left and closed[0]):
             return float("inf")
         left |= not closed[-1]
@@ -155,7 +162,7 @@ def cost_of(crossing: Crossing, corners: Array) -> float:
 
 
 def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
-    """What stands around the cells (n, m) that were reached, in words."""
+    """Return the obstacles around the cells (n, m) that were reached, as text."""
     grown = reached
     cells = int(np.ceil((crossing.room.max() if crossing.room.size else 0.0) / crossing.edge))
     for _ in range(cells):
@@ -173,7 +180,10 @@ def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
 
 
 def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
-    """How much room the way between two cells has that has most, where it has least, and what the robot needs, in words."""
+    """Return the widest gap between two cells and the required room, as text.
+
+    It is the narrowest place of the path with the most room.
+    """
     spare = crossing.room - crossing.needs
     _, cell = widest(np.where(crossing.stops == OPEN, spare + crossing.needs.max(), 0.0), start, end)
     if cell is None:
@@ -183,9 +193,10 @@ def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str
 
 
 def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
-    """Of all ways between two cells of a grid (n, m), that whose least room is most: that room, and the cell of it.
+    """Find the path between two cells of a grid (n, m) whose narrowest cell is widest.
 
-    Neither end's own room counts; None where there is no way but over cells without room.
+    Return the room of that cell and the cell. The room of both ends does not count. The cell is None if every path crosses
+    cells without room.
     """
     n, m = room.shape
     rest: list[list[float]] = room.tolist()
@@ -208,7 +219,7 @@ def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[f
 
 
 def _extent(places: Array) -> str:
-    """Where places (k, 2) [m] lie, in words."""
+    """Return the extent of places (k, 2) [m], as text."""
     (x0, y0), (x1, y1) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     if x1 - x0 <= _FLAT and y1 - y0 <= _FLAT:
         return f"at {_place(np.array([x0 + x1, y0 + y1]) / 2)}"
@@ -224,7 +235,7 @@ def _place(xy: Array) -> str:
 
 
 def _around(crossing: Crossing, cell: tuple[int, int]) -> str:
-    """What is nearest to a cell of all that cannot be crossed, in words."""
+    """Return the obstacle nearest to a cell, as text."""
     stops = np.argwhere(crossing.stops != OPEN)
     if not len(stops):
         return "nothing"
@@ -233,7 +244,7 @@ def _around(crossing: Crossing, cell: tuple[int, int]) -> str:
 
 
 def _clipped(crossing: Crossing, start: Array, goal: Array) -> Array:
-    """The goal, or the last place towards it that lies on a cell."""
+    """Return the goal, or the last place towards it that lies in the map."""
     if crossing.holds(goal):
         return goal
     s = np.linspace(0.0, 1.0, 257)[:, None]
@@ -243,7 +254,7 @@ def _clipped(crossing: Crossing, start: Array, goal: Array) -> Array:
 
 
 def _nearest_free(crossing: Crossing, cell: tuple[int, int], within: float) -> tuple[int, int] | None:
-    """The free cell nearest to one, if there is one within a distance [m] of its middle."""
+    """Return the free cell nearest to a cell, within a distance [m], or None."""
     if np.isfinite(crossing.cost[cell]):
         return cell
     free = np.argwhere(np.isfinite(crossing.cost))

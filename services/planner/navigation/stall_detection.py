@@ -1,8 +1,8 @@
-"""Whether a robot that is led gets on, so that whatever it tries has an end.
+"""Stall detection: progress of the robot on its path, so that every attempt ends.
 
-It gets on where less of its way is left than ever, and where since then it faces nearer to where it should than ever. What is
-new to it (a longer way, another place to look at) may undo that, for no detour is a standstill, but only so often until it is
-nearer to the end than ever: of two ways by turns none leads there.
+Progress means that less of the path is left than ever before, or that the heading error is smaller than ever since then. A new
+path or a new place to look at resets what was reached, because a detour is no stall. The number of such resets is limited until
+the robot is nearer to its goal than ever before. So the robot cannot alternate between two paths forever.
 """
 
 from dataclasses import dataclass, field
@@ -12,37 +12,37 @@ import numpy as np
 
 from sextant.shared.geometry import Array
 
-_STILL_S = 4.0  # [s] in which it does not move, from which it does not get on, and
-_ASTRAY_S = 16.0  # [s] in which it does move, as where it steps back to look, but comes no nearer
-_GOT_ON = 0.05  # [m], or
-_TURNED = radians(8.0)  # by which it must move or come nearer
-_ANEW = 4  # times that what is new may undo what it had reached
-_PAUSE_S = 2.5  # [s] between two updates, at most, that count: for longer it was not led
+_STILL_S = 4.0  # [s] without motion, from which the robot counts as stalled
+_ASTRAY_S = 16.0  # [s] with motion but without progress, for example where the robot steps back to look
+_GOT_ON = 0.05  # [m] minimum motion or progress
+_TURNED = radians(8.0)  # minimum turn or progress in heading
+_ANEW = 4  # maximum number of resets
+_PAUSE_S = 2.5  # [s] maximum time between two updates that counts; longer gaps are pauses
 
 
 @dataclass(slots=True, eq=False)
 class Progress:
-    """Of one way, and those that take its place."""
+    """Progress on a path and on the paths that replace it."""
 
-    nearest: float = inf  # [m] the least that was ever left
-    left: float = inf  # [m] likewise since it last began anew
-    error: float = inf  # [rad] likewise off where it should face, since then
-    place: Array = field(default_factory=lambda: np.full(3, inf))  # (3,) [m, m, rad] {world} where it last began to stand
-    still_s: float = 0.0  # [s] for which it has not moved
-    astray_s: float = 0.0  # [s] for which it has come no nearer
-    changed: bool = False  # whether its way or what it looks at has, since it last came nearer
-    undone: int = 0  # times
+    nearest: float = inf  # [m] shortest remaining path ever
+    left: float = inf  # [m] shortest remaining path since the last reset
+    error: float = inf  # [rad] smallest heading error since the last progress
+    place: Array = field(default_factory=lambda: np.full(3, inf))  # (3,) [m, m, rad] {world} pose of the last motion
+    still_s: float = 0.0  # [s] without motion
+    astray_s: float = 0.0  # [s] without progress
+    changed: bool = False  # whether path or place to look at has changed since the last progress
+    undone: int = 0  # number of resets
     now_ns: int | None = None
 
     def update(self, now_ns: int, place: Array, left: float, error: float, speed: float) -> str:
-        """Why it does not get on, in words, or nothing.
+        """Return why the robot makes no progress, as text, or "".
 
         Args:
-            now_ns: [ns]
-            place: (3,) [m, m, rad] {world} where it is.
-            left: [m] of its way.
-            error: [rad] off where it should face, 0 and more.
-            speed: [m/s] at which it is to walk.
+            now_ns: [ns] current time.
+            place: (3,) [m, m, rad] {world} current pose.
+            left: [m] remaining path.
+            error: [rad] absolute heading error.
+            speed: [m/s] commanded speed.
         """
         passed = 0.0 if self.now_ns is None else min((now_ns - self.now_ns) * 1e-9, _PAUSE_S)
         self.now_ns, self.still_s, self.astray_s = now_ns, self.still_s + passed, self.astray_s + passed
@@ -67,7 +67,10 @@ class Progress:
         return f"in {self.astray_s:.0f} s it came no nearer"
 
     def pause(self) -> None:
-        """Leave out the time until the next update: without fresh data, or plans in time, a robot stands on any ground."""
+        """Exclude the time until the next update.
+
+        Without fresh data or timely plans a robot stands on any ground.
+        """
         self.now_ns = None
 
     def _begin(self, left: float, error: float) -> None:

@@ -1,12 +1,13 @@
-"""What the robot can cross, in cells of 5 cm around it: what a walk over each costs, and where there is none.
+"""Traversability: cost of 5 cm cells around the robot, and cells that stop it.
 
-A bad cell is no obstacle: feet find another place within 6 cm, and the body passes over. What stops a robot is ground that
-changes by more than its legs can take, ground without a foothold over more than feet can step across, and ground that was
-looked at and not there. Ground never seen is dear but open: who comes nearer sees it, and no foot is set on it before.
+A bad cell is no obstacle: feet find another place within 6 cm, and the body passes over the cell. Three kinds of ground stop
+the robot: height changes larger than its legs can take, bare ground that is wider than feet can step across, and ground that
+was looked at but stays unseen (holes). Ground that was never looked at is expensive but open: the robot sees it when it
+comes nearer, and no foot is placed on it before.
 
-A hole is not a wall: the body may reach out over a hole, and feet beside it may stand closer together.
+A hole is no wall: the body may extend over a hole, and feet next to it may stand closer together.
 
-What was seen is kept while the map moves on, so that a robot that turns back does not take the way it knows to be closed.
+Seen ground is kept while the map moves on, so that a robot that turns back does not take a path that it knows to be closed.
 """
 
 from dataclasses import dataclass, replace
@@ -29,20 +30,20 @@ from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, inverse
 from sextant.shared.robot.profile import Camera
 
-EDGE = 0.05  # [m] of a cell
-_CELLS = 128  # of the window that is kept, either way
-MAX_STEP = 0.065  # [m] between the ground of neighbouring cells that legs can take
-_SEEN = 0.25  # [1] share of a cell that must be known
-_BARE = 0.8  # [1] share of a cell out of reach of every foothold, from which it is bare, and
-_NARROW = 2  # cells that bare ground must be wide to stop feet, and
-_BRIDGED = 5  # cells of low ground up to which it may be narrow, and stepped over
-_LOOKS = 3  # at a place that showed nothing, from which it is a hole
-_NEAREST, _FURTHEST = 1.15, 1.10  # of the camera's least range, and [m]: where what is there shows
-_FRAME = 0.84  # [1] share of the picture's width and height in which it does
-_SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
-BESIDE = 0.55  # [m] from the body, within which the camera sees nothing wherever it looks
+EDGE = 0.05  # [m] cell edge
+_CELLS = 128  # cells of the kept window, along each axis
+MAX_STEP = 0.065  # [m] maximum height difference of neighbouring cells for the legs
+_SEEN = 0.25  # [1] minimum known share of a seen cell
+_BARE = 0.8  # [1] share of a cell without a foothold in reach, from which the cell is bare
+_NARROW = 2  # cells; minimum width of bare ground that stops feet
+_BRIDGED = 5  # cells; maximum width of low ground that is stepped over
+_LOOKS = 3  # looks at a place without a measurement, from which it is a hole
+_NEAREST, _FURTHEST = 1.15, 1.10  # share of the camera's minimum range, and [m]: the range in which ground is visible
+_FRAME = 0.84  # [1] share of the image's width and height in which ground is visible
+_SHADOW = 0.01  # [m] below the top of an obstacle, from which a place behind it is hidden
+BESIDE = 0.55  # [m] from the body, within which the camera sees nothing in any direction
 
-OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops a robot at a cell
+OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops the robot at a cell
 WORDS = (
     "",
     f"a step of more than {int(MAX_STEP * 100)} cm",
@@ -55,62 +56,66 @@ WORDS = (
 
 @dataclass(frozen=True, slots=True)
 class Prices:
-    """What a metre costs beyond the metre."""
+    """Additional cost per metre."""
 
-    rough: float = 1.5  # where no cell carries a foot, of a footprint; less where some do
-    bare: float = 6.0  # where no foothold is in reach
-    relief: float = 2.0  # where the ground changes by as much as legs can take
-    near: float = 3.0  # `half_width` from what cannot be crossed, falling to nothing at `wide`
+    rough: float = 1.5  # for a footprint in which no cell carries a foot; less if some do
+    bare: float = 6.0  # if no foothold is in reach
+    relief: float = 2.0  # if the ground changes by the maximum height difference
+    near: float = 3.0  # at `half_width` from an obstacle, falling to zero at `wide`
     unseen: float = 1.0
-    behind: float = 2.0  # beyond that, unseen right behind the robot; less where it need not turn about to look at it
-    beside: float = 40.0  # unseen and so near that it cannot be looked at
+    behind: float = 2.0  # additional cost of unseen ground directly behind the robot; less for a smaller turn to look at it
+    beside: float = 40.0  # for unseen ground too close to be looked at
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much room the robot takes."""
+    """Space that the robot needs."""
 
-    half_width: float  # [m] from its middle to its feet, by which it must keep away from what stands in its way
-    beside_hole: float  # [m] from its middle, by which it must keep away from a hole
-    wide: float  # [m] by which it would like to keep away from both
+    half_width: float  # [m] from its centre to its feet: the distance to keep from obstacles
+    beside_hole: float  # [m] from its centre: the distance to keep from a hole
+    wide: float  # [m] preferred distance from both
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossing:
-    """Where the robot's middle may go. Cell (i, j) spans edge * (first + (i, j)) and one edge more, either way, [m] {world}."""
+    """Traversability map for the robot's centre.
+
+    Cell (i, j) spans edge * (first + (i, j)) to edge * (first + (i, j) + 1) [m] {world}.
+    """
 
     first: NDArray[np.int64]  # (2,)
     edge: float  # [m]
-    cost: Array  # (n, m) of a metre, 1 and more; inf where it may not be
-    room: (
-        Array  # (n, m) [m] to the cell that leaves the robot least, of those that cannot be crossed; at most what it would like
-    )
-    needs: Array  # (n, m) [m] by which the robot must keep away from that cell
-    stops: NDArray[np.int8]  # (n, m) what cannot be crossed there, OPEN where the ground can
+    cost: Array  # (n, m) per metre, 1 or more; inf where the robot must not be
+    room: Array  # (n, m) [m] to the impassable cell that leaves the least room; at most the preferred distance
+    needs: Array  # (n, m) [m] required distance from that cell
+    stops: NDArray[np.int8]  # (n, m) obstacle kind, OPEN where the ground is passable
     unseen: Mask  # (n, m)
-    veiled: Array  # (n, m) [1] share of the ground under a robot there that is unseen
+    veiled: Array  # (n, m) [1] share of unseen ground under a robot at the cell
 
     def cell(self, xy: Array) -> tuple[int, int]:
-        """The cell that holds a place (2,) [m] {world}, the nearest one if it lies outside."""
+        """Return the cell of a place (2,) [m] {world}, clipped to the map."""
         i, j = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
         return int(i), int(j)
 
     def centres(self, cells: NDArray[np.int64]) -> Array:
-        """Centres (k, 2) [m] {world} of cells (k, 2)."""
+        """Return the centres (k, 2) [m] {world} of cells (k, 2)."""
         return np.asarray((cells + self.first + 0.5) * self.edge)
 
     def holds(self, xy: Array) -> bool:
-        """Whether a place (2,) [m] {world} lies in it."""
+        """Return whether a place (2,) [m] {world} lies in the map."""
         ij = np.floor(xy / self.edge).astype(np.int64) - self.first
         return bool(((ij >= 0) & (ij < self.cost.shape)).all())
 
     def at(self, layer: NDArray[Any], xy: Array) -> NDArray[Any]:
-        """A layer (k,) at places (k, 2) [m] {world}, of the nearest cell where they lie outside."""
+        """Return a layer (k,) at places (k, 2) [m] {world}, clipped to the map."""
         ij = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
         return np.asarray(layer[ij[:, 0], ij[:, 1]])
 
     def beside(self, start: Array, end: Array, most: float) -> "Crossing":
-        """The same, closed further than so much [m] from the straight way between two places (2,) [m] {world}."""
+        """Return the map, closed beyond a distance [m] from a straight line.
+
+        `start` and `end` (2,) [m] {world} are the ends of the line.
+        """
         cells = np.indices(self.cost.shape).reshape(2, -1).T
         way = end - start
         off = self.centres(cells) - start
@@ -121,22 +126,22 @@ class Crossing:
 
 
 class SeenGround:
-    """The ground around the robot as the maps have shown it, kept while it stays within 3.2 m."""
+    """Ground around the robot from all maps, kept while it is within 3.2 m."""
 
     def __init__(self) -> None:
-        """Begin with nothing seen."""
+        """Start without ground."""
         self._first: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
         self._edge = EDGE
         self._layers = _nothing()
 
     def see(self, terrain: Terrain, T_world_body: Array, camera: Camera, floor: float) -> None:
-        """Take in a map.
+        """Add a map.
 
         Args:
             terrain: The newest map.
-            T_world_body: (4, 4) the body as it looked.
-            camera: What it looked with.
-            floor: [m] {world} of the ground under the robot.
+            T_world_body: (4, 4) body pose at the scan.
+            camera: The camera of the scan.
+            floor: [m] {world} ground height under the robot.
         """
         block = max(1, round(EDGE / terrain.map.resolution))
         edge = block * terrain.map.resolution
@@ -149,13 +154,13 @@ class SeenGround:
         low = np.maximum(offset, 0)
         high = np.minimum(offset + found.layers["known"].shape, _CELLS)
         if (low >= high).any():
-            return  # a map of elsewhere
+            return  # the map does not overlap the window
         here = np.s_[low[0] : high[0], low[1] : high[1]]
         there = np.s_[low[0] - offset[0] : high[0] - offset[0], low[1] - offset[1] : high[1] - offset[1]]
         anew = found.layers["known"][there] > 0
         for name, layer in found.layers.items():
             self._layers[name][here][anew] = layer[there][anew]
-        # Narrow low ground is stepped over.
+        # The robot steps over narrow low ground.
         mind = self._layers
         floor_beside = closed(mind["low"], _BRIDGED)
         mind["rise"] = mind["high"] - lowest_around(floor_beside)
@@ -163,13 +168,14 @@ class SeenGround:
         self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
     def crossing(self, size: Size, prices: Prices, place: Array, stuck: Array, stuck_radius: float) -> Crossing:
-        """What it costs to cross, and where one cannot.
+        """Return the traversability map.
 
         Args:
-            size: Of the robot.
-            prices: Of what is dear.
-            place: (3,) [m, m, rad] {world} of the robot: unseen ground beside it cannot be looked at, behind it not soon.
-            stuck: (k, 2) [m] {world} where it could not go on.
+            size: Space that the robot needs.
+            prices: Additional costs.
+            place: (3,) [m, m, rad] {world} robot pose. Unseen ground next to it cannot be looked at, ground behind it only
+                after a turn.
+            stuck: (k, 2) [m] {world} places without progress.
             stuck_radius: [m] around them.
         """
         seen = self._layers
@@ -178,14 +184,14 @@ class SeenGround:
         # 1. Ground that rises or falls by more than legs can take: its upper edge.
         rise = seen["rise"]
         stops[rise > MAX_STEP] = STEP
-        # 2. Ground without a foothold in reach, and ground that does not show, unless feet can step across.
+        # 2. Ground without a foothold in reach, and holes, unless feet can step across.
         stops[wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
         stops[wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
         centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
         for shut in stuck:
             stops[(np.linalg.norm(centres - shut, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
         room, needs = self._room(stops, size)
-        # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
+        # 3. Positions of the body: cost of the ground under its feet, and higher cost near obstacles.
         off = centres - place[:2]
         near = np.linalg.norm(off, axis=2) < BESIDE
         aside = np.abs((np.arctan2(off[..., 1], off[..., 0]) - place[2] + np.pi) % (2.0 * np.pi) - np.pi) / np.pi
@@ -203,9 +209,10 @@ class SeenGround:
         return Crossing(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled)
 
     def _room(self, stops: NDArray[np.int8], size: Size) -> tuple[Array, Array]:
-        """Distances (n, m) [m] to what stops the robot, and which (n, m) [m] it needs: of all, those that leave least.
+        """Return distances (n, m) [m] to obstacles and the required distances (n, m) [m].
 
-        A step is a wall to a robot below it, which keeps away from its upper edge, and a hole to one above, from its lower.
+        Of all obstacles, the one that leaves the least room counts. A step in the ground is a wall for a robot below it, which
+        keeps away from its upper edge. It is a hole for a robot above it, which keeps away from its lower edge.
         """
         seen, reach = self._layers, int(np.ceil(size.half_width / self._edge))
         tops = over_square(np.where(stops == STEP, seen["high"], -np.inf), reach, reach, np.maximum, -np.inf)
@@ -221,7 +228,10 @@ class SeenGround:
         return np.take_along_axis(rooms, least, axis=0)[0], np.take_along_axis(needs, least, axis=0)[0]
 
     def _move_to(self, xy: Array) -> None:
-        """Bring the window's middle to where the robot is, a quarter at a time; what it leaves is forgotten."""
+        """Recentre the window on the robot once it is a quarter of the window off centre.
+
+        Ground that leaves the window is forgotten.
+        """
         middle = np.floor(xy / self._edge).astype(np.int64)
         off = middle - (self._first + _CELLS // 2)
         if (np.abs(off) < _CELLS // 4).all():
@@ -239,7 +249,11 @@ class SeenGround:
     def _look(
         self, T_world_camera: Array, camera: Camera, floor: float, low: NDArray[np.int64], high: NDArray[np.int64]
     ) -> None:
-        """Count the look at cells of the map, from low to high, that would show if there were ground as high as the robot's."""
+        """Count a look for each unseen map cell that the camera should have seen.
+
+        A cell should have been seen if it is in view and not hidden, for ground at the height of the robot's floor. `low` and
+        `high` bound the cells of the map.
+        """
         cells = np.argwhere(self._layers["known"] < _SEEN)
         cells = cells[((cells >= low) & (cells < high)).all(axis=1)]
         places = np.column_stack([(cells + self._first + 0.5) * self._edge, np.full(len(cells), floor)])
@@ -264,15 +278,15 @@ class SeenGround:
 
 
 def _nothing() -> dict[str, Array]:
-    """Layers of ground never seen."""
+    """Return layers of ground that was never seen."""
     blank = {
-        "known": 0.0,  # share of the cell
-        "footing": 0.0,  # share of it that carries a foot
-        "bare": 0.0,  # share of what is known of it that has no foothold in reach
+        "known": 0.0,  # [1] share of known cells
+        "footing": 0.0,  # [1] share of cells that carry a foot
+        "bare": 0.0,  # [1] share of the known cells without a foothold in reach
         "high": np.nan,  # [m] {world}
         "low": np.nan,  # [m] {world}
-        "looks": 0.0,  # at the cell, in which nothing showed
-        "rise": 0.0,  # [m] over the lowest ground around
-        "fall": 0.0,  # [m] under the highest ground around
+        "looks": 0.0,  # number of looks without a measurement
+        "rise": 0.0,  # [m] above the lowest ground around
+        "fall": 0.0,  # [m] below the highest ground around
     }
     return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}
