@@ -194,7 +194,7 @@ class Errand:
         self._feel(state)
         anew, self._newest_step = state.step < self._newest_step, state.step
         if anew:
-            self._pending, self._because = None, " again: the actuator has begun anew"
+            self._pending, self._begun_ns, self._because = None, -1, " again: the actuator has begun anew"
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         if self._pending is not None and state.step < self._pending.number:
             if not refused:

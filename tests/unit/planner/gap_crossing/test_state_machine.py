@@ -328,6 +328,17 @@ def test_an_actuator_that_begins_anew_has_the_robot_look_again() -> None:
     assert robot.moves[-1].number == 1
 
 
+def test_an_actuator_that_restarts_during_planning_has_the_section_planned_from_the_new_stance() -> None:
+    robot = Robot(Planned(section(0.0, 1.85), section(0.0, 1.85)))
+    robot.state = replace(robot.state, step=5)
+    robot.until(lambda: robot.sections.grown == 1)
+    robot.state = replace(robot.state, step=0)
+    robot.T = robot.T @ from_xyz_rpy((0.02, 0.0, 0.0), np.zeros(3))
+    robot.until(lambda: bool(robot.moves))
+    assert len(robot.sections.begun) == 2
+    assert robot.sections.begun[1][1].body[0] == pytest.approx(robot.sections.begun[0][1].body[0] + 0.02, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
