@@ -1,1 +1,4 @@
-"""Two machines on one: network namespaces that only a radio joins, with delay, rate, loss and cuts."""
+"""Network testbed: two machines emulated on one computer.
+
+Only an emulated radio connects them, with delay, rate, loss and outages.
+"""

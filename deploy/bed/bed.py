@@ -1,4 +1,4 @@
-"""Two machines that only a radio joins, for as long as a block runs."""
+"""Two machines connected only by an emulated radio, as context managers."""
 
 import abc
 import contextlib
@@ -20,15 +20,16 @@ from sextant.deploy.network.gate import SECURE_ENDPOINT
 from sextant.deploy.process_table import ROUTER_ENDPOINT
 from sextant.shared.scenario.scenario import Link
 
-PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))  # of the robot's router
-_PATIENCE_S = 20.0  # for the relay's answers
+# Ports of the robot's router.
+PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))
+_PATIENCE_S = 20.0  # [s] timeout for the relay's answers
 
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """What the radio has carried so far, by a time."""
+    """Traffic of the radio up to a time."""
 
-    at_ns: int  # of this computer's monotonic clock
+    at_ns: int  # this computer's monotonic clock
     from_robot: int  # [bytes]
     packets_from_robot: int
     lost_from_robot: int  # packets
@@ -38,14 +39,14 @@ class Carried:
 
 
 class Bed(abc.ABC):
-    """The robot's machine, the base, and the radio between them; a context manager."""
+    """The robot's machine, the base station, and the radio; a context manager."""
 
-    robot_address: str  # by which the base knows the robot
-    robot_router: str  # endpoint of the robot's router, on its machine
-    base_router: str  # likewise
+    robot_address: str  # the robot's address as seen from the base station
+    robot_router: str  # endpoint of the robot's router on its machine
+    base_router: str  # endpoint of the base station's router on its machine
 
     def __init__(self, link: Link, seed: int = 0):
-        """With a radio of a link's delay, rate and loss; `seed` of what is lost."""
+        """Use a radio with a link's delay, rate and loss; `seed` determines the losses."""
         self._link = link
         self._seed = seed
 
@@ -70,7 +71,7 @@ class Bed(abc.ABC):
         trace: TracebackType | None = None,
     ) -> None:
         assert self._relay.stdin is not None
-        with contextlib.suppress(OSError):  # it is gone already
+        with contextlib.suppress(OSError):  # the process has ended already
             self._relay.stdin.close()
         try:
             self._relay.wait(_PATIENCE_S)
@@ -84,59 +85,62 @@ class Bed(abc.ABC):
     @property
     @abc.abstractmethod
     def words(self) -> str:
-        """What it is, for a report."""
+        """Description for a report."""
 
     @abc.abstractmethod
     def robot_words(self) -> tuple[str, ...]:
-        """Options by which the robot's half listens to everybody who reaches its machine."""
+        """Return the options with which the robot accepts all clients on its network."""
 
     @abc.abstractmethod
     def base_words(self) -> tuple[str, ...]:
-        """Options by which the base's half listens elsewhere than usual, if it must."""
+        """Return the options for the base station's endpoint.
+
+        There are none if the default endpoint is free.
+        """
 
     @abc.abstractmethod
     def seen(self, port: int) -> str:
-        """Where the base finds a port of the robot's, as HOST:PORT."""
+        """Return HOST:PORT under which the base station reaches a port of the robot."""
 
     @abc.abstractmethod
     def on_robot(self, *command: str) -> list[str]:
-        """A command as it runs on the robot's machine."""
+        """Return the command line that runs a command on the robot's machine."""
 
     @abc.abstractmethod
     def on_base(self, *command: str) -> list[str]:
-        """A command as it runs on the base."""
+        """Return the command line that runs a command on the base station."""
 
     def cut(self) -> Carried:
-        """Have nothing come through from now on, either way."""
+        """Start an outage in both directions."""
         return self._ask(orders.CUT)
 
     def mend(self) -> Carried:
-        """Have packets come through again."""
+        """End the outage."""
         return self._ask(orders.MEND)
 
     def carried(self) -> Carried:
-        """What it has carried so far."""
+        """Return the traffic so far."""
         return self._ask(orders.ASK)
 
     @abc.abstractmethod
     def _command(self) -> tuple[str, ...]:
-        """Of the process that is the radio, as Python's arguments."""
+        """Return the Python arguments of the radio process."""
 
     @abc.abstractmethod
     def _begun(self, said: list[str]) -> None:
-        """Take in the first words of that process."""
+        """Process the first output line of the radio process."""
 
     def _ask(self, order: str) -> Carried:
         assert self._relay.stdin is not None
-        with contextlib.suppress(OSError):  # of one that is gone, which its silence tells
+        with contextlib.suppress(OSError):  # if the process has ended, it does not answer
             self._relay.stdin.write(f"{order}\n")
         return Carried(*map(int, self._line("the radio between the machines is gone").split()))
 
     def _line(self, otherwise: str) -> str:
-        """What it says.
+        """Return the next output line.
 
         Raises:
-            BedError: Nothing: `otherwise`, and its own words.
+            BedError: There is none; the text is `otherwise` and the process's stderr.
         """
         assert self._relay.stdout is not None
         assert self._relay.stderr is not None
@@ -149,35 +153,35 @@ class Bed(abc.ABC):
 
 
 class Namespaces(Bed):
-    """Two network namespaces, whose packets a relay carries."""
+    """Two network namespaces, connected by a packet relay."""
 
     robot_address = ROBOT
     robot_router = base_router = ROUTER_ENDPOINT
 
     @property
     def words(self) -> str:
-        """What it is, for a report."""
+        """Description for a report."""
         control = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text(encoding="ascii").strip()
         return f"two network namespaces, their packets carried by a relay; TCP with {control}"
 
     def robot_words(self) -> tuple[str, ...]:
-        """Options by which the robot's half listens to everybody who reaches its machine."""
+        """Return the options with which the robot accepts all clients on its network."""
         return ("--listen", f"tcp/0.0.0.0:{PORT}")
 
     def base_words(self) -> tuple[str, ...]:
-        """None are needed."""
+        """Return no options: the default endpoint is free."""
         return ()
 
     def seen(self, port: int) -> str:
-        """Where the base finds a port of the robot's."""
+        """Return HOST:PORT under which the base station reaches a port of the robot."""
         return f"{ROBOT}:{port}"
 
     def on_robot(self, *command: str) -> list[str]:
-        """A command as it runs on the robot's machine."""
+        """Return the command line that runs a command on the robot's machine."""
         return _entering(self._robot, command)
 
     def on_base(self, *command: str) -> list[str]:
-        """A command as it runs on the base."""
+        """Return the command line that runs a command on the base station."""
         return _entering(self._base, command)
 
     def _command(self) -> tuple[str, ...]:
@@ -188,19 +192,22 @@ class Namespaces(Bed):
 
 
 class OneMachine(Bed):
-    """Both halves on this machine, and a relay of their connections between them: where namespaces cannot be had."""
+    """Both machines on this one, with a relay for their connections.
+
+    It serves where namespaces are not available.
+    """
 
     robot_address = HERE
     robot_router = ROUTER_ENDPOINT
 
     def __init__(self, link: Link, seed: int = 0, why: str = "", behind: tuple[int, ...] = (PORT, TLS_PORT)):
-        """Prepare.
+        """Prepare the relay.
 
         Args:
             link: Delay, rate and loss of the radio.
-            seed: Of what is lost.
-            why: There are no namespaces, in words.
-            behind: Ports of this machine that are the robot's.
+            seed: Random seed of the losses.
+            why: Why there are no namespaces.
+            behind: Ports of this machine that belong to the robot.
         """
         super().__init__(link, seed)
         self._why = f" ({why})" if why else ""
@@ -209,27 +216,30 @@ class OneMachine(Bed):
 
     @property
     def words(self) -> str:
-        """What it is, for a report."""
+        """Description for a report."""
         return f"one machine, the connections between the halves carried by a relay{self._why}"
 
     def robot_words(self) -> tuple[str, ...]:
-        """Options by which the robot's half listens to everybody who reaches its machine."""
+        """Return the options with which the robot accepts all clients on its network."""
         return ("--listen", self.robot_router)
 
     def base_words(self) -> tuple[str, ...]:
-        """Options by which the base's half listens elsewhere than the robot's."""
+        """Return the options for the base station's endpoint.
+
+        It differs from the robot's.
+        """
         return ("--listen", self.base_router)
 
     def seen(self, port: int) -> str:
-        """Where the base finds a port of the robot's: a port of the relay."""
+        """Return HOST:PORT of the relay for a port of the robot."""
         return f"{HERE}:{self._ports[port]}"
 
     def on_robot(self, *command: str) -> list[str]:
-        """A command as it runs on the robot's machine, which is this one."""
+        """Return the command line for the robot's machine, which is this one."""
         return _entering("0", command)
 
     def on_base(self, *command: str) -> list[str]:
-        """A command as it runs on the base, which is this machine."""
+        """Return the command line for the base station, which is this machine."""
         return _entering("0", command)
 
     def _command(self) -> tuple[str, ...]:
@@ -241,7 +251,7 @@ class OneMachine(Bed):
 
 @contextlib.contextmanager
 def two_machines(link: Link, seed: int = 0) -> Iterator[Bed]:
-    """Namespaces where they can be had; otherwise one machine, which its words tell."""
+    """Yield namespaces if available, otherwise one machine; `words` tells which."""
     with contextlib.ExitStack() as stack:
         try:
             bed: Bed = stack.enter_context(Namespaces(link, seed))

@@ -1,4 +1,7 @@
-"""What a robot does when the radio is cut and comes back, from what its actuator said. Pure."""
+"""Evaluate a robot's reaction to a radio outage, from its actuator states.
+
+This module is pure.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,31 +9,34 @@ from dataclasses import dataclass
 from sextant.deploy.bed.ear import Heard
 from sextant.services.actuator.config import Settings
 
-HOLD_S = 0.25  # within which feet are set down where nothing comes any more
-BACK_S = 2.0  # within which it walks again once the radio is back
-_WORD_S = 0.02  # that a word of the actuator's may come after what it tells of
-OLDEST_S = Settings().plan_age_s + _WORD_S  # that a plan may be seen to be when it is taken
+HOLD_S = 0.25  # [s] within which the feet must be set down during an outage
+BACK_S = 2.0  # [s] within which the robot must walk again after the outage
+_WORD_S = 0.02  # [s] possible delay between an event and the actuator state that reports it
+OLDEST_S = Settings().plan_age_s + _WORD_S  # maximum observed age of a plan when it is accepted
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """One cut, and what came of it; times [s], None where something did not happen or need not have."""
+    """One outage and its effects.
+
+    Times are in [s], or None for events that did not happen or were not required.
+    """
 
     at_ns: int
     lasted_s: float
-    held_s: float | None  # after the cut: it no longer did as planned
-    rested_s: float | None  # after the cut: all feet were on the ground
-    back_s: float | None  # after the radio was back: it took a plan and walked
-    oldest_s: float  # age of the oldest plan that it took from the cut on
+    held_s: float | None  # after the start: it no longer walked on plans
+    rested_s: float | None  # after the start: all feet were on the ground
+    back_s: float | None  # after the end: it accepted a plan and walked
+    oldest_s: float  # age of the oldest plan accepted since the start
 
     @property
     def must_hold(self) -> bool:
-        """Whether it lasted so long that it had to hold."""
+        """Whether the outage was long enough that the robot had to hold."""
         return self.lasted_s > HOLD_S
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What was not as it must be, in words."""
+        """Violated requirements as text."""
         found: list[str] = []
         if self.must_hold and (self.held_s is None or self.held_s > HOLD_S):
             found.append(f"held after {_s(self.held_s)}")
@@ -42,12 +48,12 @@ class Cut:
 
 
 def judge(at_ns: int, mended_ns: int, heard: Sequence[Heard]) -> Cut:
-    """What came of one cut.
+    """Evaluate one outage.
 
     Args:
-        at_ns: When nothing came through any more.
-        mended_ns: When it did again.
-        heard: What the actuator said, from before the cut until it walked again, in order.
+        at_ns: Start of the outage.
+        mended_ns: End of the outage.
+        heard: The actuator states, in order, from before the outage until the robot walks again.
     """
     before = [h for h in heard if h.at_ns <= at_ns]
     after = [h for h in heard if h.at_ns > at_ns]
@@ -55,7 +61,7 @@ def judge(at_ns: int, mended_ns: int, heard: Sequence[Heard]) -> Cut:
     held = at_ns if not walked else next((h.at_ns for h in after if not h.walks), None)
     rested = at_ns if before and before[-1].mode == "hold" else next((h.at_ns for h in after if h.mode == "hold"), None)
     taken = [h for a, h in zip([*before[-1:], *after], after, strict=False) if h.plan_ns not in (a.plan_ns, -1)]
-    back: int | None = mended_ns  # where it never stopped
+    back: int | None = mended_ns  # if it never stopped
     if held is not None:
         back = next((h.at_ns for h in taken if h.at_ns > max(mended_ns, held) and h.walks), None)
     return Cut(

@@ -1,6 +1,8 @@
-"""Hears the actuator on the robot's machine, and says what changes: `python -m sextant.deploy.bed.ear ENDPOINT NAMESPACE`.
+"""Listener for the actuator's state on the robot's machine.
 
-A line a change on standard output, as JSON; it ends when its standard input is closed.
+python -m sextant.deploy.bed.ear ENDPOINT NAMESPACE
+
+It prints each change as a line of JSON. It ends when its standard input is closed.
 """
 
 import json
@@ -16,27 +18,30 @@ from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the actuator said, when that was something new."""
+    """A changed actuator state."""
 
-    at_ns: int  # when it said so, by this computer's monotonic clock
+    at_ns: int  # its time on this computer's monotonic clock
     mode: Mode
     reason: str
     step: int
-    plan_ns: int  # stamp of the plan that is walked, -1 before the first
+    plan_ns: int  # stamp of the executed plan, -1 before the first
 
     @classmethod
     def of(cls, line: str) -> "Heard":
-        """As it was said by `line`."""
+        """Parse an output line."""
         found = json.loads(line)
         return cls(found["at_ns"], Mode(found["mode"]), found["reason"], found["step"], found["plan_ns"])
 
     def line(self) -> str:
-        """On one line."""
+        """The state as an output line."""
         return json.dumps(asdict(self))
 
     @property
     def walks(self) -> bool:
-        """Whether it does as planned: feet that are set down for want of a plan are none of that."""
+        """Whether it walks on plans.
+
+        Setting the feet down because no plan has arrived does not count.
+        """
         return self.mode is Mode.WALK and self.reason == "walking"
 
 

@@ -1,6 +1,9 @@
-"""Runs a command in the network of a process: `python -m sextant.deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]`.
+"""Run a command in the network of a process.
 
-0 stands for this network, where no other can be had. The last is a launcher's: the command ends when that process has ended.
+python -m sextant.deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]
+
+PID 0 is the current network, for systems without namespaces. A launcher appends --parent: the command ends when that process
+has ended.
 """
 
 import os
@@ -11,14 +14,14 @@ from sextant.shared.runtime.shutdown import end_with
 
 
 def main() -> int:
-    """Go there and become the command."""
+    """Enter the network, and replace this process by the command."""
     if len(sys.argv) < 3 or not sys.argv[1].isdigit():
         sys.stderr.write(f"a process id and a command expected, found {sys.argv[1:]}\n")
         return 2
     words = sys.argv[2:]
     try:
         if len(words) > 2 and words[-2] == "--parent":
-            end_with(int(words[-1]))  # it holds for what this process becomes
+            end_with(int(words[-1]))  # remains in effect for the command
             del words[-2:]
         if process := int(sys.argv[1]):
             enter(process)

@@ -1,7 +1,9 @@
-"""Leads the robot along a course from one of the bed's machines: `python -m sextant.deploy.bed.lead ENDPOINT NAMESPACE COURSE`.
+"""Lead the robot along a course from one of the testbed's machines.
 
-It waits for a pose for as long as it takes. It ends when its standard input is closed; and with exit status 1 where it gives
-up, and says why.
+python -m sextant.deploy.bed.lead ENDPOINT NAMESPACE COURSE
+
+It waits for a pose without a timeout. It ends when its standard input is closed. If it gives up, it prints the reason and exits
+with status 1.
 """
 
 import math

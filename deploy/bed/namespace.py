@@ -1,4 +1,7 @@
-"""Network namespaces of Linux by its system calls: made, entered and wired, by root or who may have a user namespace."""
+"""Create, enter and connect network namespaces of Linux by system calls.
+
+This needs root, or permission for user namespaces.
+"""
 
 import ctypes
 import fcntl
@@ -16,11 +19,13 @@ MTU = 1400  # [bytes]
 
 
 class BedError(OSError):
-    """Two machines cannot be had here, with the reason and what to do."""
+    """Two machines cannot be emulated here; the text has the reason and a remedy."""
 
 
 def leave_user() -> None:
-    """Become root of a user namespace of one's own, where this process is not root; it must have one thread.
+    """Become root of a new user namespace if this process is not root.
+
+    The process must have one thread.
 
     Raises:
         BedError: The system does not allow it.
@@ -35,7 +40,7 @@ def leave_user() -> None:
 
 
 def leave_network() -> None:
-    """Go into a new network namespace, in which nothing is but a loopback device.
+    """Enter a new network namespace with only a loopback device.
 
     Raises:
         BedError: The system does not allow it.
@@ -45,10 +50,12 @@ def leave_network() -> None:
 
 
 def enter(pid: int) -> None:
-    """Go into the network namespace of a process, and into its user namespace where that is another.
+    """Enter the network namespace of a process.
+
+    Its user namespace is entered first if that differs.
 
     Raises:
-        BedError: It is gone, or the system does not allow it.
+        BedError: The process has ended, or the system does not allow it.
     """
     try:
         if not Path(f"/proc/{pid}/ns/user").samefile("/proc/self/ns/user"):
@@ -59,9 +66,10 @@ def enter(pid: int) -> None:
 
 
 def wire(name: str, address: str) -> int:
-    """Make a device with an address (IPv4) in this network namespace; the file whose reads and writes are its packets.
+    """Create a device with an IPv4 address in this network namespace.
 
-    The file goes on to be that device's wherever its process goes.
+    Return a file: its reads and writes are the device's packets. It stays connected to that device if the process enters
+    another namespace.
 
     Raises:
         BedError: The system does not allow it.
@@ -87,7 +95,7 @@ def _bring_up(name: str) -> None:
 
 
 def _request(name: str, value: bytes) -> bytes:
-    """Of linux/if.h: a name and what is asked for it."""
+    """Return a request of linux/if.h: the name and the value."""
     return struct.pack("16s24s", name.encode(), value)
 
 

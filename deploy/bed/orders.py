@@ -1,4 +1,7 @@
-"""What a relay is told, and says: how its radio is by options, orders by lines of standard input, each answered by a line."""
+"""Protocol of a relay process.
+
+Options describe the radio. Commands are lines on standard input; each is answered by a line.
+"""
 
 import argparse
 import sys
@@ -10,7 +13,7 @@ CUT, MEND, ASK = "cut", "mend", "what it carried"
 
 
 def parser(module: str, what: str | None) -> argparse.ArgumentParser:
-    """Options of a radio, for the module that is one."""
+    """Return an argument parser with the options of a radio."""
     made = argparse.ArgumentParser(prog=f"python -m {module}", description=what)
     made.add_argument("--delay-ms", type=float, default=0.0, help="one way")
     made.add_argument("--mbit", type=float, default=0.0, help="Mbit/s each way; 0: no limit")
@@ -20,15 +23,15 @@ def parser(module: str, what: str | None) -> argparse.ArgumentParser:
 
 
 def radio(arguments: argparse.Namespace) -> tuple[Link, int]:
-    """The radio that the options describe, and the seed of what it loses."""
+    """Return the radio described by the options, and the random seed of its losses."""
     return Link(arguments.delay_ms, arguments.mbit, arguments.loss), arguments.seed
 
 
 def read(said: str) -> Iterator[str]:
-    """The orders of some lines.
+    """Yield the commands in some lines.
 
     Raises:
-        ValueError: One is something else.
+        ValueError: A line is not a command.
     """
     for line in said.splitlines():
         if line not in (CUT, MEND, ASK):
@@ -37,11 +40,14 @@ def read(said: str) -> Iterator[str]:
 
 
 def answer(now_ns: int, ways: Sequence[tuple[int, int, int]]) -> None:
-    """Say what has been carried by a time [ns]: of each way bytes, packets, and packets lost."""
+    """Print the traffic up to a time [ns].
+
+    For each way: bytes, packets, and lost packets.
+    """
     say(" ".join(map(str, (now_ns, *(number for way in ways for number in way)))))
 
 
 def say(line: str) -> None:
-    """A line to whoever has started this process."""
+    """Print a line for the parent process."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

@@ -1,7 +1,10 @@
-"""The radio between two network namespaces, which this process makes: `python -m sextant.deploy.bed.relay`.
+"""Radio between two network namespaces.
 
-It says on standard output the ids of two processes that live in the namespaces, and takes `cut`, `mend` and `what it carried`
-from its standard input, each answered by a line. When that is closed it ends, and both namespaces with it.
+python -m sextant.deploy.bed.relay
+
+This process creates the namespaces. It prints the ids of two processes in the namespaces. It accepts `cut`, `mend` and
+`what it carried` on standard input, and answers each with a line. When standard input is closed, it ends, and both namespaces
+with it.
 """
 
 import os
@@ -16,12 +19,12 @@ from sextant.deploy.bed.namespace import MTU, BedError, leave_network, leave_use
 from sextant.shared.runtime.process_priority import go_first
 from sextant.shared.runtime.shutdown import end_with
 
-ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses; the namespaces are seen by nobody else
+ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses, visible only inside the namespaces
 _READ = MTU + 64  # [bytes]
 
 
 def main() -> int:
-    """Make both machines, and carry their packets until standard input ends."""
+    """Create both machines, and forward packets until standard input ends."""
     link, seed = orders.radio(orders.parser("sextant.deploy.bed.relay", __doc__).parse_args())
     try:
         leave_user()
@@ -30,7 +33,7 @@ def main() -> int:
     except BedError as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    go_first()  # where it may: a radio waits for no program
+    go_first()  # high priority if permitted: a real radio is not delayed by programs
     orders.say(f"{held_robot} {held_base}")
     _carry({robot: Way(link, seed), base: Way(link, seed + 1)}, {robot: base, base: robot})
     for held in (held_robot, held_base):
@@ -40,7 +43,10 @@ def main() -> int:
 
 
 def _machine(address: str) -> tuple[int, int]:
-    """Go into a new network namespace: the file of its wire, and the id of a process that stays there."""
+    """Enter a new network namespace.
+
+    Return the file of its device, and the id of a process that stays there.
+    """
     leave_network()
     file = wire("radio", address)
     parent = os.getpid()
@@ -53,7 +59,7 @@ def _machine(address: str) -> tuple[int, int]:
 
 
 def _carry(ways: dict[int, Way], other: dict[int, int]) -> None:
-    """Carry packets between two wires until standard input ends; each way begins at a wire."""
+    """Forward packets between two devices until standard input ends."""
     said = sys.stdin.fileno()
     while True:
         now_ns = time.monotonic_ns()
@@ -80,7 +86,7 @@ def _take(wire_: int, way: Way, now_ns: int) -> None:
 
 
 def _obey(said: str, ways: list[Way]) -> bool:
-    """Do as lines say; whether to go on."""
+    """Execute the commands in some lines; return whether to continue."""
     for order in orders.read(said):
         if order != orders.ASK:
             for way in ways:

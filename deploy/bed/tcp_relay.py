@@ -1,8 +1,10 @@
-"""A radio between two processes of one machine: `python -m sextant.deploy.bed.tcp_relay --to PORT [--to PORT ...]`.
+"""Radio between two processes of one machine.
 
-Whoever connects to one of its ports is connected, through the air, to the port of this machine that stands behind it. It says
-its ports on standard output, in the order of those behind them, and takes `cut`, `mend` and `what it carried` from its standard
-input, as `sextant.deploy.bed.relay` does. When that is closed it ends.
+python -m sextant.deploy.bed.tcp_relay --to PORT [--to PORT ...]
+
+A connection to one of its ports is forwarded, through the emulated radio, to the corresponding port of this machine. It prints
+its ports on standard output, in the order of the target ports. It accepts `cut`, `mend` and `what it carried` on standard
+input, as `sextant.deploy.bed.relay` does. When that is closed, it ends.
 """
 
 import contextlib
@@ -19,20 +21,20 @@ from sextant.shared.runtime.process_priority import go_first
 from sextant.shared.scenario.scenario import Link
 
 HERE = "127.0.0.1"
-_BUFFER = 1 << 16  # [bytes] of the sockets: what they hold has not been sent
-_READ = 1 << 14  # [bytes] at once
+_BUFFER = 1 << 16  # [bytes] of the sockets: small, because their data has not been sent
+_READ = 1 << 14  # [bytes] maximum read at once
 
 
 @dataclass(slots=True)
 class _Way:
-    """From one socket to another."""
+    """One direction of a connection between two sockets."""
 
     source: socket.socket
     to: socket.socket
     stream: Stream
-    ready: bytearray = field(default_factory=bytearray)  # has arrived, and is not taken yet
-    over: bool = False  # the source says no more
-    done: bool = False  # and its other end has been told so
+    ready: bytearray = field(default_factory=bytearray)  # received, but not accepted by the target yet
+    over: bool = False  # the source has closed
+    done: bool = False  # the target was notified of that
 
 
 class _Relay:
@@ -46,7 +48,7 @@ class _Relay:
         return [listener.getsockname()[1] for listener in self._listeners]
 
     def run(self) -> None:
-        """Carry until standard input ends."""
+        """Forward until standard input ends."""
         while True:
             with selectors.DefaultSelector() as selector:
                 self._watch(selector)
@@ -64,9 +66,9 @@ class _Relay:
             self._forget()
 
     def _watch(self, selector: selectors.BaseSelector) -> None:
-        """What may have something to say, or takes what has arrived."""
+        """Register all sockets that are to be read or written."""
         selector.register(sys.stdin, selectors.EVENT_READ)
-        if not self._cut:  # who comes meanwhile waits at the door
+        if not self._cut:  # new connections wait during an outage
             for listener in self._listeners:
                 selector.register(listener, selectors.EVENT_READ)
         wanted: dict[socket.socket, int] = {}
@@ -90,7 +92,7 @@ class _Relay:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         try:
             far.connect((HERE, port))
-        except OSError:  # nobody is there yet
+        except OSError:  # no listener yet
             near.close()
             far.close()
             return
@@ -115,7 +117,7 @@ class _Relay:
                 del way.ready[: way.to.send(way.ready)]
         except BlockingIOError:
             return
-        except OSError:  # it has gone
+        except OSError:  # the target has closed
             way.ready.clear()
             way.over = way.done = True
             return
@@ -125,7 +127,7 @@ class _Relay:
                 way.to.shutdown(socket.SHUT_WR)
 
     def _forget(self) -> None:
-        """Close connections both of whose ends have said all."""
+        """Close connections that have ended in both directions."""
         over = [way for way in self._ways if way.done]
         for way in over:
             if any(other.source is way.to and other.done for other in over):
@@ -133,7 +135,7 @@ class _Relay:
         self._ways = [way for way in self._ways if way.source.fileno() >= 0 and way.to.fileno() >= 0]
 
     def _obey(self, said: str) -> bool:
-        """Do as lines say; whether to go on."""
+        """Execute the commands in some lines; return whether to continue."""
         airs = (self._from_robot, self._to_robot)
         for order in orders.read(said):
             now_ns = time.monotonic_ns()
@@ -154,12 +156,12 @@ class _Relay:
 
 
 def main() -> int:
-    """Carry what connections say until standard input ends."""
+    """Forward connections until standard input ends."""
     parser = orders.parser("sextant.deploy.bed.tcp_relay", __doc__)
     parser.add_argument("--to", type=int, action="append", required=True, help="port of this machine behind one of its own")
     arguments = parser.parse_args()
     relay = _Relay(*orders.radio(arguments), arguments.to)
-    go_first()  # where it may: a radio waits for no program
+    go_first()  # high priority if permitted: a real radio is not delayed by programs
     orders.say(" ".join(map(str, relay.ports())))
     relay.run()
     return 0

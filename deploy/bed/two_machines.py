@@ -1,4 +1,7 @@
-"""A simulated robot on one machine, its map and planner on another, and only the bed's radio between them."""
+"""A simulated robot with mapper and planner on another machine.
+
+Only the testbed's radio connects the two machines.
+"""
 
 import subprocess
 import sys
@@ -18,16 +21,19 @@ _CLI = ("-m", "sextant.deploy.cli")
 
 
 class TwoMachines:
-    """Both halves, as the two commands of docs/two_machines.md start them; a context manager."""
+    """Processes of both machines, as started by the commands of docs/two_machines.md.
+
+    This is a context manager.
+    """
 
     def __init__(self, bed: Bed, keys: Path | None, scenario: str, seed: int, namespace: str = "sextant"):
-        """Prepare.
+        """Prepare the commands.
 
         Args:
-            bed: Where they are; entered by the caller.
-            keys: Folder that `sextant keys new` made, for the address that the robot has in the bed; None lets everybody in.
-            scenario: Course by name or path.
-            seed: Of the simulator.
+            bed: The two machines; entered by the caller.
+            keys: Folder made by `sextant keys new` for the robot's address in the testbed; None accepts any client.
+            scenario: Scenario by name or path.
+            seed: Seed of the simulator.
             namespace: Prefix of every key.
         """
         self.said: list[str] = []
@@ -44,7 +50,8 @@ class TwoMachines:
         else:
             near = ("--keys", str(keys / "robot"))
             far = ("--keys", str(keys / "base"), "--connect", f"tls/{bed.seen(TLS_PORT)}")
-        self.commands = (("up", "onboard", *near), ("up", "offboard", *far))  # of the robot and the base, but for what follows
+        # Commands of the robot and the base station, without further options.
+        self.commands = (("up", "onboard", *near), ("up", "offboard", *far))
         robot, base = ((*self.commands[0], *course, *common), (*self.commands[1], *bed.base_words(), *common))
         halves = {"robot": bed.on_robot(*_python(*_CLI, *robot)), "base": bed.on_base(*_python(*_CLI, *base))}
         self._launcher = Launcher(
@@ -58,7 +65,7 @@ class TwoMachines:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        for helper in self._helpers:  # each ends when nothing more can come in
+        for helper in self._helpers:  # each ends when its input is closed
             assert helper.stdin is not None
             helper.stdin.close()
             helper.wait()
@@ -71,10 +78,10 @@ class TwoMachines:
             error.add_note("they said:\n" + "\n".join(self.said[-30:]))
 
     def meet(self, within_s: float) -> None:
-        """Wait until both have met, and the actuator is heard.
+        """Wait until both machines are connected, and the actuator's state is received.
 
         Raises:
-            TimeoutError: It did not come to that; what they said is noted.
+            TimeoutError: This did not happen; the output is noted.
         """
         self.until(lambda: any("(onboard) is here" in line for line in self.said), within_s, "that the base meets the robot")
         words = _python("-m", "sextant.deploy.bed.ear", self._bed.robot_router, self.namespace)
@@ -85,16 +92,16 @@ class TwoMachines:
         self.until(lambda: bool(self.heard), within_s, "a word of the actuator")
 
     def lead(self, course: str) -> None:
-        """Have the robot led along a course, by its path, from the base, until the end of the block."""
+        """Lead the robot along a course from the base station, until the block ends."""
         words = _python("-m", "sextant.deploy.bed.lead", self._bed.base_router, self.namespace, course)
         leader = subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self._helpers.append(leader)
 
     def until(self, holds: Callable[[], bool], within_s: float, what: str) -> None:
-        """Wait for something.
+        """Wait for a condition.
 
         Raises:
-            TimeoutError: It did not come, or something has ended.
+            TimeoutError: It did not become true, or a process has ended.
         """
         until = time.monotonic() + within_s
         while not holds():
@@ -104,10 +111,10 @@ class TwoMachines:
                 raise TimeoutError(f"{what}: not within {within_s:g} s")
 
     def pass_time(self, seconds: float) -> None:
-        """Let some time pass.
+        """Wait for some time.
 
         Raises:
-            TimeoutError: Something has ended.
+            TimeoutError: A process has ended.
         """
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
@@ -116,15 +123,15 @@ class TwoMachines:
 
     @property
     def robot_router(self) -> str:
-        """Endpoint of the robot's router, on its machine."""
+        """Endpoint of the robot's router on its machine."""
         return self._bed.robot_router
 
     def on_robot(self, *words: str) -> list[str]:
-        """A `sextant` command, as it is given on the robot's machine."""
+        """Return the command line of a `sextant` command on the robot's machine."""
         return self._bed.on_robot(*_python(*_CLI, *words))
 
     def _ended(self, within_s: float) -> str:
-        """What has ended that should not have, waiting for some time [s]."""
+        """Return the processes that have ended unexpectedly within a time [s]."""
         if ended := self._launcher.wait(within_s):
             return str(ended[0])
         for helper in self._helpers:

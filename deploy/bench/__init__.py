@@ -1,1 +1,1 @@
-"""What the stages are worth: accuracy on rebuilt scenes, and speed against peers."""
+"""Benchmarks: accuracy on generated scenes, and speed compared with peers."""

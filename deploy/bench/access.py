@@ -1,7 +1,8 @@
-"""How many messages of those who may not come through a guarded router, and what it does with too many and too large ones.
+"""Count unauthorized messages that pass a secured router.
 
-Everything is on loopback, with keys that are made for it. What gets through is counted by a process of the robot's own machine;
-after each kind somebody who may puts a last word on the same link or another, so that all that came before has been judged.
+The benchmark also sends too many and too large messages. Everything is on loopback, with temporary keys. A process of the
+robot's own machine counts the messages that pass. After each kind, an authorized client sends a final marker message, so that
+all messages before it have been processed.
 """
 
 import dataclasses
@@ -35,12 +36,12 @@ _NAMESPACE = "bench"
 _PATIENCE_S = 20.0
 _REPEAT_S = 0.02
 _WORD = b"a last word: "
-_TRIES = 20  # that who is not let in opens a session of Zenoh; all other tries are handshakes, which take less time
+_TRIES = 20  # Zenoh sessions tried by a refused client; all other attempts are handshakes, which take less time
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One kind of what should not come through."""
+    """Results for one kind of unauthorized message."""
 
     what: str
     tried: int
@@ -49,7 +50,7 @@ class Row:
 
 
 class _Inside:
-    """Counts what comes through."""
+    """Counts messages that pass."""
 
     def __init__(self, link: ZenohLink):
         self.count = 0
@@ -65,7 +66,10 @@ class _Inside:
             self._news.notify_all()
 
     def settle(self, link: ZenohLink, what: str) -> int:
-        """How many have come until a last word by `link`, which does not count."""
+        """Return the number of messages received before a marker.
+
+        The marker is sent by `link`, and does not count.
+        """
         words, until = _WORD + what.encode(), time.monotonic() + _PATIENCE_S
         with self._news:
             while self._last != words:
@@ -80,7 +84,10 @@ class _Inside:
 
 @contextmanager
 def _robot(folder: Path) -> Iterator[tuple[str, str]]:
-    """A guarded router with keys of every role, an expired and a foreign one; where it listens, with and without TLS."""
+    """Host a secured router with keys of every role.
+
+    There are also an expired and a foreign certificate. Yield the endpoints without and with TLS.
+    """
     authority, other = Authority(days=1), Authority(days=1)
     for role in ROLES:
         authority.issue(folder / role.name, role.name)
@@ -93,7 +100,7 @@ def _robot(folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple[Row, ...]:
-    """Try all kinds, with so many messages of each."""
+    """Try all kinds, with `messages` attempts each."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name, _robot(Path(name)) as (plain, secure):
         folder = Path(name)
@@ -117,7 +124,7 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
 
 
 def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
-    """Those who are not let in at all."""
+    """Yield results for clients that are not accepted."""
     known = Keys.load(folder / "console")
     kinds = (
         ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
@@ -130,7 +137,10 @@ def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
 
 
 def _knock(what: str, keys: Keys | None, endpoint: str, messages: int) -> Row:
-    """Try to get in, as a client of ours, which says why not, then as a stranger who only shakes hands."""
+    """Try to connect as a client of Sextant, then as a stranger.
+
+    The client reports the reason for its refusal. The stranger only makes handshakes.
+    """
     opened, took_s, why = 0, [], ""
     for _ in range(_TRIES):
         began = time.perf_counter()
@@ -147,7 +157,10 @@ def _knock(what: str, keys: Keys | None, endpoint: str, messages: int) -> Row:
 
 
 def _stranger(folder: Path | None) -> ssl.SSLContext:
-    """Somebody who takes the robot for whom it says it is, and shows the certificate of a folder, or none."""
+    """Return the TLS context of a stranger.
+
+    It has the certificate of a folder, or none, and does not verify the robot's certificate.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if folder is not None:
@@ -156,7 +169,10 @@ def _stranger(folder: Path | None) -> ssl.SSLContext:
 
 
 def _put(link: ZenohLink, topic: AnyTopic, frame: bytes, messages: int) -> None:
-    """Put a frame so often, slower than the client's queue, so that the router and not the client drops it."""
+    """Send a frame `messages` times.
+
+    The rate is below that of the client's queue, so that only the router drops messages.
+    """
     for number in range(messages):
         link.send(topic, frame)
         if number % 50 == 49:
@@ -165,7 +181,7 @@ def _put(link: ZenohLink, topic: AnyTopic, frame: bytes, messages: int) -> None:
 
 
 def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink], messages: int) -> Iterator[Row]:
-    """Those who are let in, and do what they may not."""
+    """Yield results for accepted clients that send messages without permission."""
     frame = codec.encode(ModeCommand(1, "walk", 1, "bench"))
     for role, topic in (("console", topics.STEP_PLAN), ("viewer", topics.MODE), ("viewer", topics.VELOCITY)):
         with link(role) as client:
@@ -193,7 +209,7 @@ def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink
 
 
 def in_words(rows: tuple[Row, ...]) -> str:
-    """A table."""
+    """Return the rows as a Markdown table."""
     lines = ["| what | tried | came through | |", "|---|---|---|---|"]
     return "\n".join([*lines, *(f"| {row.what} | {row.tried} | {row.through} | {row.note} |" for row in rows)])
 

@@ -1,4 +1,7 @@
-"""How right pose and map are: rides through the real perception and mapper, through the codec, judged by the truth."""
+"""Accuracy of pose and map: rides through the real perception and mapper.
+
+Messages pass through the codec. Results are compared with the ground truth.
+"""
 
 import json
 import math
@@ -30,43 +33,43 @@ from sextant.shared.wire.messages import TerrainMap
 
 Cells = NDArray[np.bool_]
 
-_SETTLE_NS = 500_000_000  # simulated time after the last picture, for what is still on its way
-_SURVEYED = 10  # scans per survey: the last one of a ride has seen all of it
-_REACH = 2  # cells by which noise may carry a point out of view, on top of the drift of the pose
+_SETTLE_NS = 500_000_000  # simulated time after the last depth frame, for messages in transit
+_SURVEYED = 10  # scans per survey: the last survey of a ride has seen everything
+_REACH = 2  # cells by which noise may move a point out of view, in addition to the pose drift
 
 
 @dataclass(frozen=True, slots=True)
 class RideResult:
-    """One ride, judged."""
+    """Results of one ride."""
 
-    drift: float  # [m] error of the place at the end
+    drift: float  # [m] position error at the end
     legs_drift: float  # [m] the same of the odometry
-    refused: int  # frames whose registration was refused
+    refused: int  # frames with a rejected registration
     rmse: float  # [m] over all measured cells
-    interior_rmse: float  # [m] over those further than 2 cm from an edge
-    bias: float  # [m] over all
+    interior_rmse: float  # [m] over cells further than 2 cm from an edge
+    bias: float  # [m] over all measured cells
     edge: float  # [m] median distance from a true edge to the mapped one, NaN without edges
-    coverage: float  # share of the cells in view that are known
+    coverage: float  # share of the visible cells that are known
     invented: int  # known cells that were never in view
-    # The survey of a strip, the model of Masri's thesis, where one was made:
+    # Survey of a strip, the model of Masri's thesis, if one was made:
     model_rmse: float = math.nan  # [m] off edges
     beside_rmse: float = math.nan  # [m] of the elevation map on the same cells
     normal_deg: float = math.nan  # [deg] rms error of the normals off edges
-    model_coverage: float = math.nan  # share of the strip's cells in view that are known
-    # The elevation map of full frames, where one was made:
+    model_coverage: float = math.nan  # share of the strip's visible cells that are known
+    # Elevation map from full depth frames, if one was made:
     full_rmse: float = math.nan  # [m] over all measured cells
-    full_interior_rmse: float = math.nan  # [m] over those further than 2 cm from an edge
+    full_interior_rmse: float = math.nan  # [m] over cells further than 2 cm from an edge
     full_edge: float = math.nan  # [m] median distance from a true edge to the mapped one
-    full_coverage: float = math.nan  # share of the cells in view that are known
+    full_coverage: float = math.nan  # share of the visible cells that are known
 
 
 def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool = False) -> RideResult:
-    """Ride over a scene, whose terrain, errors and noise are drawn by the seed.
+    """Ride over a scene; the seed determines terrain, errors and noise.
 
-    With `survey`, a strip is surveyed, too, and full frames are mapped beside the scans.
+    With `survey`, a strip is surveyed, and full depth frames are mapped in addition to the scans.
 
     Raises:
-        RuntimeError: Not one map came of it.
+        RuntimeError: No map was published.
     """
     rngs = [np.random.default_rng([seed, k]) for k in range(3)]
     way = ride(scene(rngs[0]), rngs[1], errors or Errors())
@@ -86,7 +89,7 @@ def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool 
     lockstep = Lockstep(
         makers,
         heard.tap,
-        latency_s={topics.ODOMETRY.key: 0.001},  # it comes fifty times a second from a robot, here with each picture
+        latency_s={topics.ODOMETRY.key: 0.001},  # fifty times a second on a robot, here once per depth frame
     )
     lockstep.run(int(way.stamps_ns[-1]) + _SETTLE_NS)
     if heard.terrain is None:
@@ -125,7 +128,10 @@ def _judged(way: Ride, heard: Listener, terrain: TerrainMap, full: ElevationSnap
 
 
 def _of_full_frames(full: ElevationSnapshot, way: Ride, scan_range: float) -> dict[str, float]:
-    """The figures of the map of full frames, whose window is where it was when the last of them came."""
+    """Return the figures of the map from full depth frames.
+
+    Its window is where it was at the last of them.
+    """
     truth = TrueGround.under(way.terrain.height_at, full.origin, full.elevation.shape, full.resolution)
     error = full.elevation - truth.heights
     known = np.isfinite(error)
@@ -138,7 +144,7 @@ def _of_full_frames(full: ElevationSnapshot, way: Ride, scan_range: float) -> di
 
 
 def _in_view(way: Ride, terrain: TerrainMap | ElevationSnapshot, scan_range: float) -> Cells:
-    """Cells (nx, ny) of a map into which an undisturbed picture of the ride shows."""
+    """Return the map cells (nx, ny) that an undisturbed depth frame of the ride shows."""
     camera = way.profile.camera
     renderer = Renderer(way.terrain, camera.intrinsics)
     shape = terrain.elevation.shape
@@ -161,25 +167,28 @@ LEGS: Mapping[str, Errors] = {
     "slipping by half for 0.5 s": Errors(slip=0.5),
     "carried off by 0.29 m and 15 deg": Errors(carried_off=(-0.25, 0.15, math.radians(15.0))),
 }
-# Ground that shows x, y and yaw wherever one stands: where a robot that was carried off must find itself.
+# Ground on which x, y and yaw are observable everywhere: a displaced robot must relocalize there.
 _SHOWING: Mapping[str, Scene] = {"boxes": MAPPED["boxes"]}
-_FOUND = 0.05  # [m] of error at the end, within which a ride has kept or found its place
+_FOUND = 0.05  # [m] maximum position error at the end of a ride that has kept or found its position
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """All rides over one scene with one kind of legs."""
+    """All rides over one scene with one odometry model."""
 
     table: str  # "registration" or "maps"
     scene: str
     legs: str
     rides: int
-    found: int  # rides that ended where they believed to be, within 5 cm
-    figures: dict[str, tuple[float, float]]  # name -> median and worst (largest; of coverage least)
+    found: int  # rides with a final error below 5 cm
+    figures: dict[str, tuple[float, float]]  # name -> median and worst (largest; for coverage the least)
 
 
 def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambda _: None) -> list[Row]:
-    """Every scene, with every kind of legs where registration is concerned, over some seeds."""
+    """Return rows for all scenes and seeds.
+
+    Registration scenes are run with every odometry model.
+    """
     rows = [("registration", scene, legs) for scene in (*REGISTERED, *_SHOWING) for legs in LEGS]
     rows += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
     rides = [(*row, seed) for row in rows for seed in seeds]
@@ -202,9 +211,10 @@ def _ride_by_name(table: str, scene: str, legs: str, seed: int) -> RideResult:
 
 
 def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
-    """Figure -> its median and its worst (largest, of coverage least) over rides; those that no ride has are left out.
+    """Return median and worst of each figure over rides.
 
-    Figures are taken by their size: a bias has no sign here.
+    The worst is the largest, for coverage the least. Figures without values are left out. Absolute values are used: a bias has
+    no sign here.
     """
     rides = list(results)
     out = {}
@@ -216,7 +226,7 @@ def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
     return out
 
 
-_COLUMNS = {  # what is told of each table: figure -> heading, factor, digits
+_COLUMNS = {  # columns of each table: figure -> heading, factor, digits
     "registration": {"drift": ("drift mm", 1e3, 1), "legs_drift": ("of legs alone mm", 1e3, 0), "refused": ("refused", 1, 0)},
     "maps": {
         "rmse": ("rmse mm", 1e3, 1),
@@ -243,7 +253,7 @@ _COLUMNS = {  # what is told of each table: figure -> heading, factor, digits
 
 
 def in_words(rows: Sequence[Row]) -> str:
-    """The tables for people."""
+    """Return the tables as Markdown."""
     lines = []
     for table, columns in _COLUMNS.items():
         chosen = [row for row in rows if table.startswith(row.table) and columns.keys() & row.figures.keys()]
@@ -262,7 +272,7 @@ def in_words(rows: Sequence[Row]) -> str:
 
 
 def to_json(rows: Sequence[Row]) -> str:
-    """The tables for scripts; lengths in metres."""
+    """Return the tables as JSON; lengths in metres."""
     plain = [
         {
             "table": row.table,

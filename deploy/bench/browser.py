@@ -1,4 +1,4 @@
-"""A headless Chromium that leads the robot by its page, as an operator would with a mouse."""
+"""Headless Chromium that leads the robot by its page, as an operator does."""
 
 import contextlib
 import os
@@ -23,13 +23,13 @@ DESKTOP, SMALL, PHONE = (1440, 900), (960, 640), (390, 844)
 
 
 def find() -> str:
-    """Path of the browser, or nothing."""
+    """Return the path of the browser, or an empty string."""
     return next((path for name in BROWSERS if (path := shutil.which(name))), "")
 
 
 @contextlib.contextmanager
 def browser() -> Iterator[Any]:
-    """A browser of Playwright's; many pages may be opened in it.
+    """Start a Playwright browser; many pages may be opened in it.
 
     Raises:
         FileNotFoundError: None is found.
@@ -50,21 +50,22 @@ def browser() -> Iterator[Any]:
 
 _NOTE_INPUT = """for (const name of ["pointerdown", "pointerup"])
     addEventListener(name, (event) => { window.newestInput = event.timeStamp; }, true);"""
-_LOOKS = 20  # at the page's clock, of which the quickest counts
+_LOOKS = 20  # readings of the page's clock, of which the fastest counts
 
 
 class Hand:
-    """A mouse on one page, to be made before the page is gone to."""
+    """Mouse on one page; create it before the page is opened."""
 
     def __init__(self, page: Any):
-        """Of Playwright's page."""
+        """Use a Playwright page."""
         self.page = page
         page.add_init_script(_NOTE_INPUT)
 
     def newest_input_s(self) -> float:
-        """When the browser had the newest press or release, by this process's monotonic clock [s].
+        """Time [s] of the newest press or release in the browser.
 
-        What a script takes to move a mouse, through some processes, is not the page's: no hand does it that way.
+        It is on this process's monotonic clock. The time that a script takes to move a mouse through several processes does not
+        count.
         """
         looks = []
         for _ in range(_LOOKS):
@@ -75,37 +76,40 @@ class Hand:
         return float(min(looks)[1] + 1e-3 * self.page.evaluate("window.newestInput"))
 
     def press_at(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
-        """Move to a place on an element, shares of its size, and press."""
+        """Move to a position on an element, given as shares of its size, and press."""
         self.move_to(selector, x, y)
         self.page.mouse.down()
 
     def move_to(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
-        """Move to a place on an element, scrolled to where it is out of sight."""
+        """Move to a position on an element, and scroll it into view."""
         element = self.page.locator(selector)
         element.scroll_into_view_if_needed()
         box = element.bounding_box()
         self.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
     def release(self) -> None:
-        """Let go."""
+        """Release the button."""
         self.page.mouse.up()
 
     def click(self, selector: str) -> None:
-        """Press and let go."""
+        """Press and release."""
         self.press_at(selector)
         self.release()
 
     def hold_forward(self) -> None:
-        """Hold the pad for a walk straight on."""
+        """Hold the pad for walking straight ahead."""
         self.press_at("#pad")
         self.move_to("#pad", 0.5, 0.05)
 
     def holds(self) -> bool:
-        """Whether the page takes the pad for held; one that stood still for a moment does not, until it is pressed anew."""
+        """Return whether the page regards the pad as held.
+
+        A page that did not run for a moment releases it until the next press.
+        """
         return bool(self.page.evaluate("window.sextant.pad.held"))
 
     def says(self, selector: str) -> str:
-        """The words of an element."""
+        """Return the text of an element."""
         return str(self.page.inner_text(selector))
 
 
@@ -131,7 +135,7 @@ def _descendants(parent: int) -> set[int]:
 
 @contextlib.contextmanager
 def frozen() -> Iterator[None]:
-    """Stop all browsers that this process has started, and let them go on."""
+    """Stop all browsers started by this process for the duration of the block."""
     stopped = _descendants(os.getpid())
     if not stopped:
         raise ProcessLookupError("no browser of this process runs")

@@ -1,7 +1,8 @@
-"""The servo bus driver on a bad bus: how much is lost, what is doubted, and whether anything wrong is believed.
+"""Robustness of the servo bus driver on a faulty bus.
 
-Eighteen emulated servos swing as in a walk while their answers, or the bytes both ways, are broken; the driver reads and writes
-in cycles of 20 ms, in memory, on simulated time. Each reading that it believes is held against what the servo measured.
+The benchmark counts losses, rejections and accepted errors. Eighteen emulated servos swing as in a walk while their replies, or
+the bytes in both directions, are corrupted. The driver reads and writes in cycles of 20 ms, in memory, in simulated time. Each
+accepted reading is compared with the servo's measurement.
 """
 
 import json
@@ -25,16 +26,14 @@ from sextant.shared.servo.dynamixel import PRESENT_STATE, Instruction
 from sextant.shared.wire.messages import BrokenPart
 
 _N = 18
-_ACTUATOR = Settings()  # which asks as many servos in a cycle as this has time for
+_ACTUATOR = Settings()  # the number of servos read in a cycle follows from its time budget
 _CYCLE_NS, _BUDGET_NS = round(1e9 / _ACTUATOR.rate_hz), round(1e6 * _ACTUATOR.read_budget_ms)
-_FOREVER_S = 1e6  # the most that a fault may last
-_STEP_S = 0.8  # [s] of a leg's swing to and fro
-_SWING = 0.35  # [rad] of a joint to either side
-_LOAD_NM = (
-    0.3  # [N m] to either side: 95 % of the changes between two readings are below 0.25 of the stall torque, as in a walk
-)
-_REMEMBERED = 50  # cycles whose goals may still stand in a servo that has missed all since
-_GOALS_BROKEN = 0.00107  # of the bytes: of the 98 that carry the goals, one or more in 10 % of the cycles
+_FOREVER_S = 1e6  # maximum duration of a fault
+_STEP_S = 0.8  # [s] period of a leg's swing
+_SWING = 0.35  # [rad] amplitude of a joint
+_LOAD_NM = 0.3  # [N m] amplitude: 95 % of the changes between two readings are below 0.25 of the stall torque, as in a walk
+_REMEMBERED = 50  # cycles whose goals may still be in a servo that has missed all later ones
+_GOALS_BROKEN = 0.00107  # share of bytes: at least one of the 98 with the goals is broken in 10 % of the cycles
 
 
 def _answers(share: float, part: BrokenPart) -> BusFault:
@@ -71,24 +70,24 @@ HEADINGS = (
 
 @dataclass(slots=True)
 class Found:
-    """What one case came to."""
+    """Results of one case."""
 
     case: str
     questions: int = 0
-    unanswered: int = 0  # questions without an answer, or with one that is broken
-    implausible: int = 0  # answers refused for what they say
+    unanswered: int = 0  # requests without a valid reply
+    implausible: int = 0  # replies rejected by the plausibility check
     believed: int = 0
-    wrong: int = 0  # readings believed that are not what the servo measured
-    position_off_deg: float = 0.0  # the worst of them
-    load_off: float = 0.0  # fraction of the stall torque, likewise
-    oldest_p99_ms: float = 0.0  # age of the servo read longest ago
-    wrong_goals: int = 0  # cycles that end with a goal in a servo that it was not sent
+    wrong: int = 0  # accepted readings that differ from the servo's measurement
+    position_off_deg: float = 0.0  # the largest error
+    load_off: float = 0.0  # the largest error as a share of the stall torque
+    oldest_p99_ms: float = 0.0  # age of the oldest servo reading
+    wrong_goals: int = 0  # cycles after which a servo has a goal that was not sent to it
     cycles: int = 0
-    by_reason: dict[str, int] = field(default_factory=dict)  # all that was lost, dropped and refused
+    by_reason: dict[str, int] = field(default_factory=dict)  # everything lost, dropped and rejected
 
 
 class _CountingPort(MemoryPort):
-    """A port that counts the questions."""
+    """Port that counts the requests."""
 
     questions = 0
 
@@ -98,7 +97,10 @@ class _CountingPort(MemoryPort):
 
 
 class _Walk:
-    """Servos, their bus and a driver; joints are where they are told, loads come and go as legs stand and swing."""
+    """Servos, their bus and a driver.
+
+    Joints follow their goals. Loads change as legs stand and swing.
+    """
 
     def __init__(self, fault: BusFault | None, seed: int):
         self.now_ns = 0
@@ -117,7 +119,7 @@ class _Walk:
         self._goals: deque[NDArray[np.int64]] = deque([np.full(_N, dxl.TICK_CENTRE)], maxlen=_REMEMBERED)
 
     def cycle(self) -> list[tuple[ServoReading, bytes]]:
-        """One control cycle; readings with the registers that were truly there."""
+        """Run one control cycle; return readings with the true registers."""
         turn = self._phase + self.now_ns * 1e-9 * 2.0 * math.pi / _STEP_S
         qd, load = _SWING * 2.0 * math.pi / _STEP_S * np.cos(turn), _LOAD_NM * np.tanh(3.0 * np.cos(turn))
         self.bus.advance(self.now_ns)
@@ -125,27 +127,27 @@ class _Walk:
         start, size = dxl.PRESENT_POSITION.address, PRESENT_STATE.size
         readings = self.driver.poll(_BUDGET_NS)
         found = [(reading, self.bank.read(reading.index, start, size)) for reading in readings]
-        self._q = _SWING * np.sin(turn)  # where they are in the next cycle
+        self._q = _SWING * np.sin(turn)  # positions in the next cycle
         self._goals.append(np.rint(dxl.TICK_CENTRE + self._q / dxl.TICK_RAD).astype(np.int64))
         self.driver.sync_write_goals(self._goals[-1])
         self.now_ns = max(self.now_ns + _CYCLE_NS, self.port.now_ns())
         return found
 
     def goals_are_wrong(self) -> bool:
-        """Whether a servo has, at the end of a cycle, a goal that it was not sent."""
+        """Return whether a servo has a goal that was not sent to it, after a cycle."""
         self.bus.advance(self.now_ns)
         held = self.bank.tables.view("<u2")[:, dxl.GOAL_POSITION.address // 2]
         return not bool((np.array(self._goals) == held).any(axis=0).all())
 
 
 def measure(questions: int, seed: int, only: str = "", say: Callable[[str], None] = lambda _: None) -> list[Found]:
-    """Ask so many questions under each kind of fault.
+    """Send requests under each kind of fault.
 
     Args:
-        questions: At least so many a case.
-        seed: Of what is broken.
-        only: The cases whose names contain this.
-        say: Told what is done.
+        questions: Minimum number of requests per case.
+        seed: Random seed of the faults.
+        only: Run only the cases whose names contain this.
+        say: Called with the progress.
     """
     found = []
     for case, fault in CASES.items():
@@ -173,7 +175,7 @@ def _run(case: str, fault: BusFault | None, questions: int, seed: int) -> Found:
 
 
 def _compare(found: Found, reading: ServoReading, truth: bytes) -> None:
-    """Count a reading that was believed, and by how much it is off."""
+    """Count an accepted reading, and its error."""
     position, speed, load, voltage, temperature = PRESENT_STATE.unpack(truth)
     found.believed += 1
     right = (dxl.angle_from_ticks(position), dxl.speed_from_register(speed), dxl.load_from_register(load))
@@ -187,7 +189,7 @@ def _compare(found: Found, reading: ServoReading, truth: bytes) -> None:
 
 
 def in_words(found: list[Found]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     lines = ["| " + " | ".join(HEADINGS) + " |", "|---" * len(HEADINGS) + "|"]
     for one in found:
         cells = (
@@ -207,5 +209,5 @@ def in_words(found: list[Found]) -> str:
 
 
 def to_json(found: list[Found]) -> str:
-    """The same for scripts."""
+    """Return the results as JSON."""
     return json.dumps([asdict(one) for one in found], indent=1) + "\n"

@@ -1,4 +1,7 @@
-"""Timings as a picture: a bar for each method as long as its time is a multiple of ours."""
+"""Chart of timings.
+
+The length of a method's bar is its time relative to that of Sextant.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,21 +11,21 @@ from sextant.deploy.bench.timing import Timing, machine_in_words
 from sextant.shared.files import whole_files
 
 _WIDTH, _DPI, _FONT = 12.0, 100, 11
-_BAR, _GAP, _HEAD = 0.30, 0.42, 1.1  # [inch] height of a bar, of what parts two groups, and of the title
+_BAR, _GAP, _HEAD = 0.30, 0.42, 1.1  # [inch] height of a bar, of the gap between two groups, and of the title
 _OURS, _PEER, _PART = "#2a7f62", "#8fa3b5", ("#2a7f62", "#58a882", "#93c7ad", "#c5d9cf", "#8fa3b5", "#b9c5d0", "#dde3e8")
 
 
 def draw(
     path: Path, title: str, timings: Sequence[Timing], missing: Sequence[str], parts: Mapping[str, float] | None = None
 ) -> None:
-    """Write the picture.
+    """Write the chart.
 
     Args:
-        path: Of the picture, in the format of its suffix.
+        path: Output file; its suffix determines the format.
         title: What was measured.
-        timings: Of all methods; jobs with one method alone are not drawn.
-        missing: What was not measured, in words.
-        parts: Times [ms] that make up a whole, drawn as one bar below.
+        timings: Timings of all methods; jobs with only one method are not drawn.
+        missing: Methods that were not measured, as text.
+        parts: Times [ms] that make up a total, drawn as one bar below.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg

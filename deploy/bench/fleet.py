@@ -1,4 +1,7 @@
-"""How many robots one base carries: recorded robots, each behind a router of its own, and a real base that hears them all."""
+"""Number of robots that one base station can serve.
+
+Recorded robots are played, each behind a separate router, to a real base station.
+"""
 
 import contextlib
 import json
@@ -21,33 +24,33 @@ from sextant.shared.files import whole_files
 from sextant.shared.scenario.scenario import load_scenario
 
 SEED = 1003
-AFTER_S = 8.0  # of the recording that are not measured: the base's processes begin when they hear the robot
+AFTER_S = 8.0  # [s] at the start that are not measured: the base's processes start with the robot's first messages
 PATIENCE_S = 60.0
 _PARTS = ("mapper", "planner", "console", "recorder")
 _LOOK_S = 0.1
 _COLORS = ("#2a7f62", "#58a882", "#93c7ad", "#c5d9cf", "#2f6da8", "#c9ced3")
-# What a robot can do without. It holds when no new plan has come for 0.18 s, and goes on with the next; the planner speaks ten
-# times a second at least.
+# Requirements of a robot. It holds when no new plan has arrived for 0.18 s, and continues with the next plan. The planner
+# publishes at least ten times a second.
 MOST_PAUSE_MS = 350.0
 MOST_PLAN_MS = 250.0
-MOST_SCAN_MS = 250.0  # from a picture until it is in the map, in 99 of 100 scans
-LEAST_TAKEN = 0.95  # of the scans
+MOST_SCAN_MS = 250.0  # from a depth frame until it is in the map, for 99 of 100 scans
+LEAST_TAKEN = 0.95  # share of the scans
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A base with so many robots; processor times are in cores, busy all the time."""
+    """Load of a base station with a number of robots; processor times in busy cores."""
 
     robots: int
-    cores: dict[str, float]  # by part of the base, of all robots together
-    players: float  # cores that the recorded robots took
-    busy: float  # cores of the machine that were busy, whoever had them
-    memory_mb: float  # of the base's processes, pages that they share counted once
-    heard: tuple[Heard, ...]  # by each robot
+    cores: dict[str, float]  # by part of the base station, for all robots together
+    players: float  # cores used by the recorded robots
+    busy: float  # busy cores of the whole machine
+    memory_mb: float  # of the base's processes; shared pages count once
+    heard: tuple[Heard, ...]  # results of each robot
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """What no longer was as a robot needs it, in words."""
+        """Violated requirements of the robots as text."""
         found = []
         pause, scan = max(h.pause_max for h in self.heard), max(h.scan_p99 for h in self.heard)
         plan = max(h.plan_p99 for h in self.heard)
@@ -66,16 +69,16 @@ class Load:
 
 
 def measure(course: str, most: int, progress: Progress, out: Path) -> tuple[Load, ...]:
-    """Load a base with one robot, two and so on, until it does not carry them.
+    """Increase the number of robots until the base station cannot serve them.
 
     Args:
-        course: That is walked once in lockstep, and played by every robot.
-        most: Robots at most.
-        progress: Where to show it.
+        course: Scenario that is walked once in lockstep, and played by every robot.
+        most: Maximum number of robots.
+        progress: Where to show the progress.
         out: Folder for the recording.
 
     Raises:
-        TimeoutError: The base did not come up.
+        TimeoutError: The base station did not start.
     """
     recording = out / "walk" / "recording.mcap"
     recording.parent.mkdir()
@@ -105,7 +108,7 @@ def _loaded(robots: int, recording: Path, say: Callable[[str], object]) -> Load:
         members = {name: Member((f"tcp/127.0.0.1:{ports[name]}",)) for name in names}
         before = Path.cwd()
         os.chdir(recording.parent)
-        stack.callback(os.chdir, before)  # the recorders have their folders there
+        stack.callback(os.chdir, before)  # the recorders write to this folder
         with Base(Fleet(members, Page(port=free_port())), False, hear) as base:
             _beat(base, PATIENCE_S, lambda: len(waiting) == robots * len(_PARTS))
             for player in players.values():
@@ -148,7 +151,7 @@ def _last_line(player: subprocess.Popen[str]) -> str:
 def _beat(
     base: Base, within_s: float, over: Callable[[], bool] = lambda: False, look: Callable[[], object] = lambda: None
 ) -> None:
-    """Let it run for a time [s], or until something is over."""
+    """Run for a time [s], or until a condition is true."""
     until = time.monotonic() + within_s
     while not over() and time.monotonic() < until:
         if problem := base.beat(_LOOK_S):
@@ -157,25 +160,25 @@ def _beat(
 
 
 class _Meter:
-    """Processor time and memory of all that runs, from when it is made to the last look."""
+    """Meter of processor time and memory, from its creation to the last `look`."""
 
     def __init__(self, base: Base, players: dict[str, subprocess.Popen[str]]):
         halves = [base.half(name) for name in base.running]
         self._pids = {part: [half.pid(part) for half in halves] for part in _PARTS}
-        self._pids["routers"] = [os.getpid()]  # plain ones are in the process that starts the rest
+        self._pids["routers"] = [os.getpid()]  # plain routers run in this process
         self._players = [player.pid for player in players.values()]
         self._began = self._ended = self._times()
         self._at = self._until = time.monotonic()
         self._memory_mb = 0.0
 
     def look(self) -> None:
-        """Note how it stands, as long as all are there."""
+        """Take a measurement while all processes exist."""
         with contextlib.suppress(OSError):
             self._ended, self._until = self._times(), time.monotonic()
             self._memory_mb = sum(_memory_mb(pid) for pids in self._pids.values() for pid in pids)
 
     def found(self) -> tuple[dict[str, float], float, float, float]:
-        """Cores by part of the base, of the players, of the machine, and memory [MB]."""
+        """Return cores by part of the base, of players and machine, and memory [MB]."""
         took = {part: (self._ended[part] - self._began[part]) / (self._until - self._at) for part in self._ended}
         return {part: took[part] for part in self._pids}, took["players"], took["all"], self._memory_mb
 
@@ -202,12 +205,12 @@ def _memory_mb(pid: int) -> float:
 
 
 def carried(loads: Sequence[Load]) -> int:
-    """How many robots the base carried."""
+    """Return the number of robots that the base station can serve."""
     return max((load.robots for load in loads if not load.limits), default=0)
 
 
 def in_words(loads: Sequence[Load]) -> str:
-    """The loads as a table in Markdown."""
+    """Return the loads as a table in Markdown."""
     heads = ("robots", *(f"{part}, cores" for part in (*_PARTS, "routers")), "robots played", "machine busy", "MB")
     heads = (*heads, "scan in the map p50, ms", "p99, ms", "taken in", "plan's age p99, ms", "planner silent at most, ms")
     lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
@@ -233,7 +236,7 @@ def in_words(loads: Sequence[Load]) -> str:
 
 
 def draw(path: Path, loads: Sequence[Load]) -> None:
-    """Draw how it grows with the robots: whose processor time, and how late scans and plans become."""
+    """Plot processor time and delays of scans and plans over the number of robots."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -268,12 +271,12 @@ def draw(path: Path, loads: Sequence[Load]) -> None:
 
 
 def to_json(loads: Sequence[Load]) -> str:
-    """The loads for scripts."""
+    """Return the loads as JSON."""
     found = {"machine": machine(), "carried": carried(loads), "loads": [asdict(load) for load in loads]}
     return json.dumps(found, indent=1) + "\n"
 
 
 def from_json(text: str) -> tuple[Load, ...]:
-    """What `to_json` kept."""
+    """Read loads written by `to_json`."""
     kept: list[dict[str, Any]] = json.loads(text)["loads"]
     return tuple(Load(**{**load, "heard": tuple(Heard(**heard) for heard in load["heard"])}) for load in kept)

@@ -1,4 +1,7 @@
-"""The same map from full frames: every pixel fused at the same poses, to tell what the reduction of a scan costs."""
+"""Map from full depth frames: every pixel is fused at the same poses.
+
+The comparison shows the effect of the scan reduction.
+"""
 
 from collections.abc import Iterator
 
@@ -15,11 +18,11 @@ from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, DepthImage, Message
 
-_EVERY = 2  # pictures, of which one is mapped: all of them take twice as long
+_EVERY = 2  # interval between mapped frames: mapping all would take twice as long
 
 
 class FullFrames:
-    """Maps pictures as they are, without reduction, rounding or wire."""
+    """Mapper of unreduced depth frames, without rounding or transport."""
 
     name = "full frames"
     paced_by: AnyTopic = topics.BODY_POSE
@@ -27,18 +30,21 @@ class FullFrames:
     writes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, camera: Camera, size: tuple[int, int], resolution: float, max_range: float):
-        """Begin with an unknown world of a size [cells] and a resolution [m]; pixels count up to a range [m]."""
+        """Start with an unknown map of a size [cells] and resolution [m].
+
+        Pixels are used up to a range [m].
+        """
         self.stages = Stages()
         self.grid = ElevationGrid(size, resolution, FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx))
         self._camera, self._max_range = camera, max_range
         self._poses = 0
 
     def doing(self) -> str:
-        """What it is for."""
+        """Return its purpose."""
         return "mapping full frames"
 
     def step(self, pose: BodyPose, inbox: Inbox) -> Iterator[Message]:
-        """Fuse the picture that a pose belongs to, if it is its turn."""
+        """Fuse the depth frame of a pose, if it is due."""
         image = inbox.latest(topics.DEPTH)
         self.grid.move_to(pose.T_world_body[:2, 3])
         if self._poses % _EVERY == 0 and pose.ok and image is not None and image.stamp_ns == pose.stamp_ns:
@@ -56,7 +62,10 @@ class FullFrames:
 
 
 def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:
-    """Depth (h, w) [m] of a picture, NaN out of range and where a pixel hangs between two surfaces, by the rule of the scan."""
+    """Return the depth (h, w) [m] of a frame.
+
+    NaN out of range, and for flying pixels between two surfaces, by the rule of the scan reduction.
+    """
     sensor = camera.sensor
     z = raw / sensor.depth_scale
     limit = JUMP + NOISE * sensor.sigma(z, camera.intrinsics.fx)
@@ -65,6 +74,6 @@ def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:
         near, far = np.roll(z, 2, axis), np.roll(z, -2, axis)
         goes_on = ((near > 0) & (np.abs(z - near) <= limit)) | ((far > 0) & (np.abs(far - z) <= limit))
         border = np.arange(z.shape[axis])
-        inner = (border >= 2) & (border < len(border) - 2)  # nothing speaks against a pixel at the border
+        inner = (border >= 2) & (border < len(border) - 2)  # pixels at the border are never flying pixels
         steady &= goes_on | ~(inner[:, None] if axis == 0 else inner)
     return np.where(steady & (z >= sensor.min_range) & (z <= sensor.max_range), z, np.nan)

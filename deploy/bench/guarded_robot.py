@@ -1,4 +1,4 @@
-"""A simulated robot, live, whose router lets in other machines by certificates."""
+"""Simulated robot in real time, with a router that accepts certified machines."""
 
 import contextlib
 import time
@@ -19,11 +19,14 @@ from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0
-_LEAD_S = 0.5  # between two orders of who leads
+_LEAD_S = 0.5  # [s] between two commands of the leader
 
 
 class GuardedRobot:
-    """Processes of a robot behind a guarded router, and who of its own machine hears the actuator; a context manager."""
+    """Processes of a robot behind a secured router.
+
+    A link on its own machine receives the actuator's state. This is a context manager.
+    """
 
     def __init__(self, folder: Path):
         authority = Authority(days=1)
@@ -52,18 +55,21 @@ class GuardedRobot:
         self._stack.close()
 
     def link_of(self, role: str) -> ZenohLink:
-        """A link of who holds the certificate of a role."""
+        """Open a link with the certificate of a role."""
         return ZenohLink(Endpoints((self._secure,), namespace=_NAMESPACE, keys=self._keys(role)))
 
     def peer_of(self, role: str) -> ZenohLink:
-        """A link of who holds it likewise, and scouts and listens for others beside the router."""
+        """Open a peer with the certificate of a role.
+
+        It also scouts, and listens for direct connections that bypass the router.
+        """
         return ZenohLink(Endpoints((self._secure,), True, _NAMESPACE, self._keys(role), loopback=True))
 
     def _keys(self, role: str) -> Keys:
         return Keys.load(self._folder / role)
 
     def until(self, holds: Callable[[ActuatorState], bool], what: str) -> None:
-        """Wait for a state of the actuator that comes from now on.
+        """Wait for a new state of the actuator.
 
         Raises:
             TimeoutError: There is none.
@@ -76,7 +82,7 @@ class GuardedRobot:
             self.look(0.02)
 
     def look(self, seconds: float) -> None:
-        """Let time pass; what has ended is started again, and the robot is led, if it is."""
+        """Wait; restart ended processes, and lead the robot if this is switched on."""
         if self._leads and time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + _LEAD_S
             now_ns = time.monotonic_ns()
@@ -84,7 +90,7 @@ class GuardedRobot:
         self._launcher.wait(seconds)
 
     def lead(self, leads: bool) -> None:
-        """Lead it from now on, or no longer: it may walk, and is not told where to."""
+        """Start or stop leading: the robot may walk, but gets no goal."""
         self._leads, self._number = leads, time.monotonic_ns()
         self.until(
             lambda s: s.mode is Mode.HOLD and (s.lease == "bench") == leads,
@@ -92,23 +98,23 @@ class GuardedRobot:
         )
 
     def leave_alone(self) -> None:
-        """Nobody leads from now on: the operator's process stands still, and what it would say is not said."""
+        """Pause the operator's process, so that no client leads."""
         self._launcher.freeze("operator")
 
     def begin_anew(self) -> None:
-        """Kill the actuator, and wait for the next one."""
+        """Kill the actuator, and wait for its successor."""
         epoch = self.states[-1].epoch
         self._launcher.kill("actuator")
         self.until(lambda state: state.epoch != epoch and state.mode is Mode.HOLD, "another actuator, which holds")
 
     @property
     def ports(self) -> tuple[int, ...]:
-        """The ports on which its router listens: for its own processes, and for other machines."""
+        """The router's ports: for its own processes, and for other machines."""
         own = (*self._places.robot.connect, self._secure)
         return tuple(int(endpoint.rpartition(":")[2]) for endpoint in own)
 
     def restart_actuator(self) -> float:
-        """Kill the actuator; how long it takes until the state of the next one is heard [s]."""
+        """Kill the actuator; return the time [s] until its successor's first state."""
         epoch, began_s = self.states[-1].epoch, time.monotonic()
         self._launcher.kill("actuator")
         self.until(lambda state: state.epoch != epoch, "another actuator")

@@ -1,9 +1,10 @@
-"""Whether what was recorded, or is put around the router, moves a robot: put again, and put by a peer that scouts.
+"""Replay attacks: whether replayed or bypassing messages move a robot.
 
-The robot is simulated, live, with all its processes, behind a guarded router. The base's certificate hears its plans, orders
-and velocities while it walks. Then all is put again, many times over: while the robot stands and somebody leads it, while
-nobody does, and after the actuator was killed and another has begun, which remembers nobody's orders. At last a peer with a
-certificate that may not lead scouts and listens beside the router, so that the processes might meet it there, and orders.
+The robot is simulated in real time, with all its processes, behind a secured router. A client with the base station's
+certificate records plans, orders and velocities during a walk. Then it replays them many times: while the robot stands and a
+client leads it, while no client leads, and after a restart of the actuator, which has no memory of earlier orders. At last, a
+peer sends orders whose certificate does not permit leading. It scouts, and listens for direct connections that bypass the
+router.
 """
 
 import itertools
@@ -22,28 +23,28 @@ from sextant.shared.wire.transport import ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0
-_WALK_S = 12.0  # of which the traffic is recorded
-_PERIOD_S = 0.006  # between two frames that are put: slower than the listener's limit of any key
-_LEAD_S = 0.5  # between two orders of who leads
+_WALK_S = 12.0  # [s] of recorded traffic
+_PERIOD_S = 0.006  # [s] between two replayed frames: slower than the listener's limit for any key
+_LEAD_S = 0.5  # [s] between two commands of the leader
 _SETTLE_S = 0.5
 _RECORDED: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.VELOCITY)
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """What came of it."""
+    """Results of one attack."""
 
-    what: str  # was put
+    what: str  # description of the attack
     tried: int
-    obeyed: int  # states of the actuator in which a plan had been taken, another led, or the mode was another than before
-    said: tuple[str, ...]  # why not, one of a kind
+    obeyed: int  # actuator states with an accepted plan, another leader or another mode
+    said: tuple[str, ...]  # reasons for rejections, one of each kind
 
 
 def measure(messages: int, say: Callable[[str], object] = lambda _: None) -> tuple[Attempt, ...]:
-    """Record a walk and put it again, then order as a peer, so many messages each time.
+    """Record a walk and replay it, then send orders as a peer, with `messages` each.
 
     Raises:
-        TimeoutError: The robot does not do what it is to do before anything is put again.
+        TimeoutError: The robot does not behave as required before the replay.
     """
     with tempfile.TemporaryDirectory() as name, GuardedRobot(Path(name)) as robot, robot.link_of("base") as base:
         kept = _recorded(robot, base)
@@ -62,7 +63,7 @@ def measure(messages: int, say: Callable[[str], object] = lambda _: None) -> tup
 
 
 def _recorded(robot: GuardedRobot, base: ZenohLink) -> tuple[tuple[AnyTopic, bytes], ...]:
-    """What is said on a walk, in its order."""
+    """Return the messages of a walk, in order."""
     frames: list[tuple[AnyTopic, bytes]] = []
     ends = [base.subscribe(topic, lambda topic, frame: frames.append((topic, frame))) for topic in _RECORDED]
     robot.until(lambda state: state.mode is Mode.WALK, "a walk")
@@ -79,14 +80,14 @@ def _over_and_over(frames: Sequence[tuple[AnyTopic, bytes]], messages: int) -> I
 
 
 def _orders(messages: int) -> Iterator[tuple[AnyTopic, bytes]]:
-    """Orders of now."""
+    """Yield orders with the current time."""
     for _ in range(messages):
         now_ns = time.monotonic_ns()
         yield topics.MODE, codec.encode(ModeCommand(now_ns, "walk", now_ns, "peer", take=True))
 
 
 def _attempt(robot: GuardedRobot, link: ZenohLink, frames: Iterator[tuple[AnyTopic, bytes]], what: str) -> Attempt:
-    """Put frames, and see what the robot makes of them."""
+    """Send frames, and evaluate the robot's reaction."""
     before, first, tried = robot.states[-1], len(robot.states), itertools.count()
     putting = threading.Thread(target=_put, args=(link, frames, tried), name="put")
     putting.start()
@@ -112,5 +113,5 @@ def _put(link: ZenohLink, frames: Iterator[tuple[AnyTopic, bytes]], tried: Itera
 
 
 def _kind(text: str) -> str:
-    """Of a refusal: its words without their numbers."""
+    """Return the text of a rejection without its numbers."""
     return "".join(c for c in text if not c.isdigit())

@@ -1,4 +1,7 @@
-"""Walks of a robot whose map and planner are behind a radio, live: over links of several kinds, and while the radio is cut."""
+"""Walks in real time with map and planner behind a radio.
+
+There are links of several kinds, and outages of the radio.
+"""
 
 import json
 import math
@@ -19,13 +22,13 @@ from sextant.deploy.bench.timing import machine
 from sextant.deploy.trials.statistics import wilson
 from sextant.shared.scenario.scenario import Link
 
-LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # of the walks
+LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # links for the walks
 CUT_LINK = LINKS[0]
-CUT_S = (0.1, 30.0)  # shortest and longest cut; their logarithms are evenly spread
-_BETWEEN_S = (1.0, 4.0)  # of walking between two cuts
+CUT_S = (0.1, 30.0)  # [s] shortest and longest outage, log-uniformly distributed
+_BETWEEN_S = (1.0, 4.0)  # [s] of walking between two outages
 _MEET_S, _WALK_S, _PATIENCE_S = 90.0, 60.0, 40.0
 _COURSE = 'name = "{name}"\ntime_limit_s = {limit:.0f}.0\n[goal]\ndistance = {far:.1f}\n[[terrain]]\nkind = "plane"\n'
-_SPEED = 0.1  # [m/s] at most
+_SPEED = 0.1  # [m/s] maximum
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,18 +37,20 @@ class Walks:
 
     link: Link
     reports: tuple[dict[str, Any], ...]  # report.json of each
-    up_mbit: float  # from the robot, mean
-    lost: float  # share of the packets from the robot
+    up_mbit: float  # mean data rate from the robot
+    lost: float  # share of lost packets from the robot
 
 
 def walks(
     scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Callable[[str], object]
 ) -> tuple[tuple[Walks, ...], str]:
-    """Walk a scenario over each link, once a seed; and over what kind of radio that was, in words.
+    """Walk a scenario over each link with each seed.
+
+    Return the walks, and a description of the radio.
 
     Raises:
-        BedError: There are no two machines here.
-        TimeoutError: The halves did not meet, or a walk left no report.
+        BedError: Two machines cannot be emulated here.
+        TimeoutError: The machines did not connect, or a walk left no report.
     """
     found: list[Walks] = []
     radio = ""
@@ -68,20 +73,22 @@ def walks(
 
 
 def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[tuple[Cut, ...], str, str]:
-    """Cut the radio at random phases of a walk over level ground that is led from the base, each for a random time.
+    """Interrupt the radio at random phases of a walk, each for a random time.
+
+    The walk is on level ground, and is led from the base station.
 
     Returns:
-        The cuts; what kind of radio that was, in words; and why they are fewer than asked for, in words, if they are.
+        The outages; a description of the radio; and why there are fewer outages than requested, or an empty string.
 
     Args:
-        count: How many times.
-        seed: Of phases, times and what the radio loses.
-        longest_s: [s] the longest cut.
-        say: Is told what came of each.
+        count: Number of outages.
+        seed: Random seed of phases, durations and losses.
+        longest_s: [s] the longest outage.
+        say: Called with the result of each outage.
 
     Raises:
-        BedError: There are no two machines here.
-        TimeoutError: The halves did not meet.
+        BedError: Two machines cannot be emulated here.
+        TimeoutError: The machines did not connect.
     """
     rng = np.random.default_rng(seed)
     lasts_s = np.exp(rng.uniform(math.log(CUT_S[0]), math.log(longest_s), count))
@@ -104,21 +111,24 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
 
 
 def _cut(bed: Bed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
-    """Let the robot walk for a while, cut the radio for a while, and see what comes of it until it walks again."""
+    """Walk, interrupt the radio, and observe until the robot walks again."""
     halves.until(lambda: halves.heard[-1].walks, _WALK_S, "a walk")
     halves.pass_time(walks_s)
     halves.until(lambda: halves.heard[-1].walks, _WALK_S, "a walk")
     cut = bed.cut()
     halves.pass_time(lasts_s)
     mended = bed.mend()
-    halves.pass_time(2 * HOLD_S)  # by which it has begun to hold, if it does
+    halves.pass_time(2 * HOLD_S)  # by then it has started to hold, if it does
     until_ns = time.monotonic_ns() + round(1e9 * _PATIENCE_S)
     halves.until(lambda: halves.heard[-1].walks or time.monotonic_ns() > until_ns, 2 * _PATIENCE_S, "the walk that goes on")
     return judge(cut.at_ns, mended.at_ns, list(halves.heard))
 
 
 def _run(halves: TwoMachines, scenario: str, seed: int) -> dict[str, Any]:
-    """Report of `sextant run`, which leads the robot and judges the walk beside the simulator, whose truth stays there."""
+    """Return the report of `sextant run` on the robot's machine.
+
+    It leads the robot, and evaluates the walk next to the simulator, whose ground truth stays there.
+    """
     with tempfile.TemporaryDirectory() as folder:
         meeting = ("--connect", halves.robot_router, "--namespace", halves.namespace)
         words = halves.on_robot("run", scenario, "--seed", str(seed), *meeting, "--out", folder)
@@ -130,7 +140,7 @@ def _run(halves: TwoMachines, scenario: str, seed: int) -> dict[str, Any]:
 
 
 def walks_in_words(found: Sequence[Walks]) -> str:
-    """A table."""
+    """Return the walks as a Markdown table."""
     lines = [
         "| link | success | 95 % interval | duration p50, s | falls | from the robot, Mbit/s | lost |",
         "|---|---|---|---|---|---|---|",
@@ -147,7 +157,7 @@ def walks_in_words(found: Sequence[Walks]) -> str:
 
 
 def cuts_in_words(found: Sequence[Cut]) -> str:
-    """A table, and each cut in which something was not as it must be."""
+    """Return the outages as a Markdown table, with each violation."""
     if not found:
         return "no cut"
     held = [one for one in found if one.must_hold]
@@ -167,19 +177,19 @@ def cuts_in_words(found: Sequence[Cut]) -> str:
 
 
 def to_json(what: str, found: Sequence[Walks] | Sequence[Cut], radio: str) -> str:
-    """For scripts."""
+    """Return the results as JSON."""
     return json.dumps({"machine": machine(), "bed": radio, what: [asdict(one) for one in found]}, indent=1, default=str)
 
 
 def walks_from_json(text: str) -> tuple[Walks, ...]:
-    """What `to_json` gave of walks."""
+    """Read walks written by `to_json`."""
     return tuple(
         Walks(Link(**one["link"]), tuple(one["reports"]), one["up_mbit"], one["lost"]) for one in json.loads(text)["walks"]
     )
 
 
 def cuts_from_json(text: str) -> tuple[Cut, ...]:
-    """What `to_json` gave of cuts."""
+    """Read outages written by `to_json`."""
     return tuple(Cut(**cut) for cut in json.loads(text)["cuts"])
 
 

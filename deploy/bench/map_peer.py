@@ -1,6 +1,6 @@
-"""The map update in plain NumPy, to be timed and compared with ours: it does the same job and comes to the same map.
+"""Map update in plain NumPy, to compare speed and results.
 
-It is written as one would write it for speed: whole arrays, no loops over points or cells.
+It does the same work and computes the same map. It is optimised as usual in NumPy: whole arrays, no loops over points or cells.
 """
 
 import math
@@ -31,7 +31,10 @@ Cells = NDArray[np.bool_]
 
 
 class NumpyGrid:
-    """`sextant.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival per cell."""
+    """`sextant.ElevationGrid` in NumPy.
+
+    It has a circular buffer, and a Kalman filter and a rival height for each cell.
+    """
 
     def __init__(self, size: int, resolution: float, model: FusionModel):
         self._size, self._resolution, self._model = size, resolution, model
@@ -60,16 +63,16 @@ class NumpyGrid:
         self._low = low
 
     def fuse(self, points: Array, count: Array, spread: Array, p_world_camera: Array, pose_covariance: Array) -> None:
-        """Take in one reduced scan; arguments as in `ElevationGrid.fuse`."""
+        """Fuse one reduced scan; arguments as in `ElevationGrid.fuse`."""
         n, model = self._size, self._model
-        # 1. The cell of each point within the window, and how sure its height is.
+        # 1. The cell of each point within the window, and the variance of its height.
         ij = np.floor(points[:, :2] / self._resolution).astype(np.int64)
         inside: Cells = np.asarray(((ij >= self._low) & (ij < self._low + n)).all(axis=1))
         slope = self._slopes(ij, inside)
         random, systematic = self._height_variance(points - p_world_camera, count, spread, pose_covariance, slope)
         ij = ij[inside] % n
         cell, z, random, systematic = ij[:, 0] * n + ij[:, 1], points[inside, 2], random[inside], systematic[inside]
-        # 2. Points of one cell are merged, the first of each with the second of each and so on; scans bring few such.
+        # 2. Merge points of one cell, all first ones with all second ones and so on; scans have few of them.
         one = self._first_of(cell)
         cells, out_z, out_random, out_systematic = cell[one], z[one], random[one], systematic[one]
         if not one.all():
@@ -90,7 +93,7 @@ class NumpyGrid:
                 own = np.maximum(gain * (1.0 - gain) * step * step - random[now], 0.0)
                 most = np.maximum(out_systematic[e], systematic[now]) + own
                 out_systematic[e] = np.where(upper, systematic[now], np.where(apart, out_systematic[e], most))
-        # 3. Without the drift of the pose's height, into the filters; and what stands in a line of sight.
+        # 3. Filter the heights without the drift of the pose's height; clear the lines of sight.
         self._follow_drift(cells, out_z, (points[inside] - p_world_camera).mean(axis=0), pose_covariance)
         self._update(cells, out_z - self._drift, out_random + out_systematic, out_systematic)
         self._look_through(points[self._scans % FOLLOWED :: FOLLOWED], p_world_camera)
@@ -122,12 +125,15 @@ class NumpyGrid:
             self._drift += max(-RATE, min(RATE, gap))
 
     def _look_through(self, ends: Array, camera: Array) -> None:
-        """`sextant.services.mapper.elevation.ray_clearing.SightLines.look`: each line is a row, each of its steps a column."""
+        """`sextant.services.mapper.elevation.ray_clearing.SightLines.look`.
+
+        Each line is a row, each of its steps a column.
+        """
         n, heights = self._size, self._height
         highest = float(np.fmax.reduce(heights)) if len(ends) else -math.inf
         if not len(ends) or not highest - WELL_BELOW > float(ends[:, 2].min()) - self._drift:
             return
-        # 1. The steps of the lines in the window, up to where they are above everything.
+        # 1. The steps of the lines in the window, up to where they are above all heights.
         u, v = (ends[:, k] / self._resolution - self._low[k] for k in (0, 1))
         du, dv = (camera[k] / self._resolution - self._low[k] - at for k, at in ((0, u), (1, v)))
         z = ends[:, 2] - self._drift
@@ -145,7 +151,7 @@ class NumpyGrid:
         over = over0 + s * dz
         inside = (steps < np.floor(way)) & (i >= 1) & (j >= 1) & (i < n - 1) & (j < n - 1) & (over <= highest)
         i, j, over = i[inside].astype(np.int64), j[inside].astype(np.int64), over[inside]
-        # 2. The cells that stand well above them, within a body.
+        # 2. The cells well above the lines whose neighbours are high, too.
         c = ((i + self._low[0]) % n) * n + (j + self._low[1]) % n
         stands = heights[c] > over + 3.0 * np.sqrt(self._variance[c])
         i, j, c, over = i[stands], j[stands], c[stands], over[stands]
@@ -158,7 +164,7 @@ class NumpyGrid:
                     fell = ~above & (self._fell[beside] != 0)
                     standing, fallen, low = standing + above, fallen + fell, low + (~above & ~fell & (height == height))
         seen = np.unique(c[((low == 0) & (standing + fallen >= 6)) | (fallen >= FELL_AROUND)])
-        # 3. Looked through so often, they are gone.
+        # 3. Clear cells after enough observations.
         self._through[seen] += 1
         gone = seen[self._through[seen] >= SIGHTS_NEEDED]
         for layer in (self._height, self._variance, self._first):
@@ -168,7 +174,10 @@ class NumpyGrid:
         self._fell[gone] = 1
 
     def _slopes(self, ij: NDArray[np.int64], inside: Cells) -> Array:
-        """Gradient (k, 2) of the map at cells (k, 2): of both sides' differences the smaller, 0 where their signs differ."""
+        """Gradient (k, 2) of the map at cells (k, 2).
+
+        It is the smaller one of the differences to both sides, 0 where their signs differ.
+        """
         n = self._size
         out = np.full(ij.shape, np.nan)
         here = self._height[(ij[:, 0] % n) * n + ij[:, 1] % n]
@@ -186,7 +195,7 @@ class NumpyGrid:
         return out
 
     def _height_variance(self, ray: Array, count: Array, spread: Array, S: Array, slope: Array) -> tuple[Array, Array]:
-        """`FusionModel.height_variance` of points at a ray (k, 3) [m] from the camera."""
+        """`FusionModel.height_variance` of points at rays (k, 3) [m] from the camera."""
         model = self._model
         x, y, z = ray.T
         flat2 = x * x + y * y
@@ -209,23 +218,23 @@ class NumpyGrid:
         return random, model.floor_sigma**2 + quantised + np.maximum(pose, 0.0) + own
 
     def _first_of(self, cell: NDArray[np.int64]) -> Cells:
-        """Which entries are the first of their cell."""
+        """Return which entries are the first of their cell."""
         order = np.arange(len(cell))
         self._slot[cell[::-1]] = order[::-1]
         return np.asarray(self._slot[cell] == order)
 
     def _update(self, cells: NDArray[np.int64], z: Array, noise: Array, systematic: Array) -> None:
-        """One measurement for each cell: filtered in, or a vote for the rival."""
+        """Fuse one measurement per cell: into the filter, or as a vote for the rival."""
         gate2 = self._model.gate**2
         height, believed = self._height[cells].astype(np.float64), self._variance[cells].astype(np.float64)
         off = z - height
         new = np.isnan(height)
         good = ~new & (off * off <= gate2 * (believed + noise))
-        # 1. Unseen cells take the measurement.
+        # 1. Unknown cells take the measurement.
         c = cells[new]
         self._height[c], self._variance[c], self._support[c], self._votes[c] = z[new], noise[new], 1, 0
         self._through[c] = 0
-        # 2. Within the gate it is filtered in.
+        # 2. Inside the gate, it is filtered.
         c, b, m = cells[good], believed[good], noise[good]
         self._height[c] = height[good] + b / (b + m) * off[good]
         self._variance[c] = np.maximum(b * m / (b + m), np.minimum(b, systematic[good]))
@@ -235,7 +244,7 @@ class NumpyGrid:
         self._fell[c[self._support[c] >= SETTLED]] = 0
         c = c[self._support[c] == ESTABLISHED]
         self._first[c] = self._height[c]
-        # 3. Outside of it, it votes.
+        # 3. Outside the gate, it votes.
         bad = ~(new | good)
         c, z, m, systematic = cells[bad], z[bad], noise[bad], systematic[bad]
         votes, rival = self._votes[c].astype(np.int64), self._rival[c].astype(np.float64)
@@ -256,7 +265,7 @@ class NumpyGrid:
 
     @property
     def elevation(self) -> Layer:
-        """(n, n) [m] {world} in world order, NaN where never seen."""
+        """(n, n) [m] {world} in world order, NaN where unknown."""
         i, j = (self._low % self._size).tolist()
         height = self._height + np.float32(self._drift)
         return np.roll(height.reshape(self._size, self._size), (-i, -j), axis=(0, 1))

@@ -1,4 +1,7 @@
-"""The model of Masri's thesis beside the elevation map: surveyed on the same rides, judged on the same cells."""
+"""Accuracy of the map model of Masri's thesis compared with the elevation map.
+
+Both are built on the same rides, and evaluated on the same cells.
+"""
 
 import math
 from collections.abc import Iterator
@@ -17,7 +20,7 @@ ORIGIN, LENGTH, WIDTH = (0.3, 0.0), 2.7, 1.0  # [m] of the strip, along the ride
 
 
 class Asker:
-    """Asks for the survey of a strip ahead as long as it runs."""
+    """Requests the survey of a strip ahead while it runs."""
 
     name = "asker"
     reads: tuple[AnyTopic, ...] = ()
@@ -28,26 +31,29 @@ class Asker:
         self.stages = Stages()
 
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
-        """Ask once more."""
+        """Repeat the request."""
         yield PassageRequest(tick.stamp_ns, np.array(ORIGIN), 0.0, LENGTH, WIDTH)
 
     def doing(self) -> str:
-        """What it asks for."""
+        """Return the request as text."""
         return "asking for a passage"
 
 
 @dataclass(frozen=True, slots=True)
 class ModelFigures:
-    """How right the survey of a strip is, off edges and on cells that the elevation map knows as well."""
+    """Accuracy of a strip survey.
+
+    It is evaluated off edges, on cells that are also known in the elevation map.
+    """
 
     rmse: float  # [m]
     elevation_rmse: float  # [m] of the elevation map
     normal_deg: float  # [deg] root mean square
-    coverage: float  # share of the cells in view that are known
+    coverage: float  # share of the visible cells that are known
 
 
 def judged(passage: PassageMap, terrain: TerrainMap, truth: TrueGround, seen: NDArray[np.bool_]) -> ModelFigures:
-    """Compare a survey along x with the truth and with the elevation map, where both reach.
+    """Compare a survey along x with the truth and the elevation map, where both exist.
 
     Args:
         passage: The survey.
@@ -56,7 +62,7 @@ def judged(passage: PassageMap, terrain: TerrainMap, truth: TrueGround, seen: ND
         seen: (nx, ny) cells of the elevation map that were in view.
 
     Raises:
-        ValueError: The survey's cells are not those of the elevation map.
+        ValueError: The survey's cells are not aligned with those of the elevation map.
     """
     first = (passage.origin - terrain.origin) / terrain.resolution
     cell = np.round(first).astype(np.int64)
@@ -81,7 +87,10 @@ def judged(passage: PassageMap, terrain: TerrainMap, truth: TrueGround, seen: ND
 
 
 def _true_normals(truth: TrueGround) -> Array:
-    """Upward normals (nx, ny, 3) of the true ground, by differences between the neighbours of each cell."""
+    """Return upward normals (nx, ny, 3) of the true ground.
+
+    They are computed from the differences of each cell's neighbours.
+    """
     slopes = np.stack([np.gradient(truth.heights, truth.resolution, axis=k) for k in (0, 1)], axis=-1)
     n = np.concatenate([-slopes, np.ones((*truth.heights.shape, 1))], axis=-1)
     return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))

@@ -1,8 +1,9 @@
-"""What the operator's page costs and how soon it stops the robot: a real browser leads a simulated one, live.
+"""Cost and stopping times of the operator's page.
 
-Times are from when the browser has the input to what comes over the servos' wire: from the release of the pad, or from when
-all of the browser is stopped (SIGSTOP) while it holds the pad, to the last goals that move the body on over the legs that
-stand, and to when the feet in the air are down, too; from the press of the button to torque off.
+A real browser leads a simulated robot in real time. Times are from the browser's input to the packets on the servo bus. The
+pad is released, or the whole browser is stopped (SIGSTOP) while it holds the pad. The time ends with the last goals that move
+the body over the standing legs; another one ends when the swinging feet are down. A third is from the press of the button to
+torque off.
 """
 
 import json
@@ -23,19 +24,19 @@ from sextant.deploy.bench.timing import machine
 from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
 from sextant.shared.wire.messages import Mode
 
-# What the page is to keep: times, share of a core, bytes a second, frames a second.
+# Limits of the page: times, share of a core, bytes per second, frames per second.
 RELEASE_S, OFF_S, CORE, RATE, FRAMES = 0.350, 0.150, 0.03, 3e6, 20.0
 FROZEN_S = RELEASE_S + DEAD_MAN_NS * 1e-9
-_WALK_S, _MORE_S = 1.0, 1.5  # [s] of walking before the pad is let go, and up to so much more
+_WALK_S, _MORE_S = 1.0, 1.5  # [s] of walking before the pad is released, and a maximum random addition
 _SETTLE_S = 1.5
-_ATTEMPTS = 3  # to press the pad
-_WATCH_S = 15.0  # [s] over which cost is measured
+_ATTEMPTS = 3  # attempts to press the pad
+_WATCH_S = 15.0  # [s] for measuring the cost
 _BENCH_S = 5.0  # [s] of drawing
 
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """How long something took, of several times."""
+    """Several measurements of a delay."""
 
     what: str
     limit_s: float  # NaN for none
@@ -43,25 +44,25 @@ class Delay:
 
     @property
     def kept(self) -> bool:
-        """Whether none took longer than it may."""
+        """Whether all are within the limit."""
         return not max(self.seconds) > self.limit_s
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a page takes while the robot walks."""
+    """Cost of a page while the robot walks."""
 
-    core: float  # share of one that the server takes
-    core_alone: float  # share that it takes while no page is open
+    core: float  # share of a core used by the server
+    core_alone: float  # the share without an open page
     bytes_per_s: float  # to the page
-    drawn_per_s: float  # frames that the page drew, the robot simulated beside it
-    frames_per_s: float  # that it draws at most, with nothing beside it
-    renderer: str  # who draws
+    drawn_per_s: float  # frames drawn while the robot is simulated on the same machine
+    frames_per_s: float  # maximum frames without any other load
+    renderer: str  # name of the renderer
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """All of it."""
+    """All measurements."""
 
     delays: tuple[Delay, ...]
     cost: Cost
@@ -69,7 +70,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class _Stop:
-    """How soon [s] after the operator's hand, or his browser, it came about."""
+    """Delays [s] between an input, or the browser's stop, and its effects."""
 
     ordered_s: float
     body_s: float
@@ -77,16 +78,18 @@ class _Stop:
 
 
 def measure(rounds: int, say: Callable[[str], object]) -> Measured:
-    """Lead a robot over the field of `steps`, let go, freeze, turn off.
+    """Lead a robot over the field of `steps`, and measure its stops.
+
+    The pad is released, the browser is frozen, or torque is turned off.
 
     Args:
-        rounds: Of each.
-        say: Is told how far it is.
+        rounds: Number of repetitions of each.
+        say: Called with the progress.
 
     Raises:
         FileNotFoundError: No browser is found.
         ImportError: Playwright is missing.
-        TimeoutError: The robot does not do what it is told.
+        TimeoutError: The robot does not execute an order.
     """
     rng = np.random.default_rng(0)
     with PageRobot("flat") as robot, browser() as chromium:
@@ -117,13 +120,13 @@ def _delays(what: str, limit_s: float, stops: Sequence[_Stop]) -> tuple[Delay, .
 
 
 def _walk(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> None:
-    """Hold the pad until it walks, and for some time more."""
+    """Hold the pad until the robot walks, and for some time more."""
     for attempt in range(1, _ATTEMPTS + 1):
         hand.hold_forward()
         try:
             robot.until(lambda: robot.is_in(Mode.WALK), 5.0, "a walk by the pad")
         except TimeoutError:
-            hand.release()  # the page stood still, on a machine that is busy: it has to be pressed anew
+            hand.release()  # on a busy machine the page did not run for a moment: press again
             if attempt == _ATTEMPTS:
                 raise
         else:
@@ -174,7 +177,7 @@ def _off(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> float:
 
 
 def _cost(say: Callable[[str], object]) -> Cost:
-    """Over `steps`, where there is something to see."""
+    """Measure the cost over `steps`, where the map has obstacles to show."""
     with PageRobot("steps") as robot, browser() as chromium:
         robot.until(lambda: robot.pose is not None, what="a pose")
         alone = _share(robot, lambda: robot.pass_time(_WATCH_S))
@@ -205,7 +208,7 @@ def _count(received: list[int], data: str | bytes) -> None:
 
 
 def _share(robot: PageRobot, passes: Callable[[], object]) -> float:
-    """Share of a core that the console takes meanwhile."""
+    """Return the share of a core that the console uses meanwhile."""
     pid, begun = robot.pid("console"), time.monotonic()
     before = _spent(pid)
     passes()
@@ -213,13 +216,13 @@ def _share(robot: PageRobot, passes: Callable[[], object]) -> float:
 
 
 def _spent(pid: int) -> float:
-    """Processor time [s] of a process, user and system."""
+    """Return the processor time [s] of a process, user and system."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def in_words(found: Measured) -> str:
-    """For people."""
+    """Return the results as Markdown."""
     lines = [
         "| from the page to the servos' wire | p50, ms | p99, ms | worst, ms | wanted, ms | kept |",
         "|---|---|---|---|---|---|",
@@ -241,7 +244,10 @@ def in_words(found: Measured) -> str:
 
 
 def to_json(found: Measured) -> str:
-    """For scripts; what is not finite, a limit that is none or a time in which something did not end, is null."""
+    """Return the results as JSON.
+
+    Values that are not finite become null: a limit that does not exist, or a time without an end.
+    """
     delays = [
         {"what": d.what, "limit_s": _finite(d.limit_s), "seconds": [_finite(s) for s in d.seconds], "kept": d.kept}
         for d in found.delays
@@ -255,7 +261,7 @@ def _finite(value: float) -> float | None:
 
 
 def _percentiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """p50, p99 by nearest rank, and the worst."""
+    """Return p50 and p99 by nearest rank, and the worst."""
     ordered = sorted(values)
     rank = max(0, int(np.ceil(0.99 * len(ordered))) - 1)
     return ordered[len(ordered) // 2], ordered[rank], ordered[-1]

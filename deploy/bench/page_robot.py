@@ -1,4 +1,4 @@
-"""A simulated robot, live, whose servo bus is tapped and whose page is served: what a browser walks."""
+"""Simulated robot in real time with bus sniffer and page, for a browser."""
 
 import contextlib
 import time
@@ -23,12 +23,12 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
 from sextant.shared.wire.transport import ZenohLink
 
-_STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that stands
+_STILL_TICKS = 1  # change of goals per cycle that is ignored for a standing robot
 _STILL_S = 0.25
-_STILL_M_S = 0.015  # of a body that is taken to stand, over the next cycles: a tick more or less is a millimetre of one foot
+_STILL_M_S = 0.015  # below this speed over the next cycles, a body is standing: one tick is a millimetre of one foot
 _WINDOW = 5  # cycles
-_AGAIN_S = 5.0  # from one order to stand to the next
-_PATIENCE_S = 180.0  # for what a busy machine may take long to do
+_AGAIN_S = 5.0  # [s] between two orders to stand
+_PATIENCE_S = 180.0  # [s] timeout on a busy machine
 
 
 class PageRobot:
@@ -37,23 +37,23 @@ class PageRobot:
     def __init__(
         self, scenario: str = "flat", seed: int = 1, recordings: str = "recordings", scan_rate_hz: float | None = None
     ):
-        """Prepare.
+        """Prepare the processes.
 
         Args:
-            scenario: That is simulated.
-            seed: Of it.
-            recordings: Folder in which recordings go.
-            scan_rate_hz: Of perception; None for what it takes by itself.
+            scenario: Scenario of the simulator.
+            seed: Seed of the simulator.
+            recordings: Folder for recordings.
+            scan_rate_hz: Scan rate of perception; None for the default.
         """
         self.profile = load_profile("phantomx_mk2")
         self.recorder = Recorder(self.profile)
         self.state: ActuatorState | None = None
         self.pose: BodyPose | None = None
-        self._up: dict[str, str] = {}  # services that were heard, and what they do
-        self._rising = False  # it was heard to since `stand` began and not to let go again
-        self._stops_s: list[float] = []  # times [s] of orders to stop
+        self._up: dict[str, str] = {}  # services that were received, and their status
+        self._rising = False  # it has risen since `stand` began, and torque was not off since then
+        self._stops_s: list[float] = []  # times [s] of stop orders
         self.said: deque[str] = deque(maxlen=200)
-        self.ended: list[str] = []  # processes that did, in words
+        self.ended: list[str] = []  # descriptions of ended processes
         self.page_port = free_port()
         places = Places.free("page")
         self.endpoints = places.robot
@@ -63,7 +63,7 @@ class PageRobot:
 
     @property
     def url(self) -> str:
-        """Of the page."""
+        """URL of the page."""
         return f"http://127.0.0.1:{self.page_port}/"
 
     def __enter__(self) -> Self:
@@ -83,10 +83,10 @@ class PageRobot:
         self._stack.close()
 
     def until(self, holds: Callable[[], object], within_s: float = _PATIENCE_S, what: str = "") -> None:
-        """Wait until something holds, processes being looked after meanwhile.
+        """Wait for a condition; handle process ends meanwhile.
 
         Raises:
-            TimeoutError: It does not.
+            TimeoutError: It did not become true.
         """
         limit = time.monotonic() + within_s
         while not holds():
@@ -102,35 +102,44 @@ class PageRobot:
                 self.ended.append(str(ended))
 
     def pass_time(self, length_s: float) -> None:
-        """Let time pass."""
+        """Wait for some time."""
         end = time.monotonic() + length_s
         self.until(lambda: time.monotonic() >= end, length_s + _PATIENCE_S)
 
     def is_in(self, *modes: Mode) -> bool:
-        """Whether the actuator says so."""
+        """Return whether the actuator is in one of the modes."""
         return self.state is not None and self.state.mode in modes
 
     def swinging(self) -> NDArray[np.bool_]:
-        """(6,) legs in the air, by the actuator's newest word."""
+        """Return the legs (6,) in swing, by the newest actuator state."""
         return np.zeros(6, dtype=np.bool_) if self.state is None else self.state.swing
 
     def moves(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Times [s] of the goals on the wire, and by how many ticks the one that changes most has changed in each."""
+        """Return the times [s] of goals on the bus, and their largest changes [ticks].
+
+        There is one change for each set of goals: that of the servo with the largest one.
+        """
         goals = list(self.recorder.goals)
         ticks = np.array([g.ticks for g in goals]).reshape(-1, 18)
         return np.array([g.t_s for g in goals])[1:], np.abs(np.diff(ticks, axis=0)).max(axis=1, initial=0)
 
     def goal_times(self) -> NDArray[np.float64]:
-        """Times [s] at which goals were on the wire."""
+        """Return the times [s] of goals on the bus."""
         return np.array([goal.t_s for goal in list(self.recorder.goals)])
 
     def still_after(self, since_s: float) -> float:
-        """How long [s] after a time the goals on the wire went on changing; infinite where they still do."""
+        """Return how long [s] after a time the goals kept changing.
+
+        The result is infinite if they still change.
+        """
         t, change = self.moves()
         return _last(t[change > _STILL_TICKS], t, since_s)
 
     def stands_after(self, since_s: float, swing: NDArray[np.bool_]) -> float:
-        """How long [s] after a time the goals on the wire went on moving the body over the legs that stood (6,) then."""
+        """Return how long [s] after a time the goals kept moving the body.
+
+        The body moves over the legs that stood then, as given by `swing` (6,).
+        """
         goals = list(self.recorder.goals)
         t = np.array([g.t_s for g in goals])
         servo = dxl.TICK_RAD * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - dxl.TICK_CENTRE)
@@ -140,11 +149,11 @@ class PageRobot:
         return _last(t[:-_WINDOW][way > _STILL_M_S * (t[_WINDOW:] - t[:-_WINDOW])], t, since_s)
 
     def stop_ordered_after(self, since_s: float) -> float:
-        """How long [s] after a time the console ordered to stop; infinite where it did not."""
+        """Return how long [s] after a time the console ordered a stop; infinite if never."""
         return next((at_s - since_s for at_s in list(self._stops_s) if at_s >= since_s), np.inf)
 
     def torque_off_after(self, since_s: float) -> float:
-        """How long [s] after a time torque off was on the wire; NaN where it was not."""
+        """Return how long [s] after a time torque off was on the bus; NaN if never."""
         for switch in list(self.recorder.switches):
             off = switch.register is dxl.TORQUE_ENABLE and not any(switch.values.values())
             if off and switch.t_s >= since_s:
@@ -152,9 +161,10 @@ class PageRobot:
         return np.nan
 
     def stand(self, order: Callable[[], object]) -> None:
-        """Have the robot rise by an order, once it knows where it is; given again where it does not, or lets go on the way.
+        """Order the robot to rise, once its pose is known.
 
-        The servos that a busy machine simulates may answer late, and who does not know where its legs are does not rise.
+        The order is repeated if the robot does not rise, or switches torque off. On a busy machine, the simulated servos may
+        reply late, and a robot with unknown leg positions does not rise.
         """
         self.until(lambda: self.pose is not None, what="a pose")
         self._rising = False
@@ -172,7 +182,7 @@ class PageRobot:
 
     @contextlib.contextmanager
     def stopped(self) -> Iterator[None]:
-        """All processes but the page's stand still meanwhile."""
+        """Pause all processes but the page's for the duration of the block."""
         names = [name for name in self._launcher.names() if name not in ("router", "console")]
         for name in names:
             self._launcher.freeze(name)
@@ -183,15 +193,15 @@ class PageRobot:
                 self._launcher.thaw(name)
 
     def kill(self, name: str) -> None:
-        """Kill a process; it is started again."""
+        """Kill a process; it is restarted."""
         self._launcher.kill(name)
 
     def names(self) -> tuple[str, ...]:
-        """Of all processes."""
+        """Names of all processes."""
         return self._launcher.names()
 
     def pid(self, name: str) -> int:
-        """Process id."""
+        """Return a process id."""
         return self._launcher.pid(name)
 
     def _hear(self, topic: AnyTopic, frame: bytes) -> None:
@@ -217,7 +227,10 @@ class PageRobot:
 
 
 def _last(moving: NDArray[np.float64], t: NDArray[np.float64], since_s: float) -> float:
-    """How long [s] after a time there was the last of some times [s]; infinite where that is just now."""
+    """Return how long [s] after a time the last of some times [s] was.
+
+    The result is infinite if that is just now.
+    """
     after = moving[moving > since_s]
     last = float(after[-1]) if len(after) else since_s
     return last - since_s if len(t) and t[-1] - last > _STILL_S else np.inf

@@ -1,9 +1,9 @@
-"""How fast the passage planner is beside its peers, how often it finds a way, and whether its plans hold what they promise.
+"""Benchmark of the passage planner: speed, success rate and validity of plans.
 
-1. The tests of an expansion, on the samples of stances that a search comes through: compiled beside the same in NumPy.
-2. Whole crossings of the thesis' three scenarios and of strewn pillars: the roadmap, unsolved ones at their full budget, beside
-   OMPL's planner for the body alone.
-3. Every plan goes through the checker.
+1. The tests of an expansion, on stances sampled from searches: compiled code compared with NumPy.
+2. Whole crossings of the thesis' three scenarios and of random pillars. The roadmap search, with its full budget for unsolved
+   cases, is compared with OMPL's planner for the body alone.
+3. Every plan is validated by the checker.
 """
 
 import json
@@ -46,42 +46,42 @@ Y, LENGTH, SHIFT, TWO = (
     0.17,
     0.035,
     0.27,
-)  # [m] of the scenarios' pillars, as shared/scenario/scenarios/passage1 to 3 have them
-_PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] of strewn pillars, and the share of places that have one
-_STANCES, _REPEATS = 100, 3  # of each search whose expansions are raced, all in one call, and how often
-_OFF = 0.01  # [m] by which pillars stand elsewhere with each seed
+)  # [m] pillars of shared/scenario/scenarios/passage1 to 3
+_PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] grid and size of random pillars, and the share of grid points with one
+_STANCES, _REPEATS = 100, 3  # stances of each search in one timed call, and repetitions
+_OFF = 0.01  # [m] random displacement of pillars with each seed
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """How planning went over one kind of ground."""
+    """Results on one kind of ground."""
 
     case: str
-    plans: int  # tried
-    solved: int  # up to the goal
-    checked: int  # plans that went through the checker, some not up to the goal
-    ms_median: float  # of the core, unsolved ones at their full budget
+    plans: int  # attempts
+    solved: int  # plans that reach the goal
+    checked: int  # plans validated by the checker; some do not reach the goal
+    ms_median: float  # core time; unsolved cases use their full budget
     ms_p99: float
     generated: float  # n_g, median
     expanded: float  # n_e, median
-    steps: float  # median of a crossing
-    edge_m: float  # median distance of footholds in the gap to the nearest edge of what carries them
-    margin_m: float  # least support margin of all steps
-    violations: int  # plans in which the checker finds something
+    steps: float  # median of all crossings
+    edge_m: float  # median distance of footholds in the gap to the nearest edge of their surface
+    margin_m: float  # minimum stability margin of all steps
+    violations: int  # plans with a violation
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What came of it."""
+    """All results."""
 
     timings: list[Timing]
     missing: list[str]
     sections: list[Section]
-    wrong: list[str]  # what the checker found, in words
+    wrong: list[str]  # violations found by the checker, as text
 
 
 def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[str], object] = lambda _: None) -> Measured:
-    """Plan across each kind of ground once for each seed."""
+    """Plan on each kind of ground once for each seed."""
     profile, settings = load_profile(robot), PassageSettings(body_height=HEIGHT)
     roadmap, stance = Roadmap(profile, settings), stance_at(profile, START, HEIGHT)
     peers, missing = installed({"OMPL (body only)": BodyPlanner}, profile)
@@ -92,7 +92,7 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
         for case in CASES:
             race = Race("crossing", case)
             race.start({OURS: _planned_by(roadmap), **{name: peer.plan for name, peer in peers.items()}})
-            plans: list[tuple[Field, Crossing]] = []  # that could be walked, some not to their goal
+            plans: list[tuple[Field, Crossing]] = []  # plans that can be walked; some do not reach the goal
             counts: list[tuple[int, int]] = []
             for seed in seeds:
                 field = ground(case, seed)
@@ -111,7 +111,7 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
 
 
 def ground(case: str, seed: int) -> Field:
-    """The strip of a case, its pillars a little elsewhere with each seed."""
+    """Return the strip of a case; the seed displaces its pillars a little."""
     rng = np.random.default_rng(seed)
     if case == "strewn pillars":
         return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), HEIGHT)
@@ -121,7 +121,7 @@ def ground(case: str, seed: int) -> Field:
 
 
 def in_words(measured: Measured) -> str:
-    """The sections for people."""
+    """Return the sections as Markdown."""
     columns = (
         ("solved", 10),
         ("ms median", 11),
@@ -143,7 +143,7 @@ def in_words(measured: Measured) -> str:
 
 
 def sections_for_scripts(measured: Measured) -> list[dict[str, object]]:
-    """The sections as they go into the file."""
+    """Return the sections as JSON values."""
     return [json.loads(json.dumps(asdict(section))) for section in measured.sections]
 
 
@@ -163,7 +163,7 @@ def _compile(roadmap: Roadmap, stance: Stance) -> None:
 def _race_expansions(
     race: Race, roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, field: Field, seed: int
 ) -> None:
-    """Race the tests of expansions of stances that the newest search came through."""
+    """Time the tests for expansions of stances from the newest search."""
     legs, rules, strip = legs_of(profile, settings), rules_of(profile, settings), ground_of(field)
     peer = NumpyTests(legs, rules, strip)
     work = _expansions(roadmap, profile, settings, np.random.default_rng(seed))
@@ -183,7 +183,10 @@ def _race_expansions(
 def _expansions(
     roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64], Array, Array, Array]:
-    """Stances of a search (k): feet, a leg that swings, the body, samples around what it would do; as `judge` has them."""
+    """Return stances of a search (k) as arguments of `judge`.
+
+    They are feet, a swing leg, the body, and samples around the motion.
+    """
     k, m, n = _STANCES, settings.body_moves, settings.footholds
     stances = roadmap.sampled(rng, k)
     feet, body = np.array([s.feet for s in stances]), np.array([s.body for s in stances])
@@ -221,7 +224,7 @@ def _section(
 
 
 def _edges(field: Field, crossing: Crossing) -> Iterator[float]:
-    """How far [m] footholds in the gap are from the nearest cell that lies lower."""
+    """Yield distances [m] of footholds in the gap to the nearest lower cell."""
     i, j = np.nonzero(field.elevation < -0.1)
     low = np.column_stack([i, j]) * field.resolution + field.corner
     for step in crossing.steps:

@@ -1,4 +1,7 @@
-"""Strips for the passage planner's tests and bench: two platforms, a gap and what stands in it, by the mapper's own layers."""
+"""Strips for tests and benchmarks of the passage planner.
+
+A strip has two platforms, a gap and pillars in it. Its layers are computed as in the mapper.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +17,17 @@ from sextant.shared.robot.profile import RobotProfile
 
 RESOLUTION = 0.01  # [m]
 GAP = 0.80  # [m]
-NEAR, FAR, WIDTH = 0.70, 0.80, 1.20  # [m] platform before the gap and behind it, and the strip across
+NEAR, FAR, WIDTH = 0.70, 0.80, 1.20  # [m] platforms before and behind the gap, and width of the strip
 FLOOR = -0.30  # [m]
-START, BEYOND = 0.44, 0.25  # [m] of the body along the strip, and behind the gap, where it stands with all its feet
+START, BEYOND = 0.44, 0.25  # [m] initial body position along the strip, and distance behind the gap where all feet stand
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A pillar: centre [m] from the near edge of the gap and to the left of the middle, size [m] along and across, top [m]."""
+    """A pillar.
+
+    Its centre is [m] from the near edge of the gap and to the left of the middle. Size [m] is along and across, top [m].
+    """
 
     x: float
     y: float
@@ -33,7 +39,10 @@ class Block:
 def row(
     side: int, y: float, gap: float, n: int, length: float, shift: float = 0.0, between: float | None = None
 ) -> list[Block]:
-    """A bridge of n blocks at one side, the middle one shifted inward, as far apart as given or evenly."""
+    """Return a bridge of n blocks on one side, evenly spaced or at given distances.
+
+    The middle block is shifted inward.
+    """
     free = (gap - n * length) / (n + 1) if between is None else between
     first = (gap - n * length - (n - 1) * free) / 2 + length / 2
     inward = [shift if n == 3 and k == 1 else 0.0 for k in range(n)]
@@ -41,15 +50,17 @@ def row(
 
 
 def thesis_blocks(scenario: int, gap: float, y: float, length: float, shift: float, two: float) -> list[Block]:
-    """The pillars of the thesis' first, second or third scenario (Masri 2016, section 6.1-6.3).
+    """Return the pillars of the thesis' first, second or third scenario.
+
+    Source: Masri 2016, section 6.1-6.3.
 
     Args:
         scenario: 1, 2 or 3.
         gap: [m] long.
-        y: [m] of the bridges' middle lines.
-        length: [m] of a block of three.
-        shift: [m] by which the middle ones are shifted inward in the second and third.
-        two: [m] length of a block of two, 10 cm apart.
+        y: [m] of the bridges' centre lines.
+        length: [m] of a block in a row of three.
+        shift: [m] by which the middle ones are shifted inward in the second and third scenario.
+        two: [m] length of a block in a row of two, 10 cm apart.
     """
     inward = 0.0 if scenario == 1 else shift
     left = row(1, y, gap, 3, length, inward)
@@ -59,7 +70,10 @@ def thesis_blocks(scenario: int, gap: float, y: float, length: float, shift: flo
 def random_blocks(
     rng: np.random.Generator, gap: float, pitch: float, share: float, size: float, relief: float = 0.0
 ) -> list[Block]:
-    """Pillars on a jittered grid, of which a share stand, their tops within a relief [m] of the platforms."""
+    """Return pillars at a share of the points of a jittered grid.
+
+    Their tops differ from the platforms by up to a relief [m].
+    """
     out = []
     columns, rows = max(1, round(gap / pitch)), max(1, round(0.6 / pitch))
     for i in range(columns):
@@ -73,7 +87,7 @@ def random_blocks(
 
 
 def heights(blocks: Sequence[Block], gap: float) -> NDArray[np.float32]:
-    """Heights (nx, ny) [m] of a strip."""
+    """Return the heights (nx, ny) [m] of a strip."""
     nx, ny = round((NEAR + gap + FAR) / RESOLUTION), round(WIDTH / RESOLUTION)
     x = (np.arange(nx) + 0.5) * RESOLUTION - NEAR
     y = (np.arange(ny) + 0.5) * RESOLUTION - WIDTH / 2
@@ -86,13 +100,13 @@ def heights(blocks: Sequence[Block], gap: float) -> NDArray[np.float32]:
 
 
 def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> Field:
-    """The field that the mapper would make of true heights."""
+    """Return the field that the mapper computes from true heights."""
     layers = FootholdLayers(elevation.shape, RESOLUTION, Margin(0.01))
     F = layers.update(elevation, np.zeros_like(elevation), np.zeros(2, dtype=np.int64), body_height, 0.0).evaluation
     return Field(elevation, F, RESOLUTION, np.eye(4))
 
 
 def stance_at(profile: RobotProfile, x: float, body_height: float) -> Stance:
-    """The resting stance with the body at a place [m] along the middle of a strip."""
+    """Return the resting stance with the body at x [m] on the strip's centre line."""
     body: Array = np.array([x, 0.0, body_height])
     return Stance(body, profile.rest_feet(body_height) + body)

@@ -1,4 +1,7 @@
-"""OMPL's planner for the body alone: where each leg finds a foothold. It plans no footstep, so it has less to do."""
+"""OMPL planner for the body alone.
+
+Each leg must have a foothold. It plans no footsteps, so it has less work.
+"""
 
 from typing import Any
 
@@ -12,18 +15,18 @@ from sextant.shared.robot.profile import RobotProfile
 
 _DRIFT = 0.12  # [m] to either side
 _STRONG = -2  # [cells] of the evaluation function
-_REACH = 0.35  # [m] around the body in which footholds are looked for
-_LONGEST_S = 1.0  # [s] of the wall
+_REACH = 0.35  # [m] around the body in which footholds are searched
+_LONGEST_S = 1.0  # [s] wall-clock time limit
 
 
 class BodyPlanner:
-    """RRT-Connect over the body's place."""
+    """RRT-Connect for the position of the body."""
 
     def __init__(self, profile: RobotProfile):
-        """Plan for a robot.
+        """Prepare for a robot.
 
         Raises:
-            ImportError: OMPL is not installed, or not for this machine.
+            ImportError: OMPL is not installed, or not available for this machine.
         """
         from ompl import base, geometric, util
 
@@ -31,7 +34,7 @@ class BodyPlanner:
         self._base, self._geometric, self._profile = base, geometric, profile
 
     def plan(self, field: Field, stance: Stance, goal_x: float) -> bool:
-        """Whether there is a way for the body of a stance to a place [m] along the strip."""
+        """Return whether the body can get from a stance to x [m] along the strip."""
         i, j = np.nonzero(field.evaluation <= _STRONG)
         places = np.column_stack([i, j]) * field.resolution + field.corner
         footholds = np.column_stack([places, field.elevation[i, j] + self._profile.foot.radius])
@@ -52,7 +55,7 @@ class BodyPlanner:
         return bool(solved) and bool(setup.haveExactSolutionPath())
 
     def _stands(self, body: Array, footholds: Array) -> bool:
-        """Whether each leg has a foothold within its limits."""
+        """Return whether each leg has a foothold within its limits."""
         near = footholds[np.abs(footholds[:, 0] - body[0]) < _REACH] - body
         T, limits = self._profile.T_coxa_body, self._profile.joint_limits
         for leg in range(6):

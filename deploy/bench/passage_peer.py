@@ -1,6 +1,7 @@
-"""The tests of a roadmap expansion in plain NumPy, to be timed and compared with the compiled ones, whose verdicts it shares.
+"""The tests of a roadmap expansion in plain NumPy.
 
-Written as one would for speed: whole arrays over motions, footholds, legs and instants; what has failed is not tested on.
+Their speed and results are compared with the compiled tests. They are optimised as usual in NumPy: whole arrays over motions,
+footholds, legs and times. Failed candidates are not tested further.
 """
 
 import numpy as np
@@ -24,17 +25,18 @@ from sextant.services.planner.gap_crossing.roadmap_search import (
 from sextant.shared.geometry import Array
 
 Verdicts = NDArray[np.int64]
-_AXIS = 0.035  # [m] that a foot keeps from its coxa axis
-_PIECES = 12  # of the way from one instant to the next
-_STEEP = np.array([[0.20, 0.05, 0.70], [0.82, 0.95, 0.40]])  # of time, way and level: how steeply a swing rises, and falls
+_AXIS = 0.035  # [m] minimum distance of a foot from its coxa axis
+_PIECES = 12  # pieces between two sampled times
+# Time, progress along the path, and level at the steepest parts of a swing: rise and fall.
+_STEEP = np.array([[0.20, 0.05, 0.70], [0.82, 0.95, 0.40]])
 _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
 class NumpyTests:
-    """What `sextant.services.planner.gap_crossing.roadmap_search.judge` does."""
+    """`sextant.services.planner.gap_crossing.roadmap_search.judge` in NumPy."""
 
     def __init__(self, legs: Legs, rules: Rules, ground: Ground):
-        """Take what the tests know."""
+        """Store the parameters of the tests."""
         table = legs.table
         self._rules, self._ground, self._shape = rules, ground, legs.swing
         self._mount, self._yaw = table[0, :, :3], table[0, :, 3:5]
@@ -47,7 +49,10 @@ class NumpyTests:
         self._links, self._fore, self._room = table[0, 0, 19:22], table[0, :, 22], table[0, 0, 23:25]
 
     def judge(self, feet: Array, leg: int, b0: Array, bodies: Array, goals: Array) -> tuple[Verdicts, Array]:
-        """First failing tests (m, n) and clearances [m] of a leg's footholds (m, n, 3) for motions (m, 3) of the body."""
+        """Return the first failing tests (m, n) and the clearances [m].
+
+        They are for a leg's footholds (m, n, 3) and motions (m, 3) of the body.
+        """
         m, n = goals.shape[:2]
         verdict, lifts = np.zeros((m, n), dtype=np.int64), np.zeros((m, n))
         standing = np.delete(np.arange(6), leg)
@@ -73,14 +78,17 @@ class NumpyTests:
         return verdict, lifts
 
     def _support(self, feet: Array, bodies: Array) -> Array:
-        """Margins (k,) by the edges from leg to leg."""
+        """Return stability margins (k,) from the edges between feet."""
         edge = np.roll(feet, -1, axis=0)[:, :2] - feet[:, :2]
         off = bodies[:, None, :2] - feet[:, :2]
         length = np.sqrt(edge[:, 0] * edge[:, 0] + edge[:, 1] * edge[:, 1])
         return np.asarray(((edge[:, 1] * off[..., 0] - edge[:, 0] * off[..., 1]) / length).min(axis=1))
 
     def _leg(self, strict: int, legs: NDArray[np.intp], p: Array) -> tuple[NDArray[np.bool_], Array, Array, Array, Array]:
-        """Whether feet (..., k, 3) {body} of k legs can be held; reach, shank's part, direction, knee out and up."""
+        """Return whether feet (..., k, 3) {body} of k legs are reachable, with geometry.
+
+        The geometry is the reach, the shank's part, the direction, and the knee outward and upward.
+        """
         local = p - self._mount[legs]
         coxa, f, t = self._links
         out = np.sqrt(local[..., 0] * local[..., 0] + local[..., 1] * local[..., 1])
@@ -104,7 +112,10 @@ class NumpyTests:
         return turned & _between(fc, fs, self._femur[strict, legs])
 
     def _turns(self, leg: int, p: Array) -> NDArray[np.bool_]:
-        """Whether coxa and femur may point as feet (..., 3) {body} ask, the knee at the end of its reach or within."""
+        """Return whether coxa and femur angles for feet (..., 3) {body} are within limits.
+
+        The knee is within its reach or at the end of it.
+        """
         local = p - self._mount[leg]
         coxa, f, t = self._links
         reach, z = np.sqrt(local[..., 0] * local[..., 0] + local[..., 1] * local[..., 1]) - coxa, local[..., 2]
@@ -118,7 +129,10 @@ class NumpyTests:
         return np.where(under, UNDER, np.where(level, LEVEL, OK))
 
     def _stands(self, feet: Array, standing: NDArray[np.intp], bodies: Array, loaded: int) -> Verdicts:
-        """First failing tests (k,) of the standing legs at bodies (k, 3); torques at the first of them only."""
+        """Return the first failing tests (k,) of the standing legs for bodies (k, 3).
+
+        Torques are tested only at the first of them.
+        """
         there = feet[standing]
         ok, reach, shank, _, _ = self._leg(0, standing, there - bodies[:, None])
         tests = np.where(ok, self._placed(standing, there - bodies[:, None]), REACH)
@@ -139,7 +153,10 @@ class NumpyTests:
         return np.where(test != OK, test, np.where(~ok, REACH, np.where(gap < self._rules.feet_apart**2, APART, OK)))
 
     def _poses(self, legs: NDArray[np.intp], bodies: Array, feet: Array) -> Array:
-        """Femur axes, knees and feet (..., k, 3, 3) {strip} of k legs with feet (..., k, 3), bodies (..., 3)."""
+        """Return femur axes, knees and feet (..., k, 3, 3) {strip} of k legs.
+
+        Their feet are (..., k, 3), the bodies (..., 3).
+        """
         _, _, _, way, knee = self._leg(1, legs, feet - bodies[..., None, :])
         mounts = bodies[..., None, :] + self._mount[legs]
         points = np.empty((*feet.shape[:-1], 3, 3))
@@ -162,7 +179,10 @@ class NumpyTests:
         return np.asarray(~(p[..., 2] - self._top(p[..., 0], p[..., 1]) < self._rules.leg_clear).any(axis=-1))
 
     def _stance_clear(self, feet: Array, standing: NDArray[np.intp], b0: Array, b1: Array) -> Verdicts:
-        """Trunk and standing legs (k,) over the ground and beside each other, half way and at the end."""
+        """Test the clearances (k,) of trunk and standing legs.
+
+        They are the distances to the ground and to each other, halfway and at the end.
+        """
         rules, step = self._rules, 2.0 * self._ground.resolution
         x = -rules.half_length + step * np.arange(int((2.0 * rules.half_length + 1e-9) / step) + 1)
         y = -rules.half_width + step * np.arange(int((2.0 * rules.half_width + 1e-9) / step) + 1)
@@ -180,7 +200,10 @@ class NumpyTests:
         return test
 
     def _lifted(self, feet: Array, leg: int, b0: Array, b1: Array, goals: Array) -> tuple[Verdicts, Array]:
-        """The least clearances [m] (k,) with which swings may be flown, or the tests that the highest fails."""
+        """Return the minimum clearances [m] (k,) for valid swings.
+
+        Without one, return the tests that the highest swing fails.
+        """
         rules = self._rules
         test, lifts, lift = np.full(len(goals), SWING), np.zeros(len(goals)), rules.least_lift
         while lift <= rules.most_lift + 1e-9:
@@ -227,7 +250,7 @@ class NumpyTests:
     def _steep(
         self, feet: Array, leg: int, b0: Array, move: Array, goals: Array, lift: float, smooth: bool
     ) -> NDArray[np.bool_]:
-        """Which (k,) swings come near a leg beside theirs where they rise or fall as steeply as any does."""
+        """Return which swings (k,) come near a neighbouring leg in their steepest parts."""
         (time, along, up), start = _STEEP.T, feet[leg]
         share = time * time * (3.0 - 2.0 * time) if smooth else time
         bodies = b0 + share[:, None] * move[:, None]
@@ -239,14 +262,20 @@ class NumpyTests:
         return np.asarray(self._near(leg, bodies, way, feet).any(axis=-1))
 
     def _near(self, leg: int, bodies: Array, way: Array, feet: Array) -> NDArray[np.bool_]:
-        """Where a leg with its foot on a way (..., 3) comes too near to those beside it, which stand."""
+        """Return where a leg is too near to its standing neighbours.
+
+        Its foot is at (..., 3).
+        """
         sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
         own = self._poses(np.array([leg]), bodies, way[..., None, :])
         beside = self._poses(sides, bodies, np.broadcast_to(feet[sides], (*bodies.shape[:-1], 2, 3)))
         return np.asarray(_collide(np.broadcast_to(own, beside.shape), beside, self._rules.legs_apart).any(axis=-1))
 
     def _passes_low(self, leg: int, bodies: Array, way: Array, start: Array, goals: Array) -> NDArray[np.bool_]:
-        """Where (k, 9) the stretch that ends at an instant passes too low, on a way (k, 9, 3) not yet in reach."""
+        """Return where (k, 9) the path piece that ends at a time is too low.
+
+        The path (k, 9, 3) is not yet limited to the reachable points.
+        """
         rules, parts = self._rules, np.arange(1, _PIECES + 1) / _PIECES
         bodies, p = (
             np.concatenate(
@@ -262,7 +291,10 @@ class NumpyTests:
         return np.asarray(low)
 
     def _into_reach(self, leg: int, bodies: Array, p: Array) -> tuple[Array, Array]:
-        """Feet (..., 3) at the nearest places that the knee allows, and by how much they were moved [m]."""
+        """Return the nearest reachable points of feet (..., 3) and the displacements [m].
+
+        The knee limits the reach.
+        """
         mount = bodies + self._mount[leg]
         off = p - mount
         out = np.maximum(np.sqrt(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]), 1e-6)
@@ -284,12 +316,12 @@ def _between(c: Array, s: Array, limits: Array) -> NDArray[np.bool_]:
 
 
 def _first(tests: Verdicts) -> Verdicts:
-    """The first along the last axis that is not OK."""
+    """Return the first test along the last axis that is not OK."""
     return np.take_along_axis(tests, (tests != OK).argmax(axis=-1)[..., None], axis=-1)[..., 0]
 
 
 def _collide(one: Array, other: Array, apart: float) -> NDArray[np.bool_]:
-    """Whether legs (..., 3, 3) come nearer to others than so much [m]."""
+    """Return whether legs (..., 3, 3) are closer to others than `apart` [m]."""
     p, r = one[..., :2, None, :], other[..., None, :2, :]
     u, v = one[..., 1:, None, :] - p, other[..., None, 1:, :] - r
     w = p - r
@@ -298,7 +330,7 @@ def _collide(one: Array, other: Array, apart: float) -> NDArray[np.bool_]:
     denominator = a * e - b * b
     wide = denominator > 1e-12
     m = np.where(wide, np.clip((b * f - c * e) / np.where(wide, denominator, 1.0), 0.0, 1.0), 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):  # a leg that cannot be placed is refused for that
+    with np.errstate(invalid="ignore", divide="ignore"):  # unreachable legs are rejected by another test
         k = (b * m + f) / e
         m = np.where(k < 0.0, np.clip(-c / a, 0.0, 1.0), np.where(k > 1.0, np.clip((b - c) / a, 0.0, 1.0), m))
     k = np.clip(k, 0.0, 1.0)

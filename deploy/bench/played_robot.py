@@ -1,9 +1,11 @@
-"""A recorded robot, as its base hears it: `python -m sextant.deploy.bench.played_robot RECORDING ENDPOINT NAMESPACE AFTER_S`.
+"""Play a recorded robot to a base station.
 
-Hosts the robot's router, says through it what the robot said, when it said it, and times what comes back: when each scan was
-taken in, and the plans. It is the robot's clock that counts, which is this process's: nothing of the base is asked what time
-it is. As a robot does, it names the plan that it walks; that is the base's own, for the same step, so the planner goes on as
-it would with a robot that obeys it. One line of JSON at the end.
+python -m sextant.deploy.bench.played_robot RECORDING ENDPOINT NAMESPACE AFTER_S
+
+The process hosts the robot's router, and publishes the robot's recorded messages at their original times. It measures when
+scans are acknowledged and when plans arrive. All times are on the clock of this process, which acts as the robot's clock; the
+base station's clock is not used. Like a robot, it reports the plan that it walks. The base station made that plan for the same
+step, so the planner continues as with an obedient robot. The last output is one line of JSON.
 """
 
 import json
@@ -22,7 +24,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Message, ScanReceipt, StepPlan
 from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 
-_SAYS: tuple[AnyTopic, ...] = (  # what crosses the radio from a robot, and what its operator asks for
+_SAYS: tuple[AnyTopic, ...] = (  # what a robot sends over the radio, and its operator's requests
     topics.CAMERA_STATE,
     topics.ACTUATOR_STATE,
     topics.ODOMETRY,
@@ -33,49 +35,49 @@ _SAYS: tuple[AnyTopic, ...] = (  # what crosses the radio from a robot, and what
     topics.VELOCITY,
     topics.MODE,
 )
-_LAST_S = 0.5  # for what is still on its way
+_LAST_S = 0.5  # [s] for messages in transit
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What came back to one robot; times [ms]."""
+    """Messages that one robot received; times [ms]."""
 
-    scans: int  # that it sent, from the beginning of the measurement
-    taken: int  # of these, that were taken in
-    scan_p50: float  # from a picture to the receipt of its scan
+    scans: int  # number sent since the start of the measurement
+    taken: int  # number acknowledged
+    scan_p50: float  # from a depth frame to the acknowledgement of its scan
     scan_p99: float
     plans: int
-    plan_p99: float  # age of a plan when it comes
-    pause_max: float  # longest time without a word of the planner, which speaks ten times a second
-    late_p99: float  # by which this process itself spoke too late
+    plan_p99: float  # age of a plan at its arrival
+    pause_max: float  # longest time without a message of the planner, which publishes ten times a second
+    late_p99: float  # delay of this process's own messages
 
     @classmethod
     def of(cls, line: str) -> "Heard":
-        """As it was said by `line`."""
+        """Parse an output line."""
         return cls(**json.loads(line))
 
 
 class Player:
-    """Speaks and listens by a clock that began when the recording did."""
+    """Publishes and receives on a clock that starts with the recording."""
 
     def __init__(self, path: Path):
-        """Read all that will be said."""
+        """Read all messages to publish."""
         self._script = [
             (topic, message if topic is topics.ACTUATOR_STATE else _encoded(message, at_ns), message.stamp_ns, at_ns)
             for topic, message, at_ns in Recording(path).messages(_SAYS)
         ]
-        self._walked: dict[int, int] = {}  # stamp of the newest plan that came, by its step
-        self._receipts: list[tuple[int, int]] = []  # stamp of a scan, when its receipt came [ns]
-        self._plans: list[tuple[int, int]] = []  # stamp of a plan, when it came
-        self._words: list[int] = []  # when the planner said what it does
+        self._walked: dict[int, int] = {}  # step -> stamp of its newest received plan
+        self._receipts: list[tuple[int, int]] = []  # stamp of a scan, time of its acknowledgement [ns]
+        self._plans: list[tuple[int, int]] = []  # stamp of a plan, time of its arrival
+        self._words: list[int] = []  # times of the planner's status messages
         self._began_ns = 0
 
     def now_ns(self) -> int:
-        """The robot's time."""
+        """The robot's time [ns]."""
         return time.monotonic_ns() - self._began_ns
 
     def hear(self, topic: AnyTopic, frame: bytes) -> None:
-        """Note what has come."""
+        """Record a received message."""
         at_ns = self.now_ns()
         if topic is topics.SCAN_RECEIPT:
             receipt, _ = codec.decode(frame, ScanReceipt, topic.max_bytes)
@@ -88,7 +90,10 @@ class Player:
             self._words.append(at_ns)
 
     def play(self, link: ZenohLink, after_s: float) -> Heard:
-        """Say everything; what came back from a time [s] of the recording on."""
+        """Publish everything, and return what was received.
+
+        Messages before `after_s` [s] of the recording do not count.
+        """
         for answer in (topics.SCAN_RECEIPT, topics.STEP_PLAN, topics.PLANNER_STATUS):
             link.subscribe(answer, self.hear)
         first_ns = self._script[0][3]
@@ -105,7 +110,10 @@ class Player:
         return self._heard(first_ns + round(after_s * 1e9), sent, late)
 
     def _obeying(self, message: Message) -> Message:
-        """The state as if the plan of that step were walked which has come from this base; without one the step is over."""
+        """Return the state as if the base station's plan for that step were walked.
+
+        Without such a plan, the step is over.
+        """
         if not isinstance(message, ActuatorState) or not message.step:
             return message
         if message.step not in self._walked:
@@ -139,13 +147,13 @@ def _ms(values: Sequence[int] | np.ndarray, percent: float) -> float:
 
 
 def main() -> int:
-    """Play once the base has come."""
+    """Play the recording once the base station is connected."""
     path, endpoint, namespace, after_s = sys.argv[1:5]
     player = Player(Path(path))
     with Router((endpoint,)) as router, ZenohLink(Endpoints((endpoint,), namespace=namespace)) as link:
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-        sys.stdin.readline()  # the word to begin
+        sys.stdin.readline()  # wait for the start signal
         if not router.chained:
             sys.stderr.write("no base has come\n")
             return 1

@@ -1,4 +1,7 @@
-"""What recording does to a walk: nobody records, somebody does, the disk fills up, the recorder is killed, in turns."""
+"""Effect of recording on a walk.
+
+The walks alternate between no recording, recording, a full disk, and a killed recorder.
+"""
 
 import json
 import math
@@ -18,34 +21,34 @@ from sextant.deploy.bench.timing import machine
 from sextant.shared.recording.reader import newest_ns
 from sextant.shared.wire.messages import Mode
 
-CYCLE_S = 0.001  # by which the cycle's p99 may differ from that of a walk that nobody records
-SAID_S = 2.0  # within which it is said that nothing is recorded any more
-KILLED_S = 1.0  # of what was said, that a recorder that is killed may lose
-_WALK_S = 12.0  # of each walk that is timed
-_BREAK_S = 3.0  # of it, after which something breaks
+CYCLE_S = 0.001  # [s] tolerated difference of the cycle's p99 from that of a walk without recording
+SAID_S = 2.0  # [s] within which the end of a recording must be reported
+KILLED_S = 1.0  # [s] of messages that a killed recorder may lose
+_WALK_S = 12.0  # [s] of each timed walk
+_BREAK_S = 3.0  # [s] of walking before the failure
 _SPEED = 0.09  # [m/s]
 _WAYS = ("nobody records", "recording", "the disk fills up", "the recorder is killed")
 
 
 @dataclass(slots=True)
 class Way:
-    """One of the four, over all rounds."""
+    """One of the four kinds, over all rounds."""
 
     what: str
-    cycles_s: list[NDArray[np.float64]] = field(default_factory=list)  # times between two goals on the servos' wire
-    said_s: list[float] = field(default_factory=list)  # after which the page said what was wrong, infinite where it did not
-    lost_s: list[float] = field(default_factory=list)  # of what was said, that the file lacks at its end
+    cycles_s: list[NDArray[np.float64]] = field(default_factory=list)  # intervals between goals on the servo bus
+    said_s: list[float] = field(default_factory=list)  # delays until the page reported the problem, infinite if it did not
+    lost_s: list[float] = field(default_factory=list)  # duration missing at the end of the file
 
 
 def measure(rounds: int, say: Callable[[str], object]) -> tuple[Way, ...]:
-    """Walk forth and back over level ground, and record in four ways in turn.
+    """Walk back and forth over level ground, with the four kinds of recording in turn.
 
     Args:
-        rounds: Of each way.
-        say: Is told how far it is.
+        rounds: Number of walks of each kind.
+        say: Called with the progress.
 
     Raises:
-        TimeoutError: The robot, or the recorder, does not do what it is told.
+        TimeoutError: The robot or the recorder does not execute an order.
     """
     ways = tuple(Way(what) for what in _WAYS)
     rng = np.random.default_rng(0)
@@ -66,7 +69,7 @@ def measure(rounds: int, say: Callable[[str], object]) -> tuple[Way, ...]:
 
 
 def _walk(robot: PageRobot, page: ScriptedPage, way: Way, forward: float) -> None:
-    """One walk, recorded, or not, as it is to be."""
+    """Walk once, with the recording of the given kind."""
     records = way.what != _WAYS[0]
     if records:
         page.ask("record", on=True)
@@ -99,13 +102,13 @@ def _walk(robot: PageRobot, page: ScriptedPage, way: Way, forward: float) -> Non
 
 
 def _fill_up(pid: int, page: ScriptedPage) -> None:
-    """Let the recorder's files not grow any more, as on a disk that is full."""
+    """Prevent the recorder's files from growing, as on a full disk."""
     size = Path(_recorder(page)["file"]).stat().st_size
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
 def _hear(robot: PageRobot, page: ScriptedPage, way: Way, words: str, since_s: float) -> None:
-    """Note how soon the page said something."""
+    """Measure the delay until the page reports a text."""
     try:
         robot.until(lambda: page.said_after(words, since_s) is not None, 5.0)
     except TimeoutError:
@@ -117,7 +120,7 @@ def _hear(robot: PageRobot, page: ScriptedPage, way: Way, words: str, since_s: f
 
 
 def _recorder(page: ScriptedPage) -> dict[str, str]:
-    """What the page shows of the recorder."""
+    """Return the recorder's status on the page."""
     found: dict[str, str] = page.told.get("state", {}).get("recorder")
     return found
 
@@ -128,7 +131,7 @@ def _is_recording(page: ScriptedPage) -> bool:
 
 
 def in_words(ways: Sequence[Way]) -> str:
-    """For people."""
+    """Return the results as Markdown."""
     usual = _p99(ways[0])
     lines = [
         "| while the robot walks | cycle p50, ms | p99, ms | beside the first, ms | worst, ms | said after, s | lost, s |",
@@ -149,7 +152,7 @@ def in_words(ways: Sequence[Way]) -> str:
 
 
 def to_json(ways: Sequence[Way]) -> str:
-    """For scripts; what was not said is null."""
+    """Return the results as JSON; missing reports are null."""
     table = {
         way.what: {
             "cycle_ms": {"p50": _ms(way, 50), "p99": _ms(way, 99), "max": _ms(way, 100)},

@@ -1,7 +1,7 @@
-"""Other ways from a frame to a point per cell, with common libraries, to be timed and compared with ours.
+"""Scan reduction with common libraries, to compare speed and results.
 
-Each comes to the same result but for rounding and ties, except for Open3D's cloud, which knows neither edges nor surfaces. They
-are written as one would write them for speed: whole arrays, single precision where ours is, no loops over pixels.
+The result is one point per cell of a depth frame. It is the same except for rounding and ties; only Open3D's cloud has no rules
+for edges and surfaces. The code is optimised as usual: whole arrays, single precision as in Sextant, no loops over pixels.
 """
 
 import math
@@ -19,10 +19,10 @@ Cells = NDArray[np.bool_]
 
 
 class Reduces(Protocol):
-    """From a frame to a point per cell of the map."""
+    """Reduces a depth frame to one point per map cell."""
 
     def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
-        """Points (n, 3) [m] {world} of a raw frame (h, w) seen from a pose (4, 4)."""
+        """Return points (n, 3) [m] {world} of a raw frame (h, w); camera pose (4, 4)."""
         ...
 
 
@@ -45,24 +45,24 @@ class NumpyReduction:
         self._every_fourth = ~self._odd_row & ((rows // 2 + columns) % 2 == 0)
 
     def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
-        """The mean of the upper surface of each cell, rounded to millimetres."""
+        """Return the mean of the upper surface of each cell, rounded to millimetres."""
         origin = np.floor(T_world_camera[:3, 3] / self._resolution) * self._resolution
         R, t = T_world_camera[:3, :3].astype(np.float32), (T_world_camera[:3, 3] - origin).astype(np.float32)
-        # 1. The pixels that are read, and where they lie from the camera, in world axes.
+        # 1. The sampled pixels, and their points relative to the camera, in world axes.
         z = depth * self._scale
         dx, dy, dz = (((R[k, 0] * self._x + (R[k, 1] * self._y + R[k, 2])) * z) for k in range(3))
         read = (depth >= self._bounds[0]) & (depth <= self._bounds[1]) & (dx * dx + dy * dy <= self._range2)
         read &= (z >= self._dense) | self._every_second
-        # Rows that are crowded with pixels on level ground are read one in two, whose pixels count twice.
+        # Rows with dense pixels on level ground are sampled one in two; their pixels count twice.
         farthest = np.where((depth >= self._bounds[0]) & (depth <= self._bounds[1]), z, 0.0).max(axis=1, keepdims=True)
         drop = -np.max(R[2, 0] * self._x[[0, -1]] + (R[2, 1] * self._y + R[2, 2]), axis=1, keepdims=True)
         crowded = (farthest < self._dense) & (farthest < self._dense * drop)
         read &= ~crowded | self._every_fourth
         weight = np.broadcast_to(1.0 + crowded, read.shape)
-        # 2. Without those between two surfaces.
+        # 2. Remove pixels between two surfaces.
         read &= ~self._flying(depth)
         dx, dy, dz, z, weight = dx[read], dy[read], dz[read], z[read], weight[read]
-        # 3. Their cells, and the highest and the lowest of each.
+        # 3. The cell of each point, and the highest and lowest point of each cell.
         side = 2 * self._half
         per_cell = np.float32(1.0 / self._resolution)
         i = (dx * per_cell + (t[0] * per_cell + np.float32(self._half))).astype(np.int32)
@@ -72,7 +72,7 @@ class NumpyReduction:
         top, bottom = np.full(side * side, -np.inf, np.float32), np.full(side * side, np.inf, np.float32)
         np.maximum.at(top, key, dz)
         np.minimum.at(bottom, key, dz)
-        # 4. The mean of the upper surface, or of the lower one where the upper is but an edge.
+        # 4. The mean of the upper surface, or of the lower one if the upper one is only an edge.
         upper, lower = dz >= top[key] - band, dz <= bottom[key] + band
         count = np.bincount(key, weight, minlength=side * side)
         edge = np.bincount(key[upper], weight[upper], minlength=side * side) < CARRYING * count
@@ -81,19 +81,22 @@ class NumpyReduction:
         cells = np.flatnonzero(count)
         sums = np.stack([np.bincount(key, weight * d[chosen], minlength=side * side)[cells] for d in (dx, dy, dz)], axis=1)
         mean = sums / np.bincount(key, weight, minlength=side * side)[cells, None] + t
-        # 5. Rounded, and 1 mm inside the cell.
+        # 5. Round, and move 1 mm inside the cell.
         mm, edge_mm = np.rint(1000.0 * mean), 1000.0 * self._resolution
         corner = edge_mm * (np.stack([cells // side, cells % side], axis=1) - self._half)
         mm[:, :2] = np.clip(mm[:, :2], np.floor(corner + 1.0), np.ceil(corner + edge_mm - 1.0))
         return np.asarray(origin + 1e-3 * mm.astype(np.int16))
 
     def _flying(self, depth: NDArray[np.uint16]) -> Cells:
-        """Pixels (h, w) that jump on both sides, along their row or their column, one way in front and one way behind."""
+        """Return pixels (h, w) that jump on both sides, along their row or column.
+
+        One neighbour is in front, the other behind.
+        """
         raw = depth.astype(np.int32)
         limit = (self._jump + self._jump2 * (raw.astype(np.float32) ** 2)).astype(np.int32)
         out = np.zeros(raw.shape, dtype=np.bool_)
         for axis in (0, 1):
-            # Nothing beyond the image's border speaks against a pixel: it is its own neighbour there.
+            # A pixel at the border has itself as the missing neighbour, so it is never flying.
             before, after = _shifted(raw, axis, 2, raw), _shifted(raw, axis, -2, raw)
             steady = ((before != 0) & (np.abs(raw - before) <= limit)) | ((after != 0) & (np.abs(after - raw) <= limit))
             i, j = np.nonzero(~steady & (raw > 0))
@@ -110,7 +113,7 @@ class NumpyReduction:
 
 
 def _shifted(image: NDArray[np.int32], axis: int, by: int, border: NDArray[np.int32]) -> NDArray[np.int32]:
-    """An image moved along an axis; what comes in is the border's."""
+    """Shift an image along an axis, and fill with `border`."""
     out = border.copy()
     to = (slice(None),) * axis + (slice(by, None) if by > 0 else slice(None, by),)
     of = (slice(None),) * axis + (slice(None, -by) if by > 0 else slice(-by, None),)
@@ -119,7 +122,10 @@ def _shifted(image: NDArray[np.int32], axis: int, by: int, border: NDArray[np.in
 
 
 class Open3dCloud:
-    """Open3D: the cloud of a frame, placed and thinned to the centroid of each voxel as large as a cell."""
+    """Open3D: point cloud of a frame, reduced to the centroid of each voxel.
+
+    A voxel has the size of a cell.
+    """
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, resolution: float, max_range: float):
         import open3d
@@ -130,7 +136,7 @@ class Open3dCloud:
         self._scale, self._far, self._resolution = sensor.depth_scale, sensor.max_range, resolution
 
     def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
-        """Centroids (n, 3) [m] {world}, several above each other at an edge."""
+        """Return centroids (n, 3) [m] {world}; at an edge, several above each other."""
         o3d = self._o3d
         cloud = o3d.geometry.PointCloud.create_from_depth_image(
             o3d.geometry.Image(depth), self._intrinsics, depth_scale=self._scale, depth_trunc=self._far

@@ -1,6 +1,7 @@
-"""Other ways to register depth frames, behind one interface, to be timed and judged beside ours.
+"""Other methods for registering depth frames, behind one interface.
 
-They all get what ours gets, the raw frame and the pose that the legs expect, and have to make their own points of it.
+Their speed and accuracy are compared with Sextant's. All get the same input, the raw frame and the pose predicted by odometry,
+and compute their own points.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ from sextant.services.perception.registration.projective_icp import Registration
 from sextant.shared.geometry import Array, exp_so3, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
-_GICP_LEAF, _GICP_VOXEL, _GICP_NEIGHBOURS = 0.03, 0.05, 10  # [m] [m] the best of those tried on seeds from 1000 up
+_GICP_LEAF, _GICP_VOXEL, _GICP_NEIGHBOURS = 0.03, 0.05, 10  # [m] [m] [1] best of the values tried on seeds from 1000 up
 _OPEN3D_VOXEL, _OPEN3D_GATE, _OPEN3D_ITERATIONS = 0.03, 0.10, 30
 _THESIS_VOXEL, _THESIS_ITERATIONS, _THESIS_GATE = 0.05, 50, 0.15  # Masri 2016, section 4.2.1
 _THESIS_NEIGHBOURS = 12
@@ -22,10 +23,13 @@ _CONVERGED = 1e-5
 
 
 class Registers(Protocol):
-    """One method at work on one sequence."""
+    """One method on one sequence."""
 
     def update(self, depth: NDArray[np.uint16], index: int, T_prior: Array, covariance: Array) -> Array:
-        """Pose (4, 4) of the camera at the next frame, expected at a prior (4, 4) with a covariance (6, 6) [m, rad]."""
+        """Return the pose (4, 4) of the camera at the next frame.
+
+        The prior is (4, 4) with a covariance (6, 6) [m, rad].
+        """
         ...
 
 
@@ -38,7 +42,7 @@ class _Ours:
 
 
 class _Points:
-    """Frames as points {camera}."""
+    """Converts frames to points {camera}."""
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor):
         self._x = ((np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx).astype(np.float32)
@@ -46,7 +50,7 @@ class _Points:
         self._scale = np.float32(1.0 / sensor.depth_scale)
 
     def of(self, depth: NDArray[np.uint16]) -> Array:
-        """Points (n, 3) [m] of a raw frame."""
+        """Return the points (n, 3) [m] of a raw frame."""
         z = depth * self._scale
         seen = z > 0
         out = np.empty((int(seen.sum()), 3))
@@ -55,7 +59,7 @@ class _Points:
 
 
 class _Vgicp:
-    """small_gicp: generalised ICP against a growing map of Gaussian voxels."""
+    """small_gicp: generalised ICP with a growing map of Gaussian voxels."""
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor):
         import small_gicp
@@ -79,7 +83,7 @@ class _Vgicp:
 
 
 class _Open3d:
-    """Open3D: point-to-plane ICP on voxel grids, against the frames so far merged and thinned."""
+    """Open3D: point-to-plane ICP on voxel grids, with the merged previous frames."""
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor):
         import open3d
@@ -104,7 +108,10 @@ class _Open3d:
 
 
 class _Thesis:
-    """Masri 2016, section 4.2: frame to frame on a grid of centroids, point to plane, from the expected motion on."""
+    """Masri 2016, section 4.2: frame-to-frame point-to-plane registration.
+
+    It uses a grid of centroids, and starts from the predicted motion.
+    """
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor):
         from scipy.spatial import cKDTree
@@ -139,7 +146,7 @@ class _Thesis:
 
 
 def _centroids(points: Array, voxel: float) -> Array:
-    """Mean (m, 3) [m] of the points (n, 3) in each voxel."""
+    """Return the mean (m, 3) [m] of the points (n, 3) in each voxel."""
     cells = np.floor(points / voxel).astype(np.int64) + 4096
     keys = (cells[:, 0] << 26) | (cells[:, 1] << 13) | cells[:, 2]
     _, which, count = np.unique(keys, return_inverse=True, return_counts=True)

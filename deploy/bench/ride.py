@@ -1,6 +1,6 @@
-"""A camera that is carried as a walking robot carries it, and the odometry that its legs would tell: both with their errors.
+"""Synthetic trajectory of a camera on a walking robot, with leg odometry.
 
-Frame: {world} is that of the terrain; the first pose is known, so estimates can be compared as they are.
+Both contain errors. Frame: {world} is that of the terrain. The first pose is known, so estimates can be compared directly.
 """
 
 from collections.abc import Iterator
@@ -19,39 +19,39 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import DepthImage, Message, Odometry, Tick
 
-_CARRIED = (0.0, 0.0, 0.35)  # [m] {body} where the camera is held: 0.5 m over the ground with the body at 0.15
+_CARRIED = (0.0, 0.0, 0.35)  # [m] {body} position of the camera: 0.5 m above the ground with the body at 0.15
 _PITCH_DEG = 40.0
 _BODY_HEIGHT = 0.15  # [m]
 _STANDING = 8  # frames before the first step
-_STRIDE_HZ = 1.5  # steps of the walk
+_STRIDE_HZ = 1.5  # [Hz] gait steps
 _BOB = 0.010  # [m] amplitude
 _ROCK = np.radians([1.5, 1.5, 1.0])  # [rad] amplitude of roll, pitch and yaw
 _SWAY = 0.02  # [m] amplitude to the side
-_SMOOTHED = 0.35  # [m] half the length over which the body evens the ground out
-_LEG_LEVEL = np.array([0.002, 0.003, 0.003])  # [m] [rad] [rad] one sigma of the legs' height, roll and pitch
-_LEG_MEMORY = 0.9  # [1] from one frame to the next
+_SMOOTHED = 0.35  # [m] half the length over which the body height averages the ground
+_LEG_LEVEL = np.array([0.002, 0.003, 0.003])  # [m] [rad] [rad] standard deviation of the odometry's height, roll and pitch
+_LEG_MEMORY = 0.9  # [1] correlation from one frame to the next
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """How wrong the legs are about the way."""
+    """Errors of the leg odometry."""
 
-    scale: float = 0.05  # share of every motion in x, y and yaw, its sign by seed
-    slip: float = 0.0  # share of the motion that is told but does not happen, while the legs slip
+    scale: float = 0.05  # share of every motion in x, y and yaw; the seed determines its sign
+    slip: float = 0.0  # share of the motion that is reported, but does not happen because the legs slip
     slip_at_s: float = 3.0
     slip_for_s: float = 0.5
-    carried_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] [m] [rad] in x, y and yaw, which the legs do not notice
+    carried_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] [m] [rad] in x, y, yaw, unnoticed by the odometry
     carried_off_at_s: float = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """One ride: where the body truly is at each frame, and where its legs believe it to be."""
+    """One ride: true body poses and odometry for each frame."""
 
     profile: RobotProfile
     stamps_ns: NDArray[np.int64]  # (n,) [ns]
     T_world_body: Array  # (n, 4, 4)
-    T_odom_body: Array  # (n, 4, 4) the first as the truth
+    T_odom_body: Array  # (n, 4, 4) the first is the true one
     terrain: Terrain
 
     @property
@@ -61,21 +61,21 @@ class Ride:
 
 
 def carried_profile(rate_hz: float = 15.0) -> RobotProfile:
-    """The default robot with its camera half a metre over the ground, looking 40 deg down."""
+    """Return the default robot with its camera 0.5 m above the ground, 40 deg down."""
     profile = load_profile("phantomx_mk2")
     sensor = replace(profile.camera.sensor, rate_hz=rate_hz)
     return replace(profile, camera=replace(profile.camera, mount_xyz=_CARRIED, pitch_down_deg=_PITCH_DEG, sensor=sensor))
 
 
 def ride(terrain: Terrain, rng: np.random.Generator, errors: Errors, frames: int = 100, length: float = 2.0) -> Ride:
-    """A straight walk of a length [m] over a terrain, from the origin along x.
+    """Create a straight walk over a terrain, from the origin along x.
 
     Args:
-        terrain: The ground; the body keeps its height over it, evened out.
-        rng: Phases of the gait, the sign of the scale error, and the noise of the legs.
-        errors: Of the odometry.
-        frames: Pictures on the way, at least three.
-        length: [m]
+        terrain: The ground; the body keeps its height above the averaged ground.
+        rng: Random generator for the gait's phases, the sign of the scale error, and the odometry's noise.
+        errors: Errors of the odometry.
+        frames: Number of depth frames, at least three.
+        length: [m] of the walk.
 
     Raises:
         ValueError: Fewer frames.
@@ -99,7 +99,7 @@ def ride(terrain: Terrain, rng: np.random.Generator, errors: Errors, frames: int
 
 
 def _carried_off(T: Array, t: Array, errors: Errors) -> Array:
-    """Poses (n, 4, 4) of which those after a moment are taken elsewhere, as a whole."""
+    """Displace poses (n, 4, 4) rigidly after a certain time."""
     k = int(np.searchsorted(t, errors.carried_off_at_s))
     if k >= len(T) or not any(errors.carried_off):
         return T
@@ -113,12 +113,15 @@ def _smoothed_ground(terrain: Terrain, x: Array) -> Array:
     around = np.linspace(-_SMOOTHED, _SMOOTHED, 29)
     along = (x[:, None] + around).ravel()
     heights = terrain.height_at(np.column_stack([along, np.zeros(len(along))])).reshape(len(x), -1)
-    # Feet find no ground in a gap: it counts as level with what is before and behind it.
+    # A gap counts as level with the ground before and behind it, because feet find no ground in it.
     return np.asarray(np.maximum(heights, heights.max(axis=1, keepdims=True) - 0.2).mean(axis=1))
 
 
 def _by_legs(T: Array, t: Array, rng: np.random.Generator, errors: Errors) -> Array:
-    """Odometry (n, 4, 4): motions in the plane scaled, heights and tilts with a noise that does not grow."""
+    """Return the odometry (n, 4, 4).
+
+    Planar motions have a scale error. Heights and tilts have noise that does not grow.
+    """
     sign = 1.0 if rng.random() < 0.5 else -1.0
     noise = np.zeros(3)
     out = [T[0]]
@@ -139,21 +142,21 @@ def _by_legs(T: Array, t: Array, rng: np.random.Generator, errors: Errors) -> Ar
 
 
 def _planar(T: Array) -> Array:
-    """Place and heading (n, 4, 4) of poses."""
+    """Return the planar part (n, 4, 4) of poses: x, y and yaw."""
     yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
     rpy = np.stack([np.zeros_like(yaw), np.zeros_like(yaw), yaw], axis=1)
     return np.asarray(transform(rotation_from_rpy(rpy), T[:, :3, 3] * [1.0, 1.0, 0.0]))
 
 
 class CarriedCamera:
-    """Plays a ride as a service: odometry and pictures when their time has come."""
+    """Service that publishes a ride: odometry and depth frames at their times."""
 
     name = "carried camera"
     reads: tuple[AnyTopic, ...] = ()
     writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.ODOMETRY)
 
     def __init__(self, way: Ride, rng: np.random.Generator):
-        """The noise of the pictures is drawn from the generator."""
+        """Play a ride; `rng` generates the noise of the depth frames."""
         camera = way.profile.camera
         self.paced_by = Every(round(1e9 / camera.sensor.rate_hz))
         self.stages = Stages()
@@ -170,11 +173,11 @@ class CarriedCamera:
         return self.played == len(self._ride.stamps_ns)
 
     def frame(self, index: int) -> NDArray[np.uint16]:
-        """The raw picture (h, w) of one pose; each call is a new exposure."""
+        """Return the raw depth frame (h, w) of one pose; each call draws new noise."""
         return self._camera.measure(self._renderer.inverse_depth(self._T_world_camera[index]))
 
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
-        """The odometry and the picture of this moment."""
+        """Yield the odometry and the depth frame of this time."""
         if self.finished:
             return
         k, way = self.played, self._ride
@@ -190,5 +193,5 @@ class CarriedCamera:
         self.played += 1
 
     def doing(self) -> str:
-        """How far it is."""
+        """Return the progress."""
         return f"at picture {self.played} of {len(self._ride.stamps_ns)}"

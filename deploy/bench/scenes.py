@@ -1,7 +1,7 @@
-"""Scenes that are rebuilt for each seed: on them registration and maps are measured.
+"""Scenes for measuring registration and maps, generated from a seed.
 
 The seven of `MAPPED` are those of the published budgets for elevation maps (facts on performance: flat, slope, steps, gap,
-boxes, rough, mixed); the four of `REGISTERED` differ in how much of the motion they show.
+boxes, rough, mixed). The four of `REGISTERED` differ in the observability of the motion.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,9 +16,9 @@ from sextant.shared.scenario.scenario import Terrain as Part
 
 Scene = Callable[[np.random.Generator], Terrain]
 
-_WIDTH = 4.0  # [m] of what reaches across the whole view
+_WIDTH = 4.0  # [m] width of obstacles across the whole view
 _ROUGH_STEP = 0.02  # [m] grid of the rough ground
-_ROUGH_WAVE = 0.12  # [m] sigma of the filter that makes it
+_ROUGH_WAVE = 0.12  # [m] sigma of the smoothing filter
 _ROUGH_HEIGHT = 0.14  # [m] peak to peak
 
 
@@ -30,7 +30,7 @@ def _built(*parts: Part) -> Scene:
 
 
 def _rough(rng: np.random.Generator) -> Terrain:
-    """Smooth random ground without edges."""
+    """Generate smooth random ground without edges."""
     shape = round(5.0 / _ROUGH_STEP), round(_WIDTH / _ROUGH_STEP)
     noise = cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), _ROUGH_WAVE / _ROUGH_STEP)
     heights = (noise - noise.mean()) / np.ptp(noise) * _ROUGH_HEIGHT
@@ -38,7 +38,7 @@ def _rough(rng: np.random.Generator) -> Terrain:
     return Terrain(empty, HeightField(heights, _ROUGH_STEP, (-1.0, -_WIDTH / 2)), None)
 
 
-_PLATFORMS = (  # 0.7 m of gap from x = 1 m on
+_PLATFORMS = (  # a gap of 0.7 m from x = 1 m
     Box((-0.5, 0.0), (3.0, _WIDTH), 0.0),
     Box((3.7, 0.0), (4.0, _WIDTH), 0.0),
     Plane(height=-0.5),

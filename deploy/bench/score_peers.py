@@ -1,6 +1,6 @@
-"""Both foothold layers by the filters of common libraries, to be timed and compared with ours.
+"""Both foothold layers with filters of common libraries.
 
-Each comes to the same result but for rounding and ties.
+Their speed and results are compared. The results are the same except for rounding and ties.
 """
 
 import math
@@ -21,15 +21,21 @@ Cells = NDArray[np.bool_]
 
 
 class Scores(Protocol):
-    """How well each cell carries a foot, by either thesis."""
+    """Evaluates how well each cell carries a foot, by both theses."""
 
     def layers(self, elevation: Layer) -> tuple[Layer, NDArray[np.int8]]:
-        """Score and evaluation function (nx, ny) of a map (nx, ny) [m], as `mapper.footholds.layers.Layers` has them."""
+        """Return score and evaluation function (nx, ny) of a map (nx, ny) [m].
+
+        Formats are those of `mapper.footholds.layers.Layers`.
+        """
         ...
 
 
 class _Chain(ABC):
-    """`sextant.FootholdLayers`, of a whole map with sure heights, on the filters of some library."""
+    """`sextant.FootholdLayers` with the filters of a library.
+
+    It processes a whole map with certain heights.
+    """
 
     def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
         self._resolution, self._weights = resolution, weights
@@ -46,7 +52,10 @@ class _Chain(ABC):
         self._one, self._first, self._second = np.ones_like(offsets), offsets, offsets * offsets
 
     def layers(self, elevation: Layer) -> tuple[Layer, NDArray[np.int8]]:
-        """The weighted sum of slope, proximity and roughness, and the signed distance on ground that is even and not steep."""
+        """Return both layers.
+
+        They are the weighted sum of slope, proximity and roughness, and the signed distance on even ground that is not steep.
+        """
         w = self._weights
         known = ~np.isnan(elevation)
         h = np.where(known, elevation - np.float32(np.nanmean(elevation)), np.float32(0.0))
@@ -61,7 +70,11 @@ class _Chain(ABC):
         return np.asarray(score, dtype=np.float32), self._evaluation(complete & even, complete & ~even, known)
 
     def _evaluation(self, accessible: Cells, refused: Cells, known: Cells) -> NDArray[np.int8]:
-        """Closed where nothing beside was refused, without what is near to vacant ground; then how far in, or out."""
+        """Return the signed distance.
+
+        The accessible area is closed where nothing nearby was rejected, and excludes cells near vacant ground. The distance is
+        inward or outward.
+        """
         frame = 2 * self._close
         closed = self._closed(np.pad(accessible, frame), self._square)[frame:-frame, frame:-frame]
         ground = accessible | (closed & self._eroded(~refused, self._square))
@@ -71,7 +84,10 @@ class _Chain(ABC):
         return np.where(known, np.where(ground, -inside, outside), UNKNOWN).astype(np.int8)
 
     def _roughness(self, h: Layer, k: Layer) -> Layer:
-        """Deviation from the plane of each window: ten masked moments, summed along one axis, then along the other."""
+        """Return the deviation from a plane in each window.
+
+        It uses ten masked moments, summed along one axis, then along the other.
+        """
         one, first, second = self._one, self._first, self._second
         k0, k1, k2 = (self._along(k, weights, 0) for weights in (one, first, second))
         h0, h1 = (self._along(h, weights, 0) for weights in (one, first))
@@ -91,19 +107,19 @@ class _Chain(ABC):
 
     @abstractmethod
     def _sobel(self, image: Layer, axis: int) -> Layer:
-        """Sobel's derivative along an axis."""
+        """Return the Sobel derivative along an axis."""
 
     @abstractmethod
     def _gaussian(self, image: Layer) -> Layer:
-        """The image smoothed, zero beyond its border."""
+        """Smooth the image, with zeros beyond its border."""
 
     @abstractmethod
     def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
-        """Sum over a window along an axis, zero beyond the border."""
+        """Return the sum over a window along an axis, with zeros beyond the border."""
 
     @abstractmethod
     def _eroded(self, cells: Cells, room: Cells) -> Cells:
-        """Cells all of whose neighbourhood is True; beyond the border nothing is."""
+        """Erode cells; the outside of the border counts as False."""
 
     @abstractmethod
     def _closed(self, cells: Cells, square: Cells) -> Cells:
@@ -111,7 +127,7 @@ class _Chain(ABC):
 
     @abstractmethod
     def _manhattan(self, cells: Cells) -> NDArray[np.integer | np.floating]:
-        """Distance of each cell to the next that is False."""
+        """Return the Manhattan distance of each cell to the nearest False cell."""
 
 
 class ScipyChain(_Chain):
@@ -130,7 +146,7 @@ class ScipyChain(_Chain):
         return np.asarray(self._nd.gaussian_filter(image, self._sigma, radius=self._half, mode="constant"))
 
     def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
-        if weights is self._one:  # a running sum, whatever the width
+        if weights is self._one:  # a running sum, independent of the width
             return np.asarray(self._nd.uniform_filter1d(image, len(weights), axis=axis, mode="constant")) * len(weights)
         return np.asarray(self._nd.correlate1d(image, weights, axis=axis, mode="constant"))
 
@@ -145,7 +161,10 @@ class ScipyChain(_Chain):
 
 
 class ScikitImageChain(ScipyChain):
-    """scikit-image where it has the filter; windows with weights and Manhattan distances it has not: those stay SciPy's."""
+    """scikit-image filters.
+
+    For weighted windows and Manhattan distances it has none, so SciPy's are used.
+    """
 
     def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
         super().__init__(resolution, weights, rules)
@@ -169,7 +188,7 @@ class ScikitImageChain(ScipyChain):
 
 
 class OpencvChain(_Chain):
-    """OpenCV's filters, and NumPy between them."""
+    """OpenCV filters, combined with NumPy."""
 
     def _sobel(self, image: Layer, axis: int) -> Layer:
         dx, dy = (0, 1) if axis == 0 else (1, 0)  # OpenCV's y is our first axis

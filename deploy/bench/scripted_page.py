@@ -1,4 +1,4 @@
-"""An operator's page without a browser: it asks as one does, and keeps what it is told."""
+"""Operator's page without a browser: it sends requests and stores the replies."""
 
 import json
 import threading
@@ -14,7 +14,7 @@ from websockets.typing import Subprotocol
 
 from sextant.services.console.web.origin_policy import PROTOCOL
 
-_REPEAT_S = 0.05  # between two words of a pad that is held
+_REPEAT_S = 0.05  # [s] between two messages while the pad is held
 _WALK = {"height": 0.1, "lift": 0.025, "gait": "tripod"}
 
 
@@ -22,9 +22,9 @@ class ScriptedPage:
     """A page of a console; a context manager."""
 
     def __init__(self, url: str):
-        """Of the console that serves `url`."""
+        """Connect to the console at `url`."""
         self.told: dict[str, Any] = {}  # the newest message of each kind
-        self.lines: list[tuple[float, str]] = []  # of the log, with the time [s] at which each was told
+        self.lines: list[tuple[float, str]] = []  # of the log, with the time [s] of their receipt
         self._url = url.replace("http://", "ws://") + "socket"
         self._press = 0
 
@@ -39,12 +39,12 @@ class ScriptedPage:
         self._thread.join()
 
     def ask(self, kind: str, **fields: Any) -> None:
-        """Ask for something."""
+        """Send a request."""
         self._socket.send(json.dumps({"type": kind, **fields}))
 
     @contextmanager
     def held(self, forward: float) -> Iterator[None]:
-        """The pad is held meanwhile, at a speed [m/s]."""
+        """Hold the pad at a speed [m/s] for the duration of the block."""
         self._press += 1
         drive = {"press": self._press, "forward": forward, "left": 0.0, "turn": 0.0, "by_touch": False, **_WALK}
         let_go = threading.Event()
@@ -63,7 +63,7 @@ class ScriptedPage:
             self.ask("release")
 
     def said_after(self, words: str, since_s: float) -> float | None:
-        """How long [s] after a time a line of the log with some words was told; None where it was not yet."""
+        """Return how long [s] after a time a log line with a text arrived, or None."""
         return next((at_s - since_s for at_s, line in list(self.lines) if at_s >= since_s and words in line), None)
 
     def _listen(self) -> None:

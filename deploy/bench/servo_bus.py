@@ -1,7 +1,8 @@
-"""The servo bus through our own packets and through dynamixel-sdk: how long a question and a cycle take, also of the core.
+"""Servo bus through Sextant's driver and through dynamixel-sdk.
 
-Both talk over one pyserial port to the same emulated servos, which run in a process of their own, and take turns. The emulator
-answers when a bus of 1 Mbps behind an adapter with a latency timer of 1 ms would.
+The times of a request and of a cycle are measured, with their processor times. Both use one pyserial port to the same emulated
+servos, which run in a separate process, and take turns. The emulator replies with the timing of a bus of 1 Mbps behind an
+adapter with a latency timer of 1 ms.
 """
 
 import json
@@ -20,72 +21,79 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, 
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 
-ABSENT = 200  # an id that nobody has
-READS = 6  # of a cycle, as many as the actuator has time for
-_QUESTIONS = {"read 8 bytes": 1, "cycle": READS, "no answer": 0}  # that are to be answered, by job
+ABSENT = 200  # an unused ID
+READS = 6  # reads in a cycle, as many as the actuator has time for
+_QUESTIONS = {"read 8 bytes": 1, "cycle": READS, "no answer": 0}  # requests with a reply, by job
 JOBS = tuple(_QUESTIONS)
-_ROUNDS_SILENT = 20  # a servo that does not answer is waited for, so fewer of these
+_ROUNDS_SILENT = 20  # fewer repetitions, because a servo without a reply takes a timeout
 _STATE = dxl.PRESENT_POSITION.address, dxl.PRESENT_STATE.size
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One library at one job."""
+    """Results of one library for one job."""
 
     job: str
     method: str
     wall_ms: Spread
-    core_ms: Spread  # time of the processor, of the thread that asks
-    lost: int  # questions that a servo was there to answer, and that were given up
-    asked: int  # such questions
+    core_ms: Spread  # processor time of the requesting thread
+    lost: int  # requests to existing servos that were given up
+    asked: int  # requests to existing servos
 
 
 class Ours:
-    """The driver that the actuator has."""
+    """The actuator's driver."""
 
     def __init__(self, port: Any, ids: Sequence[int]):
-        """Take an open port."""
+        """Use an open port."""
         self._bus, self._ids, self._turn = ServoBus(port, ids, time.monotonic_ns), ids, 0
         self._port = port
 
     def begin(self) -> None:
-        """Have the port as this library wants it."""
+        """Configure the port for this library."""
         self._port.timeout = REPLY_TIMEOUT_NS * 1e-9
 
     def read(self, servo_id: int) -> bool:
-        """Position, speed, load, voltage and temperature of a servo; whether there was an answer."""
+        """Read position, speed, load, voltage and temperature of a servo.
+
+        Return whether a reply came.
+        """
         return self._bus.read_bytes(servo_id, *_STATE) is not None
 
     def write(self, goals: Sequence[int]) -> None:
-        """Goals of all servos in one packet."""
+        """Write the goals of all servos in one packet."""
         self._bus.sync_write_goals(goals, 100)
 
 
 class Sdk:
-    """dynamixel-sdk of ROBOTIS, on a port that may be one of the network."""
+    """dynamixel-sdk of ROBOTIS, on a port that may be a network port."""
 
     def __init__(self, port: Any, ids: Sequence[int]):
-        """Take an open port; ModuleNotFoundError where the library is not installed."""
+        """Use an open port.
+
+        Raises:
+            ModuleNotFoundError: The library is not installed.
+        """
         from dynamixel_sdk import GroupSyncWrite, PacketHandler, PortHandler
 
         self._port, self._ids = PortHandler(port.port), ids
         self._port.ser, self._port.is_open = port, True
-        self._port.tx_time_per_byte = 1e3 * dxl.BITS_PER_BYTE / self._port.baudrate  # [ms], as its openPort sets it
+        self._port.tx_time_per_byte = 1e3 * dxl.BITS_PER_BYTE / self._port.baudrate  # [ms], as set by its openPort
         self._packets = PacketHandler(1.0)
         size = dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size
         self._group = GroupSyncWrite(self._port, self._packets, dxl.GOAL_POSITION.address, size)
 
     def begin(self) -> None:
-        """Have the port as this library wants it: a read never waits."""
+        """Configure the port for this library: a read never waits."""
         self._port.ser.timeout = 0
 
     def read(self, servo_id: int) -> bool:
-        """As `Ours.read`."""
+        """Read as in `Ours.read`."""
         _, result, _ = self._packets.readTxRx(self._port, servo_id, *_STATE)
         return bool(result == 0)
 
     def write(self, goals: Sequence[int]) -> None:
-        """As `Ours.write`."""
+        """Write as in `Ours.write`."""
         self._group.clearParam()
         for servo_id, goal in zip(self._ids, goals, strict=True):
             self._group.addParam(servo_id, [*goal.to_bytes(2, "little"), 100, 0])
@@ -93,11 +101,13 @@ class Sdk:
 
 
 def measure(rounds: int, say: Callable[[str], None]) -> tuple[list[Row], list[str]]:
-    """Both libraries at each job, in turns; and in words which library is not there.
+    """Measure both libraries at each job, in turns.
+
+    Return the rows, and which library is missing, as text.
 
     Args:
-        rounds: How often each job is done.
-        say: Takes what happens.
+        rounds: Repetitions of each job.
+        say: Called with the progress.
     """
     ids = list(load_profile("phantomx_mk2").servo_names)
     with _emulated() as url:
@@ -129,7 +139,7 @@ def _race(job: str, methods: Mapping[str, Any], ids: Sequence[int], rounds: int)
 
 
 def _do(job: str, method: Any, ids: Sequence[int], k: int) -> int:
-    """Do a job for the kth time; how many answers did not come that should have."""
+    """Do a job for the kth time; return the number of missing replies."""
     if job == "no answer":
         method.read(ABSENT)
         return 0
@@ -141,7 +151,7 @@ def _do(job: str, method: Any, ids: Sequence[int], k: int) -> int:
 
 @contextmanager
 def _emulated() -> Iterator[str]:
-    """Address of a robot's servos that another process emulates."""
+    """Yield the address of emulated servos in another process."""
     command = [sys.executable, "-m", "sextant.deploy.cli", "servos", "emulate"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         if process.stdin is None or process.stdout is None:
@@ -153,7 +163,7 @@ def _emulated() -> Iterator[str]:
 
 
 def in_words(rows: Sequence[Row], missing: Sequence[str]) -> str:
-    """The figures for people."""
+    """Return the results as Markdown."""
     lines = [machine_in_words(), "median (10th to 90th percentile)"]
     lines.append(f"{'job':<14}{'library':<15}{'time ms':>26}{'of the core ms':>26}{'lost':>12}")
     for row in rows:
@@ -163,5 +173,5 @@ def in_words(rows: Sequence[Row], missing: Sequence[str]) -> str:
 
 
 def to_json(rows: Sequence[Row], missing: Sequence[str]) -> str:
-    """The figures for scripts."""
+    """Return the results as JSON."""
     return json.dumps({"machine": machine(), "rows": [asdict(row) for row in rows], "missing": list(missing)}, indent=1) + "\n"

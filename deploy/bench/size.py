@@ -1,4 +1,4 @@
-"""How much a role takes on a disk: the packages that its extra brings, as they are installed here."""
+"""Disk size of a role: the installed packages that its extra requires."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -12,26 +12,26 @@ from packaging.utils import canonicalize_name
 _NAME = "sextant"
 _ROOT = Path(__file__).parents[2]
 _OWN = ("shared", "services", "deploy")
-LIMITS_MB: Mapping[str, float] = {"actuator": 150.0, "onboard": 550.0}  # wanted of the roles that the robot installs
+LIMITS_MB: Mapping[str, float] = {"actuator": 150.0, "onboard": 550.0}  # limits of the roles that are installed on the robot
 ROLES = ("actuator", "perception", "onboard", "mapper", "planner", "console", "recording", "offboard", "simulator")
 
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """An extra, and what it brings."""
+    """An extra and its packages."""
 
     name: str
-    packages_mb: Mapping[str, float]  # by name, the largest first
-    missing: tuple[str, ...]  # that are not installed here, so not counted
+    packages_mb: Mapping[str, float]  # name -> size, the largest first
+    missing: tuple[str, ...]  # packages that are not installed here, and not counted
 
     @property
     def size_mb(self) -> float:
-        """[MB] of all of them."""
+        """Total size [MB]."""
         return sum(self.packages_mb.values())
 
 
 def measure(roles: Sequence[str] = ROLES) -> tuple[Role, ...]:
-    """Look at what is installed where this runs; nothing is installed for it."""
+    """Measure the packages installed in this environment; nothing is installed."""
     return tuple(_measured(role) for role in roles)
 
 
@@ -58,7 +58,7 @@ def _measured(role: str) -> Role:
 
 
 def _needed(package: Distribution, extras: frozenset[str]) -> list[tuple[str, frozenset[str]]]:
-    """(name, extras) of what a package needs on this machine."""
+    """Return (name, extras) of the requirements of a package on this machine."""
     needed = []
     for line in package.requires or ():
         one = Requirement(line)
@@ -73,13 +73,16 @@ def _mb(package: Distribution) -> float:
 
 
 def _own_mb() -> float:
-    """Our own files, and as much again for the bytecode of those that are Python's."""
+    """Return the size of Sextant's own files.
+
+    The bytecode is assumed to be as large as the Python files.
+    """
     files = [path for top in _OWN for path in (_ROOT / top).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
     return sum(path.stat().st_size * (2 if path.suffix == ".py" else 1) for path in files) / 1e6
 
 
 def in_words(roles: Sequence[Role]) -> str:
-    """For people."""
+    """Return the sizes as Markdown."""
     lines = ["| role | MB | wanted, MB | the largest |", "|---|---|---|---|"]
     for role in roles:
         largest = ", ".join(f"{name} {size:.0f}" for name, size in list(role.packages_mb.items())[:4])
@@ -90,7 +93,7 @@ def in_words(roles: Sequence[Role]) -> str:
 
 
 def to_json(roles: Sequence[Role]) -> str:
-    """For scripts."""
+    """Return the sizes as JSON."""
     table = {
         role.name: {
             "mb": round(role.size_mb, 1),

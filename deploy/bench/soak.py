@@ -1,4 +1,7 @@
-"""A long walk over Zenoh: whether memory grows, and whether anything comes later at its end than at its beginning."""
+"""Soak test: a long walk over Zenoh.
+
+It checks whether memory grows, and whether latencies are longer at the end than at the start.
+"""
 
 import contextlib
 import json
@@ -20,19 +23,19 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health, Mode
 from sextant.shared.wire.transport import ZenohLink
 
-GROWTH_MB_H = 1.0  # [MB/h] that a process's memory may grow by
-IN_ALL_MB = 2.0  # that it may have grown by in all: two maps were on their way at once, and the room for both is kept
-LATER_MS = 2.0  # by which the median of a stream may come later at the end
-PARTS = 60  # of the time, of each of which the medians are kept
-WARM_UP = 12  # of them before anything is judged: maps fill, and pools of memory do
-_LEG_S = 25.0  # of walking forth, then back
+GROWTH_MB_H = 1.0  # [MB/h] tolerated memory growth of a process
+IN_ALL_MB = 2.0  # [MB] tolerated total growth: if two maps were in transit at once, memory for both is kept
+LATER_MS = 2.0  # [ms] tolerated increase of a stream's median latency
+PARTS = 60  # parts of the time; medians are kept for each
+WARM_UP = 12  # parts before the evaluation: maps and memory pools fill up
+_LEG_S = 25.0  # [s] of walking in one direction
 _SPEED = 0.09  # [m/s]
 _SAMPLE_S = 5.0
-_SOON_S, _PRESSES = 5.0, 4  # in which a robot walks that is led, and how often the pad is pressed until it does
-# Level ground, and a battery that lasts: the usual one is empty before the hour is over, and then the robot lies down.
+_SOON_S, _PRESSES = 5.0, 4  # [s] within which a led robot walks, and maximum number of pad presses until then
+# Level ground, and a large battery: the usual one is empty before an hour is over, and then the robot lies down.
 _COURSE = 'name = "soak"\nbattery_ah = 100.0\n[goal]\ndistance = 1.0\n[[terrain]]\nkind = "plane"\n'
-_KEPT_FILES = 3  # of the recording, whose disk an hour would fill with gigabytes
-# From the camera to the servos, and back to who leads them.
+_KEPT_FILES = 3  # files kept of a recording: an hour would fill the disk with gigabytes
+# From the camera to the servos, and back to the leader.
 _STREAMS: tuple[AnyTopic, ...] = (
     topics.BODY_POSE,
     topics.SCAN,
@@ -42,26 +45,26 @@ _STREAMS: tuple[AnyTopic, ...] = (
     topics.ACTUATOR_STATE,
     topics.ODOMETRY,
 )
-Samples = Sequence[tuple[float, float]]  # time [s] since the beginning, value
+Samples = Sequence[tuple[float, float]]  # time [s] since the start, value
 
 
 @dataclass(frozen=True, slots=True)
 class Soak:
-    """What was seen in a long walk, by the part of its time; NaN where nothing was."""
+    """Results of a long walk, by part of the time; NaN without data."""
 
     length_s: float
-    legs: int  # walked, forth and back
-    memory_mb: Mapping[str, Sequence[float]]  # process -> (PARTS,) that it has to itself
-    age_p50_ms: Mapping[str, Sequence[float]]  # key -> (PARTS,) from a message's stamp to its receipt
+    legs: int  # number of straight walks, back and forth
+    memory_mb: Mapping[str, Sequence[float]]  # process -> (PARTS,) private memory
+    age_p50_ms: Mapping[str, Sequence[float]]  # key -> (PARTS,) age of messages at their receipt
     age_p99_ms: Mapping[str, Sequence[float]]
-    ended: Sequence[str]  # processes that did meanwhile, in words
-    refused: Mapping[str, int]  # service -> messages that did not decode, or were sent to another key
-    dropped: Mapping[str, int]  # service -> messages that came faster than they were read
+    ended: Sequence[str]  # processes that ended during the test
+    refused: Mapping[str, int]  # service -> messages that were not decodable, or had a wrong key
+    dropped: Mapping[str, int]  # service -> messages dropped because they came faster than they were read
 
 
 @dataclass(slots=True)
 class _Seen:
-    """What is gathered meanwhile."""
+    """Data collected during the test."""
 
     began_s: float
     memory_mb: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
@@ -70,14 +73,16 @@ class _Seen:
 
 
 def measure(length_s: float, say: Callable[[str], object]) -> Soak:
-    """Walk forth and back for so long [s], by a page's pad, with every process of a robot, its page and its recorder.
+    """Walk back and forth for `length_s` [s] by the page's pad.
+
+    All processes of a robot run, with its page and its recorder.
 
     Args:
-        length_s: From the first step to the last.
-        say: Is told how far it is.
+        length_s: [s] from the first step to the last.
+        say: Called with the progress.
 
     Raises:
-        TimeoutError: The robot does not do what it is told.
+        TimeoutError: The robot does not execute an order.
     """
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         course = Path(folder) / "soak.toml"
@@ -104,7 +109,10 @@ def measure(length_s: float, say: Callable[[str], object]) -> Soak:
 
 @contextlib.contextmanager
 def _walking(robot: PageRobot, page: ScriptedPage, forward: float) -> Iterator[None]:
-    """The pad is held meanwhile; pressed anew, as by an operator, where the page had not heard yet that the robot stands."""
+    """Hold the pad for the duration of the block.
+
+    It is pressed again, as by an operator, if the page did not know yet that the robot stands.
+    """
     for left in reversed(range(_PRESSES)):
         with page.held(forward):
             try:
@@ -119,7 +127,7 @@ def _walking(robot: PageRobot, page: ScriptedPage, forward: float) -> Iterator[N
 
 @contextlib.contextmanager
 def _listening(robot: PageRobot, seen: _Seen) -> Iterator[None]:
-    """Meanwhile the age of every frame is noted, and what services say of themselves."""
+    """Record the age of every frame, and the services' health, during the block."""
 
     def take(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         if topic is topics.HEALTH:
@@ -136,7 +144,7 @@ def _listening(robot: PageRobot, seen: _Seen) -> Iterator[None]:
 
 
 def _weigh(robot: PageRobot, seen: _Seen) -> None:
-    """Note the memory of each process that has not ended."""
+    """Record the memory of each running process."""
     for name in robot.names():
         mb = own_mb(robot.pid(name))
         if np.isfinite(mb):
@@ -144,7 +152,10 @@ def _weigh(robot: PageRobot, seen: _Seen) -> None:
 
 
 def own_mb(pid: int) -> float:
-    """Memory [MB] that a process has to itself: what it has mapped of files is not counted. NaN where it has ended."""
+    """Return the private memory [MB] of a process, without mapped files.
+
+    NaN if it has ended.
+    """
     try:
         about = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -174,7 +185,10 @@ def _soak(seen: _Seen, length_s: float, legs: int, ended: Sequence[str]) -> Soak
 
 
 def by_part(samples: Samples, length_s: float, percent: float) -> list[float]:
-    """A percentile of the samples in each of `PARTS` equal parts of the time, to a thousandth; NaN where there are none."""
+    """Return a percentile of the samples in each of `PARTS` equal parts of the time.
+
+    Values are rounded to a thousandth; NaN without samples.
+    """
     t, values = np.array(samples).reshape(-1, 2).T
     part = np.clip(t / length_s * PARTS, 0, PARTS - 1).astype(np.intp)
     within = [values[part == n] for n in range(PARTS)]
@@ -182,11 +196,11 @@ def by_part(samples: Samples, length_s: float, percent: float) -> list[float]:
 
 
 def growth_mb_h(parts: Sequence[float], length_s: float) -> float:
-    """By how much [MB/h] memory grows once warm; NaN where it is not known.
+    """Return the memory growth [MB/h] after warm-up; NaN if unknown.
 
-    The median of the slopes between every two parts (Theil 1950; Sen 1968). A process whose memory goes up and down, as garbage
-    comes and is collected, has one of about zero, and so has one that takes more a single time: fewer than half of all pairs
-    have that between them, but where it is in the very middle. One that takes more again and again grows by all of it.
+    This is the median of the slopes between every two parts (Theil 1950; Sen 1968). It is about zero for a process whose memory
+    varies with garbage collection. It is also about zero after a single increase, unless that is exactly in the middle, because
+    fewer than half of all pairs contain it. A process that grows repeatedly has its full growth rate.
     """
     mb, t = np.array(parts[WARM_UP:]), np.arange(PARTS - WARM_UP) * length_s / PARTS
     earlier, later = np.triu_indices(len(mb), 1)
@@ -194,7 +208,10 @@ def growth_mb_h(parts: Sequence[float], length_s: float) -> float:
 
 
 def ends(parts: Sequence[float]) -> tuple[float, float]:
-    """The medians over the first quarter of the parts that are judged, and over the last; NaN where nothing is known."""
+    """Return the medians over the first and the last quarter of the evaluated parts.
+
+    NaN if nothing is known.
+    """
     judged: Array = np.array(parts[WARM_UP:])
     quarter = len(judged) // 4
     return _median(judged[:quarter]), _median(judged[-quarter:])
@@ -206,7 +223,7 @@ def _median(parts: Array) -> float:
 
 
 def faults(soak: Soak) -> list[str]:
-    """What is not as it should be, in words."""
+    """Return the violated requirements as text."""
     found = list(soak.ended)
     for name, parts in soak.memory_mb.items():
         growth = growth_mb_h(parts, soak.length_s)
@@ -223,7 +240,7 @@ def faults(soak: Soak) -> list[str]:
 
 
 def in_words(soak: Soak) -> str:
-    """For people."""
+    """Return the results as Markdown."""
     lines = ["| process | MB, first quarter | last quarter | grows by, MB/h |", "|---|---|---|---|"]
     for name, parts in soak.memory_mb.items():
         first, last = ends(parts)
@@ -243,7 +260,7 @@ def in_words(soak: Soak) -> str:
 
 
 def to_json(soak: Soak) -> str:
-    """For scripts; what is not known is null."""
+    """Return the results as JSON; unknown values are null."""
     table = asdict(soak)
     for name in ("memory_mb", "age_p50_ms", "age_p99_ms"):
         table[name] = {key: [v if np.isfinite(v) else None for v in parts] for key, parts in table[name].items()}
@@ -251,7 +268,7 @@ def to_json(soak: Soak) -> str:
 
 
 def from_json(text: str) -> Soak:
-    """What `to_json` has written."""
+    """Read results written by `to_json`."""
     table = json.loads(text)
     del table["machine"]
     for name in ("memory_mb", "age_p50_ms", "age_p99_ms"):

@@ -1,4 +1,7 @@
-"""How fast registration is beside its peers: every frame goes through all methods in turn."""
+"""Speed of registration compared with its peers.
+
+Every frame is processed by all methods in turn.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,14 +16,14 @@ from sextant.deploy.bench.timing import Race, Timing, installed, one_core
 from sextant.services.perception.config import Settings
 from sextant.shared.geometry import Array, inverse
 
-_WARM = 5  # frames that are not timed, where there are more
+_WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
-_BELIEF = Settings()  # how far odometry is believed
+_BELIEF = Settings()  # covariance model of the odometry
 HEADINGS = {"drift_m": ("drift mm", 1e3, 1)}
 
 
 class _Tracked:
-    """A method at work on one ride."""
+    """A method on one ride."""
 
     def __init__(self, method: Registers, T_first: Array):
         self.T_world_camera = T_first
@@ -34,9 +37,10 @@ class _Tracked:
 def registration(
     seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None
 ) -> tuple[list[Timing], list[str]]:
-    """Time all methods of registration on all scenes; also which of them cannot be timed, and why.
+    """Time all methods of registration on all scenes.
 
-    The figure `drift_m` [m] is the error of the place at the end, median over the seeds.
+    Return the timings, and which methods cannot be timed and why. The figure `drift_m` [m] is the position error at the end,
+    the median over the seeds.
 
     Raises:
         ValueError: Fewer than three frames.
@@ -64,7 +68,10 @@ def registration(
 
 
 def _odometry(way: Ride, k: int) -> tuple[Array, Array]:
-    """What the legs say of the camera's motion (4, 4) since the last frame, and its covariance (6, 6), as perception has it."""
+    """Return the camera motion (4, 4) since the last frame by leg odometry.
+
+    Its covariance (6, 6) is that of perception.
+    """
     motion = inverse(way.T_odom_body[k - 1]) @ way.T_odom_body[k] if k else np.eye(4)
     along = _BELIEF.odometry_drift * float(np.linalg.norm(motion[:3, 3])) + _BELIEF.odometry_floor
     turn = _BELIEF.odometry_turn * abs(math.atan2(motion[1, 0], motion[0, 0])) + _BELIEF.odometry_floor

@@ -1,7 +1,8 @@
-"""How fast the stages of the map are beside their peers, on the pictures of rides over rebuilt scenes.
+"""Speed of the mapping stages compared with their peers.
 
-Each picture goes through everything in turn: the frame to a point per cell, that scan into a map, the map to its score, each
-by us and by the peers; and through the two services, encoded, from the frame that comes in to the layers that go out.
+The inputs are rides over generated scenes. Every stage processes each depth frame in turn: the frame to one point per cell, the
+scan into a map, the map to its score. Each stage is done by Sextant and by the peers. The two services are timed, too, with
+encoding, from the incoming frame to the outgoing layers.
 """
 
 import time
@@ -42,38 +43,38 @@ SIZES = (256, 512)  # cells along an edge
 OURS, CHANGED = "Sextant", "Sextant, changes only"
 HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
 _RESOLUTION = 0.01  # [m]
-_WARM = 5  # frames that are not timed, where there are more
+_WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
-_COMPARED = 10  # every how many frames results are compared
+_COMPARED = 10  # interval, in frames, at which results are compared
 _WEIGHTS, _RULES, _MARGIN = ScoreWeights(unknown_clearance=0.02), FootholdRules(), Margin(sigmas=0.0)
 _POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
-_SAME_MM, _SAME_SCORE = 2.0, 0.01  # results that differ by less agree
+_SAME_MM, _SAME_SCORE = 2.0, 0.01  # tolerances for equal results
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What came of it."""
+    """All results."""
 
     timings: list[Timing]
     missing: list[str]  # what could not be timed, and why
-    parts_ms: dict[str, float]  # stage -> median of its time on the way from frame to layers
+    parts_ms: dict[str, float]  # stage -> median of its time between frame and layers
 
 
 def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None) -> Measured:
-    """Time the stages of the map.
+    """Time the mapping stages.
 
-    Figures: `agreement`, share of the cells that a peer and we know alike; `growth`, our time over that on the smallest map;
-    `made`, share of the frames in that brought layers out.
+    Figures: `agreement`, share of known cells with equal results of peer and Sextant; `growth`, Sextant's time relative to that
+    on the smallest map; `made`, share of the frames that produced layers.
 
     Args:
-        seeds: A ride over each scene for each of them.
-        frames: Of a ride.
-        say: Hears how far it is.
+        seeds: One ride over each scene for each seed.
+        frames: Frames of a ride.
+        say: Called with the progress.
 
     Raises:
         ValueError: Fewer than three frames.
     """
-    keep_memory()  # as the services' processes do
+    keep_memory()  # as in the services' processes
     at_work = _Races(min(_WARM, frames - 1))
     with one_core():
         for scene in SCENES:
@@ -91,7 +92,7 @@ def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object]
 
 
 class _Races:
-    """All jobs, and what is kept of them."""
+    """All jobs and their results."""
 
     def __init__(self, warm: int):
         self._reduce = Race("reduction", "640x480", warm)
@@ -104,7 +105,7 @@ class _Races:
         self._made: list[bool] = []
 
     def start(self, profile: RobotProfile) -> None:
-        """Begin a ride: nothing is known."""
+        """Start a ride with empty maps."""
         camera, reach, most = profile.camera, PerceptionSettings().scan_range, PerceptionSettings().scan_points
 
         def ours(depth: NDArray[np.uint16], T: Array) -> ReducedScan:
@@ -129,7 +130,7 @@ class _Races:
         self._whole.start({OURS: self._services.run})
 
     def run(self, odometry: Odometry, image: DepthImage, T: Array, compare: bool) -> None:
-        """One picture through all of them."""
+        """Process one depth frame with all methods."""
         points = self._reduce.run(image.depth, T)
         scan: ReducedScan = points[OURS]
         for n in SIZES:
@@ -147,11 +148,11 @@ class _Races:
         self._made.append(bool(made[OURS]))
 
     def end(self) -> None:
-        """The ride is over."""
+        """End the ride."""
         self._parts.append(self._services.parts_ms())
 
     def measured(self) -> Measured:
-        """What came of all rides."""
+        """Return the results of all rides."""
         out = []
         for race in (self._reduce, *self._fuse.values(), *self._score.values(), self._whole):
             agreement = self._agreement.get((race.stage, race.case), {})
@@ -162,7 +163,7 @@ class _Races:
             if race is self._whole:
                 figures[OURS] = {"made": float(np.mean(self._made))}
             out += race.timings(figures)
-        # From the frame into the map: what each of two stages took, together.
+        # The sum of two stages' times, from the frame into the map.
         n = SIZES[0]
         both = {name: self._reduce.ms(name) + self._fuse[n].ms(name) for name in (OURS, "NumPy")}
         at = next(k for k, t in enumerate(out) if t.stage == "score chain")
@@ -173,7 +174,10 @@ class _Races:
         return Measured(out, self._missing, {**parts, "codec and the rest": max(0.0, whole - sum(parts.values()))})
 
     def _agree(self, race: Race, layers: Mapping[str, Array], same: float) -> None:
-        """Note which share of the cells that either knows ours and each other method know alike."""
+        """Record the share of cells on which each peer agrees with Sextant.
+
+        Cells known to either method count.
+        """
         ours = layers[OURS]
         for name, other in layers.items():
             if name != OURS:
@@ -183,7 +187,10 @@ class _Races:
 
 
 def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
-    """One scan into our grid, from the millimetres of the wire on."""
+    """Return a function that fuses a scan into Sextant's grid.
+
+    The scan is in millimetres, as transmitted.
+    """
 
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
@@ -197,7 +204,7 @@ def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
 
 
 def _fused_by_numpy(grid: NumpyGrid) -> Callable[[ReducedScan, Array], None]:
-    """The same by the peer."""
+    """Return the same function for the peer."""
 
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
@@ -208,14 +215,17 @@ def _fused_by_numpy(grid: NumpyGrid) -> Callable[[ReducedScan, Array], None]:
 
 
 class _Anew:
-    """Our two layers of a map, brought up to date where it changed, or made anew every time."""
+    """Sextant's two layers of a map, updated where it changed, or computed completely."""
 
     def __init__(self, layers: FootholdLayers, away: int):
-        """Layers, and by how many cells the map is said to have moved each time: none of what was known is then left in it."""
+        """Store the layers.
+
+        The map is reported to have moved by `away` cells each time; a large number leaves no known cell.
+        """
         self._layers, self._away, self._moved = layers, away, 0
 
     def layers(self, elevation: Layer, low: NDArray[np.int64]) -> tuple[Layer, NDArray[np.int8]]:
-        """Score and evaluation function."""
+        """Return score and evaluation function."""
         self._moved += self._away
         made = self._layers.update(elevation, np.zeros_like(elevation), low + self._moved)
         return made.score, made.evaluation
@@ -226,7 +236,10 @@ def _without_place(peer: Scores) -> Callable[[Layer, NDArray[np.int64]], tuple[L
 
 
 def _same_where(ours: tuple[Layer, NDArray[np.int8]], other: tuple[Layer, NDArray[np.int8]]) -> Array:
-    """1 where both layers are ours, 0 where one is not, NaN where nothing was ever seen."""
+    """Compare both layers.
+
+    Return 1 where both are equal, 0 where one is not, NaN where the cell is unknown.
+    """
     score = np.isclose(other[0], ours[0], atol=_SAME_SCORE, equal_nan=True)
     return np.where(ours[1] == UNKNOWN, np.nan, score & (other[1] == ours[1]))
 
@@ -236,7 +249,10 @@ def _points(found: ReducedScan | Array) -> Array:
 
 
 def _rastered(points: Array, centre: Array) -> Array:
-    """Highest of the points (n, 3) [m] in each cell around a place, NaN without one."""
+    """Return the highest of the points (n, 3) [m] in each cell around a centre.
+
+    NaN in a cell without points.
+    """
     half = round(PerceptionSettings().scan_range / _RESOLUTION) + 2
     cells = np.floor((points[:, :2] - centre[:2]) / _RESOLUTION + 1e-6).astype(int) + half
     inside = ((cells >= 0) & (cells < 2 * half)).all(axis=1)
@@ -246,7 +262,10 @@ def _rastered(points: Array, centre: Array) -> Array:
 
 
 class _Services:
-    """Perception and mapper with every message encoded and decoded, a map out for each frame in."""
+    """Perception and mapper with encoded messages.
+
+    A map is computed for each frame.
+    """
 
     def __init__(self, profile: RobotProfile):
         rate_hz = profile.camera.sensor.rate_hz
@@ -259,7 +278,7 @@ class _Services:
         self._layers = b""
 
     def run(self, odometry: bytes, image: bytes, now_ns: int) -> bytes:
-        """The encoded layers that come of an encoded frame; empty where it comes to none."""
+        """Return the encoded layers for an encoded frame; empty if it produces none."""
         self._now_ns, self._layers = now_ns, b""
         self._perception.inbox.receive(topics.ODOMETRY, odometry, self._now_ns)
         self._perception.inbox.receive(topics.DEPTH, image, self._now_ns)
@@ -267,7 +286,7 @@ class _Services:
         return self._layers
 
     def parts_ms(self) -> dict[str, float]:
-        """Stage -> median of its time."""
+        """Return stage -> median of its time."""
         out = {}
         for worker in (self._perception, self._mapper):
             for name, (p50, _) in worker.service.stages.percentiles().items():
@@ -287,7 +306,7 @@ class _Services:
 
 
 class _CoreStages(Stages):
-    """Stages by the time of the core."""
+    """Stages measured in processor time."""
 
     def __call__(self, name: str) -> Any:
         return _CoreStage(self, name)

@@ -1,6 +1,7 @@
-"""How soon the actuator holds a robot that stands: its process is started again and again on emulated servos that pull.
+"""Start-up time of the actuator on a standing robot.
 
-What counts is what comes over the servos' wire. The servos are emulated in this process, on a network port.
+Its process is started repeatedly on emulated servos with torque on. Events are measured on the servo bus. The servos are
+emulated in this process, on a network port.
 """
 
 import json
@@ -29,17 +30,20 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Mode
 from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
-WITHIN_MS = 1000.0  # what the actuator is to keep
-_PATIENCE_NS = 30_000_000_000  # [ns] a machine may be busy
+WITHIN_MS = 1000.0  # limit for the actuator
+_PATIENCE_NS = 30_000_000_000  # [ns] timeout on a busy machine
 _STEP_S = 0.01
 _GOALS = dxl.GOAL_POSITION.address
 
 
 class Watched(Workbench):
-    """Servos on a workbench, and when they were first asked anything and first told their goals."""
+    """Emulated servos that record the times of the first request and the first goals."""
 
     def __init__(self, profile: RobotProfile) -> None:
-        """All of them plugged in, the legs bent as in standing, and held there: so whoever walked before has left them."""
+        """Connect all servos, with torque on and the legs bent as in standing.
+
+        A previous walk ends in this state.
+        """
         super().__init__(profile, np.random.default_rng(3))
         self._ids = list(profile.servo_names)
         for leg, pose in enumerate(body_inverse(profile, profile.rest_feet())):
@@ -51,13 +55,13 @@ class Watched(Workbench):
         self.receive(dxl.sync_write(dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.size, on), time.monotonic_ns())
 
     def look(self) -> None:
-        """Watch for the next host."""
+        """Prepare for the next host."""
         self.asked_ns = self.told_ns = -1
-        self.goals: dict[int, int] = {}  # ticks that came first, by id
+        self.goals: dict[int, int] = {}  # first goals [ticks] by ID
         self._packets = dxl.PacketParser()
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes from the host, and note what they are."""
+        """Receive bytes from the host, and record their content."""
         for packet in self._packets.feed(data):
             self.asked_ns = now_ns if self.asked_ns < 0 else self.asked_ns
             if self.told_ns < 0 and packet.code == dxl.Instruction.SYNC_WRITE and packet.parameters[0] == _GOALS:
@@ -67,37 +71,37 @@ class Watched(Workbench):
 
     @property
     def standing(self) -> dict[int, int]:
-        """Goals [ticks] that stand in the servos, by id."""
+        """Return the goals [ticks] in the servos, by ID."""
         return {i: self._value(self._with_id(i)[0], dxl.GOAL_POSITION) for i in self._ids}
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """One start of the process, all [ms] from the moment in which it was asked for."""
+    """One start of the process; all times [ms] are from the request to start."""
 
-    asked_ms: float  # until the first question to a servo: Python, libraries, profile and router are behind it
-    told_ms: float  # until the first goals on the wire
-    heard_ms: float  # until its first word to everybody
-    mode: str  # by that word
-    reason: str  # likewise
-    moved_deg: float  # by which those goals differ from the ones that stood in the servos, at most
+    asked_ms: float  # until the first request to a servo: includes Python, libraries, profile and router
+    told_ms: float  # until the first goals on the bus
+    heard_ms: float  # until its first published state
+    mode: str  # in that state
+    reason: str  # in that state
+    moved_deg: float  # maximum difference between those goals and the previous ones in the servos
 
 
 def measure(rounds: int, say: Callable[[str], None]) -> list[Start]:
-    """Start the actuator's process again and again.
+    """Start the actuator's process repeatedly.
 
     Args:
-        rounds: How often.
-        say: Takes what happens.
+        rounds: Number of starts.
+        say: Called with the progress.
 
     Raises:
-        TransportError: It did not come up.
+        TransportError: The actuator did not start.
     """
     profile = load_profile("phantomx_mk2")
     watched = Watched(profile)
     found = []
     with TcpBusServer(watched) as server, host_router() as endpoints:
-        Latch.of_port(server.url).open()  # of another robot, which had this port before
+        Latch.of_port(server.url).open()  # left by another robot on the same port
         for k in range(rounds):
             found.append(_start(watched, server, endpoints))
             say(f"start {k + 1} of {rounds}: goals after {found[-1].told_ms:.0f} ms")
@@ -125,7 +129,7 @@ def _start(watched: Watched, server: TcpBusServer, endpoints: Endpoints) -> Star
                 if time.monotonic_ns() - began > _PATIENCE_NS:
                     said = "; ".join(map(str, launcher.poll())) or f"not a word within {_PATIENCE_NS * 1e-9:g} s"
                     raise TransportError(f"the actuator did not come up: {said}; `sextant doctor` checks what it needs")
-                with server.lock:  # servos that are behind their time would be late to answer
+                with server.lock:  # servos behind their schedule would reply late
                     watched.receive(b"", time.monotonic_ns())
     asked, told, word = (1e-6 * (at - began) for at in (watched.asked_ns, watched.told_ns, heard[0][0]))
     moved = max(abs(watched.goals[i] - ticks) for i, ticks in before.items())
@@ -134,7 +138,7 @@ def _start(watched: Watched, server: TcpBusServer, endpoints: Endpoints) -> Star
 
 
 def _goals_in(parameters: bytes) -> dict[int, int]:
-    """Goals [ticks] of a sync write that begins with them, by id."""
+    """Return the goals [ticks] by ID of a sync write that begins with them."""
     size = parameters[1]
     rows = (parameters[k : k + 1 + size] for k in range(2, len(parameters), 1 + size))
     return {row[0]: int.from_bytes(row[1:3], "little") for row in rows}
@@ -154,7 +158,7 @@ def _table(found: Sequence[Start]) -> dict[str, Any]:
 
 
 def in_words(found: Sequence[Start]) -> str:
-    """The figures for people."""
+    """Return the results as Markdown."""
     table = _table(found)
     words = {"asked": "first question to a servo", "told": "first goals on the wire", "heard": "first word to everybody"}
     lines = [f"from the start of the actuator's process, {len(found)} times, ms", f"{'until its':<28}{'p50':>8}{'max':>8}"]
@@ -168,5 +172,5 @@ def in_words(found: Sequence[Start]) -> str:
 
 
 def to_json(found: Sequence[Start]) -> str:
-    """The figures for scripts."""
+    """Return the results as JSON."""
     return json.dumps({"machine": machine(), **_table(found), "each": [asdict(one) for one in found]}, indent=1) + "\n"

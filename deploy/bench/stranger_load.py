@@ -1,8 +1,10 @@
-"""Strangers at a local listener, at an exact rate: `python -m sextant.deploy.bench.stranger_load --port PORT --rate HZ`.
+"""Load of strangers on a local listener, at an exact rate.
 
-They connect and close, stay silent, send bytes that are not TLS, or shake hands with a certificate of a foreign authority, in
-turn. Every second one comes from 127.0.0.1, as rightful clients do, the others from 200 addresses of their own. It ends when
-its standard input is closed or after --seconds, and prints how many there were of each kind, as JSON.
+python -m sextant.deploy.bench.stranger_load --port PORT --rate HZ
+
+Strangers connect and close, stay silent, send bytes that are not TLS, or make a handshake with a certificate of a foreign
+authority, in turn. Every second one comes from 127.0.0.1, as authorized clients do, the others from 200 separate addresses. The
+process ends when its standard input is closed or after --seconds. It prints the number of each kind as JSON.
 """
 
 import argparse
@@ -27,11 +29,11 @@ from sextant.shared.wire.access import CERTIFICATE, KEY
 KINDS = ("closed", "silent", "garbage", "foreign")
 HERE = "127.0.0.1"
 _TURN_S = 0.005
-_LATE_S = 0.5  # [s] behind the rate, beyond which what was missed is left out
-_SILENT_S = 5.0  # [s] after which a silent one gives up
+_LATE_S = 0.5  # [s] maximum delay; connections beyond it are skipped
+_SILENT_S = 5.0  # [s] after which a silent one closes
 _OTHERS = 200
 _GARBAGE = 64  # [bytes]
-_AT_ONCE = 4000  # connections at most
+_AT_ONCE = 4000  # maximum number of open connections
 
 
 @dataclass(slots=True, eq=False)
@@ -42,20 +44,20 @@ class _Stranger:
 
 
 class Strangers:
-    """Opens connections at a rate, and goes on with those that are open."""
+    """Opens connections at a rate, and continues with open ones."""
 
     def __init__(self, port: int, rate_hz: float, kinds: Sequence[str], folder: Path, seed: int = 0):
-        """Prepare.
+        """Prepare the connections.
 
         Args:
-            port: Of 127.0.0.1.
-            rate_hz: Connections a second.
-            kinds: Of `KINDS`, in turn.
-            folder: With a certificate and key of a foreign authority.
+            port: Port of 127.0.0.1.
+            rate_hz: Connections per second.
+            kinds: Kinds out of `KINDS`, in turn.
+            folder: Folder with a certificate and key of a foreign authority.
             seed: Random seed of their bytes.
         """
         self.count: Counter[str] = Counter()
-        self.left_out = 0  # that this process was too slow for
+        self.left_out = 0  # skipped because this process was too slow
         self._port, self._rate_hz, self._kinds = port, rate_hz, kinds
         self._random = random.Random(seed)
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -67,7 +69,10 @@ class Strangers:
         self._due = 0
 
     def run(self, seconds: float) -> float:
-        """Go on for some seconds, or until standard input is closed; return how long it was [s]."""
+        """Run for some seconds, or until standard input is closed.
+
+        Return the duration [s].
+        """
         self._selector.register(sys.stdin, selectors.EVENT_READ)
         self._began_s = self._now_s = time.monotonic()
         while self._now_s - self._began_s < seconds:
@@ -107,7 +112,7 @@ class Strangers:
         self._selector.register(plain.fileno(), selectors.EVENT_WRITE, stranger)
 
     def _advance(self, stranger: _Stranger) -> None:
-        """Do what a stranger does once it is connected, or has been answered."""
+        """Continue with a stranger that is connected or has received data."""
         connection = stranger.socket
         try:
             if isinstance(connection, ssl.SSLSocket):
@@ -127,7 +132,7 @@ class Strangers:
                 self._selector.modify(connection.fileno(), selectors.EVENT_READ, stranger)
         except BlockingIOError:
             pass
-        except OSError:  # also of TLS: it is refused
+        except OSError:  # TLS errors, too: the stranger is refused
             self._close(stranger)
 
     def _shake_hands(self, stranger: _Stranger, secured: ssl.SSLSocket) -> None:
@@ -144,16 +149,16 @@ class Strangers:
     def _close(self, stranger: _Stranger) -> None:
         del self._open[stranger]
         self._selector.unregister(stranger.socket.fileno())
-        with contextlib.suppress(OSError):  # no port is left waiting
+        with contextlib.suppress(OSError):  # leave no port in TIME_WAIT
             stranger.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         stranger.socket.close()
 
 
-_BIND_NO_PORT = 24  # IP_BIND_ADDRESS_NO_PORT of Linux: the port is chosen when it connects
+_BIND_NO_PORT = 24  # IP_BIND_ADDRESS_NO_PORT of Linux: the port is chosen by connect
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Be strangers until standard input is closed."""
+    """Run strangers until standard input is closed."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.bench.stranger_load", description=__doc__)
     parser.add_argument("--port", type=int, required=True, help="of 127.0.0.1")
     parser.add_argument("--rate", type=float, default=1000.0, help="connections a second (default %(default)s)")

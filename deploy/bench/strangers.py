@@ -1,10 +1,12 @@
-"""How soon rightful clients are let in while strangers open connections: a base after each cut of its radio, an actuator.
+"""Connection times of authorized clients while strangers open connections.
 
-A robot's router runs in a process of its own, and the router of a base is chained to it through a relay that is the radio.
-Strangers (`sextant.deploy.bench.stranger_load`) connect to the robot's endpoint directly, half of them from the base's address.
-The radio is cut for longer than a link lasts, so each time the base needs a new connection. It is back when a message has
-come through both ways. Then a simulated robot's actuator is killed, with and without silent connections at both of the
-router's endpoints, and it has joined when the next actuator's state is heard.
+The clients are a base station after each outage of its radio, and an actuator.
+
+A robot's router runs in a separate process. The router of a base station is connected to it through a relay that emulates the
+radio. Strangers (`sextant.deploy.bench.stranger_load`) connect to the robot's endpoint directly, half of them from the base
+station's address. Each outage lasts longer than a link's lease, so the base station needs a new connection. It is back when a
+message has arrived in both directions. Then a simulated robot's actuator is killed, with and without silent connections at both
+endpoints of the router. The next actuator is back when its state is received.
 """
 
 import json
@@ -45,39 +47,41 @@ from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLES
 from sextant.shared.wire.messages import Health, Mode
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
-BACK_S = 2.0  # within which the base has to be back
+BACK_S = 2.0  # [s] limit for the base station
 RADIO = Link(20.0, 20.0, 0.0)
-_CUT_S = (1.2, 2.5)  # longer than a link lasts without a word
+_CUT_S = (1.2, 2.5)  # [s] longer than a link's lease
 _BETWEEN_S = (0.2, 1.0)
 _PATIENCE_S = 30.0
-_PERIOD_S = 0.01  # between two messages each way
-_PROBE_S = 0.5  # between two handshakes that are timed
+_PERIOD_S = 0.01  # [s] between two messages in each direction
+_PROBE_S = 0.5  # [s] between two timed handshakes
 _NAMESPACE = "strangers"
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was measured; times [s]."""
+    """Results; times [s]."""
 
-    rate_hz: float  # of the strangers, as asked for
-    strangers: dict[str, int]  # that connected while the radio was cut and came back, by kind
-    strangers_s: float  # for how long they did
-    back_s: tuple[float, ...]  # after each cut
-    handshake_s: tuple[float, ...]  # of rightful clients beside that, without the radio
-    refused: str  # by the robot's router, as its health says
-    shared: str  # why the processes of the cuts had no real-time priority, or empty
-    silent: int  # connections at each endpoint
+    rate_hz: float  # requested rate of the strangers
+    strangers: dict[str, int]  # connected during the outages and reconnections, by kind
+    strangers_s: float  # duration of their connections
+    back_s: tuple[float, ...]  # after each outage
+    handshake_s: tuple[float, ...]  # of authorized clients meanwhile, without the radio
+    refused: str  # refusals of the robot's router, from its health
+    shared: str  # why the processes had no real-time priority, or empty
+    silent: int  # silent connections at each endpoint
     alone_s: tuple[float, ...]  # from killing an actuator to the next one's state, without silent connections
-    joined_s: tuple[float, ...]  # likewise, with them
+    joined_s: tuple[float, ...]  # the same with them
 
     @property
     def late(self) -> int:
-        """Cuts after which the base was not back in time."""
+        """Number of outages after which the base station was not back in time."""
         return sum(seconds > BACK_S for seconds in self.back_s)
 
 
 def measure(cuts: int, rate_hz: float, restarts: int, silent: int, seed: int, say: Callable[[str], object]) -> Found:
-    """Cut the radio so many times among strangers, then restart an actuator so many times with silent connections and without.
+    """Measure `cuts` outages among strangers, then `restarts` of an actuator.
+
+    The actuator restarts with and without silent connections.
 
     Raises:
         TimeoutError: Something did not come back at all.
@@ -104,7 +108,10 @@ def measure(cuts: int, rate_hz: float, restarts: int, silent: int, seed: int, sa
 
 @contextmanager
 def _real_time() -> Iterator[str]:
-    """Give this thread and what it starts real-time priority, as on machines of their own; yield why it may not, or nothing."""
+    """Give this thread and its children real-time priority, as on separate machines.
+
+    Yield why this is not possible, or an empty string.
+    """
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     refused = go_first()
     try:
@@ -123,7 +130,10 @@ def _make_keys(folder: Path) -> None:
 def _cuts(
     folder: Path, cuts: int, rate_hz: float, seed: int, say: Callable[[str], object]
 ) -> tuple[list[float], list[float], dict[str, Any], str]:
-    """How long the base was away after each cut, how long handshakes took, what the strangers did, and who was refused."""
+    """Measure the outages.
+
+    Return the base station's times, the times of handshakes, the strangers' numbers, and the refusals.
+    """
     chooser, back = random.Random(seed), list[float]()
     secure, plain, far = free_port(), f"tcp/127.0.0.1:{free_port()}", f"tcp/127.0.0.1:{free_port()}"
     robot = Gate((plain, f"tls/127.0.0.1:{secure}"), _NAMESPACE, folder / "robot")
@@ -153,10 +163,10 @@ def _cuts(
 
 
 def _start(stack: ExitStack, gate: Gate) -> None:
-    """Start a router in a process of its own.
+    """Start a router in a separate process.
 
     Raises:
-        TimeoutError: It does not come up.
+        TimeoutError: It does not start.
     """
     launcher = stack.enter_context(Launcher((router_command(gate.own, gate.words()),)))
     until, port = time.monotonic() + _PATIENCE_S, int(gate.own.rpartition(":")[2])
@@ -167,11 +177,11 @@ def _start(stack: ExitStack, gate: Gate) -> None:
 
 
 class _Meeting:
-    """Sends messages both ways between the robot and the base all the time; a context manager."""
+    """Sends messages in both directions all the time; a context manager."""
 
     def __init__(self, robot: ZenohLink, base: ZenohLink):
         self._ways: tuple[tuple[ZenohLink, AnyTopic], ...] = ((robot, topics.ACTUATOR_STATE), (base, topics.MODE))
-        self._sent_s = {topic.key: 0.0 for _, topic in self._ways}  # [s] when the newest that has come was sent
+        self._sent_s = {topic.key: 0.0 for _, topic in self._ways}  # [s] send time of the newest received message
         self._came_s = dict(self._sent_s)
         self._news = threading.Condition()
         self._ended = threading.Event()
@@ -188,10 +198,12 @@ class _Meeting:
         self._thread.join()
 
     def after(self, since_s: float) -> float:
-        """Wait until a message that was sent after a time has come each way; when the later of both came [s].
+        """Wait until a message sent after a time has arrived in each direction.
+
+        Return the arrival time [s] of the later one.
 
         Raises:
-            TimeoutError: It did not.
+            TimeoutError: It did not arrive.
         """
         first: dict[str, float] = {}
         until = time.monotonic() + _PATIENCE_S
@@ -218,10 +230,10 @@ class _Meeting:
 
 
 class _Probes:
-    """Times handshakes of a rightful client again and again; a context manager."""
+    """Times the handshakes of an authorized client repeatedly; a context manager."""
 
     def __init__(self, port: int, folder: Path):
-        self.took_s: list[float] = []  # of each, from connecting to its end; infinite for one that failed
+        self.took_s: list[float] = []  # of each handshake, from the connection to its end; infinite for a failed one
         self._port = port
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         self._context.load_verify_locations(folder / AUTHORITY)
@@ -250,7 +262,7 @@ class _Probes:
 
 @contextmanager
 def _strangers(port: int, rate_hz: float, folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    """Strangers in a process of their own, until its standard input is closed."""
+    """Run strangers in a separate process, until its standard input is closed."""
     words = ("-m", "sextant.deploy.bench.stranger_load", "--port", str(port), "--rate", str(rate_hz), "--keys", str(folder))
     with subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -260,7 +272,10 @@ def _strangers(port: int, rate_hz: float, folder: Path) -> Iterator["subprocess.
 
 
 class Silent:
-    """Keeps so many connections open that say nothing, and opens new ones for those that are dropped; a context manager."""
+    """Keeps a number of silent connections open, and replaces dropped ones.
+
+    This is a context manager.
+    """
 
     def __init__(self, ports: Sequence[int], count: int):
         self._ports, self._count = ports, count
@@ -297,14 +312,17 @@ class Silent:
     def _open_one(self, port: int) -> None:
         try:
             connection = socket.create_connection((HERE, port), _PATIENCE_S)
-        except OSError:  # its backlog is full
+        except OSError:  # the backlog is full
             return
         self._open[connection] = port
         self._selector.register(connection, selectors.EVENT_READ)
 
 
 def _restarts(folder: Path, restarts: int, silent: int, say: Callable[[str], object]) -> tuple[list[float], list[float]]:
-    """How long killed actuators are away [s], without silent connections and with them."""
+    """Return the times [s] of killed actuators until their successors' first states.
+
+    The first list is without silent connections, the second with them.
+    """
     alone, joined = list[float](), list[float]()
     if not restarts:
         return alone, joined
@@ -319,7 +337,7 @@ def _restarts(folder: Path, restarts: int, silent: int, say: Callable[[str], obj
 
 
 def in_words(found: Found) -> str:
-    """A table."""
+    """Return the results as Markdown."""
     rows = [
         _row(f"the radio's return, {found.rate_hz:.0f} strangers a second: the base is back", found.back_s, f"{BACK_S:.1f}"),
         _row("connecting without the radio meanwhile: handshake done", found.handshake_s, ""),
@@ -353,12 +371,12 @@ def _row(what: str, seconds: Sequence[float], wanted: str) -> str:
 
 
 def to_json(found: Found) -> str:
-    """For scripts."""
+    """Return the results as JSON."""
     return json.dumps({"machine": machine(), **asdict(found)}, indent=1)
 
 
 def from_json(text: str) -> Found:
-    """What `to_json` gave."""
+    """Read results written by `to_json`."""
     table = json.loads(text)
     return Found(**{one.name: _tuple(table[one.name]) for one in fields(Found)})
 

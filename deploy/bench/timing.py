@@ -1,7 +1,7 @@
-"""What the timings of a bench have in common: one core, time of the processor, spread, and how they are told.
+"""Common parts of the timing benchmarks: core, processor time, spread, output.
 
-Methods take turns on every input, so whatever slows the machine slows all of them. Time is that of the process on its core:
-neighbours that interrupt it do not count.
+Methods take turns on every input, so a slow phase of the machine affects all of them. Time is the processor time of the process
+on its core: interruptions by other processes do not count.
 """
 
 import importlib.metadata
@@ -32,7 +32,7 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Middle of many numbers, and the range of the middle eight of ten."""
+    """Median of numbers, and the range of the middle eight of ten."""
 
     median: float
     p10: float
@@ -40,7 +40,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Array) -> "Spread":
-        """Of numbers (n,)."""
+        """Compute the spread of numbers (n,)."""
         p10, median, p90 = np.percentile(values, [10, 50, 90]).tolist()
         return cls(median, p10, p90)
 
@@ -50,18 +50,21 @@ class Timing:
     """One method at one job."""
 
     stage: str
-    case: str  # scene, or size
+    case: str  # scene or size
     method: str
     ms: Spread
-    ratio: Spread  # of its time to that of the first method of the job, input by input
-    figures: Mapping[str, float] = field(default_factory=dict)  # what else there is to tell, unit in the name
+    ratio: Spread  # its time relative to that of the first method of the job, input by input
+    figures: Mapping[str, float] = field(default_factory=dict)  # further figures, with units in their names
 
 
 class Race:
-    """All methods at one job: each does every piece of it, in an order that begins with another one each time."""
+    """All methods at one job.
+
+    Each processes every input, in an order that starts with a different method each time.
+    """
 
     def __init__(self, stage: str, case: str, warm: int = 0):
-        """Name the job; the first pieces after each start, `warm` of them, are not timed."""
+        """Name the job; the first `warm` inputs after each start are not timed."""
         self.stage, self.case = stage, case
         self._warm = warm
         self._methods: dict[str, Callable[..., Any]] = {}
@@ -69,14 +72,14 @@ class Race:
         self._ms: dict[str, list[float]] = {}
 
     def start(self, methods: Mapping[str, Callable[..., Any]]) -> None:
-        """Let methods begin; the first is what the others are held against. Those of earlier starts have ended."""
+        """Start methods, and end earlier ones; the first is the reference for the others."""
         self._methods = dict(methods)
         self._done = 0
         for name in methods:
             self._ms.setdefault(name, [])
 
     def run(self, *work: Any) -> dict[str, Any]:
-        """What each method makes of a piece of work."""
+        """Return the result of each method for one input."""
         names = list(self._methods)
         first = self._done % len(names)
         out = {}
@@ -90,25 +93,25 @@ class Race:
         return out
 
     def ms(self, method: str) -> Array:
-        """Times (n,) [ms] of a method, in the order of the pieces."""
+        """Return the times (n,) [ms] of a method, in the order of the inputs."""
         return np.array(self._ms[method])
 
     def timings(self, figures: Mapping[str, Mapping[str, float]]) -> list[Timing]:
-        """Of all methods, beside their figures."""
+        """Return the timings of all methods, with their figures."""
         return held_against_first(self.stage, self.case, {name: self.ms(name) for name in self._ms}, figures)
 
 
 def held_against_first(
     stage: str, case: str, ms: Mapping[str, Array], figures: Mapping[str, Mapping[str, float]]
 ) -> list[Timing]:
-    """The times (n,) [ms] of several methods at the same n pieces of work, beside their figures."""
+    """Compare times (n,) [ms] of several methods at the same n inputs."""
     first = next(iter(ms.values()))
     return [Timing(stage, case, name, Spread.of(t), Spread.of(t / first), figures.get(name, {})) for name, t in ms.items()]
 
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Hold all threads of this process, and those that it starts, to one core, where the system can."""
+    """Restrict all threads of this process and its children to one core, if possible."""
     before: set[int] = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     opencv = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -125,24 +128,24 @@ def _hold_to(cores: set[int]) -> None:
         try:
             os.sched_setaffinity(int(task.name), cores)
         except ProcessLookupError:
-            continue  # this thread has ended meanwhile
+            continue  # the thread has ended meanwhile
 
 
 def installed(makers: Mapping[str, Callable[..., Made]], *arguments: Any) -> tuple[dict[str, Made], list[str]]:
-    """What the makers make, and in words which of them cannot, and why."""
+    """Return the created objects, and which makers failed and why, as text."""
     made, missing = {}, []
     for name, maker in makers.items():
         try:
             made[name] = maker(*arguments)
         except ModuleNotFoundError as error:
             missing.append(f"{name}: {error}; pip install -e '.[bench]' brings it")
-        except ImportError as error:  # it is there, but something that it needs is not
+        except ImportError as error:  # it is installed, but one of its dependencies is not
             missing.append(f"{name}: {error}")
     return made, missing
 
 
 def machine() -> dict[str, str]:
-    """What it is measured on."""
+    """Return a description of the machine."""
     model = platform.processor() or platform.machine()
     about = Path("/proc/cpuinfo")
     for line in about.read_text(encoding="utf-8").splitlines() if about.exists() else ():
@@ -160,13 +163,16 @@ def machine() -> dict[str, str]:
 
 
 def machine_in_words() -> str:
-    """What it is measured on, in a line."""
+    """Return a description of the machine in one line."""
     about = machine()
     return f"{about['processor']}, one core, Python {about['python']}, NumPy {about['numpy']}"
 
 
 def in_words(timings: Sequence[Timing], missing: Sequence[str], headings: Mapping[str, tuple[str, float, int]]) -> str:
-    """The timings for people; headings: figure -> its heading, factor and digits."""
+    """Return the timings as Markdown.
+
+    Headings map a figure to its heading, factor and digits.
+    """
     lines = [machine_in_words(), "time of the core, median (10th to 90th percentile); ratio to the first of each group"]
     columns = "".join(f"{heading:>12}" for heading, _, _ in headings.values())
     lines.append(f"{'stage':<18}{'case':<16}{'method':<22}{'ms':>28}{'ratio':>28}{columns}")
@@ -182,12 +188,12 @@ def in_words(timings: Sequence[Timing], missing: Sequence[str], headings: Mappin
 
 
 def parts_in_words(parts_ms: Mapping[str, float]) -> str:
-    """What makes up a whole, in a line."""
+    """Return the parts of a total in one line."""
     return "of a frame to its layers: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in parts_ms.items())
 
 
 def to_json(timings: Sequence[Timing], missing: Sequence[str], **more: Any) -> str:
-    """The timings for scripts; more: what else is told."""
+    """Return the timings as JSON, with further entries `more`."""
     rows = [
         {"stage": t.stage, "case": t.case, "method": t.method, "ms": asdict(t.ms), "ratio": asdict(t.ratio), **t.figures}
         for t in timings

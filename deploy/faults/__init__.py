@@ -1,1 +1,4 @@
-"""Faults injected into walks, in lockstep and live, what the robot did then, and how that is to the limits."""
+"""Fault injection into walks, in lockstep and live.
+
+It measures the robot's reaction and compares it with limits.
+"""

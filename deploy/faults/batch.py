@@ -1,6 +1,6 @@
-"""Faults injected many times, each at phases of its own; what was done before, by the same program, is not done again.
+"""Batches of fault injections, each at a different phase of the step.
 
-Every injection is a line of JSON in `faults.jsonl`.
+Injections already made by the same program are not repeated. Every injection is a line of JSON in `faults.jsonl`.
 """
 
 import json
@@ -27,16 +27,16 @@ FILE = "faults.jsonl"
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """One fault, once."""
+    """One injection of a fault."""
 
     fault: str
-    number: int  # gives its phase
-    seed: int  # of the walk
-    at_s: float  # in that walk
+    number: int  # determines the phase
+    seed: int  # seed of the walk
+    at_s: float  # [s] time in that walk
     phase: float  # [1] of the step
-    servo: int  # -1 for none
+    servo: int  # ID of the servo, -1 for none
     outcome: Outcome
-    commit: str = ""  # of the program that made it, see `provenance.commit`
+    commit: str = ""  # commit of the program, see `provenance.commit`
 
 
 Runner = Callable[[str, tuple[int, ...]], list[Injection]]
@@ -50,19 +50,19 @@ def run_faults(
     say: Callable[[str], None] = lambda _: None,
     run: Runner | None = None,
 ) -> list[Injection]:
-    """Inject each fault so many times, those left out that are on file already.
+    """Inject each fault at the given number of phases, except for stored results.
 
     Args:
         cases: The faults.
-        phases: Of each.
-        jobs: Walks at a time, each in a process of its own.
+        phases: Number of injections of each fault.
+        jobs: Number of concurrent walks, each in a separate process.
         out: Folder for `faults.jsonl`.
-        say: Hears a line per walk.
-        run: What injects a fault several times, in lockstep by default.
+        say: Called with one line per walk.
+        run: Injects a fault several times, in lockstep by default.
 
     Raises:
-        KeptError: The file there is not one of finished lines.
-        ChangedError: The program has changed since this process began.
+        KeptError: The file there does not consist of complete lines.
+        ChangedError: The program has changed since this process started.
     """
     refuse_another_program()
     whole_files.make_folder(out)
@@ -90,7 +90,7 @@ def run_faults(
 
 
 def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
-    """Inject a fault at several phases and score what happened."""
+    """Inject a fault at several phases, and score the results."""
     case = BY_NAME[name]
     begin = LiveWalk if case.live else FaultWalk
     return [
@@ -100,10 +100,12 @@ def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
 
 
 def read(path: Path, mark: str) -> Iterator[Injection]:
-    """Injections on file with a fingerprint, none where there is no file; a line cut off at the end is left out.
+    """Yield the stored injections with a fingerprint; none if there is no file.
+
+    An incomplete last line is skipped.
 
     Raises:
-        KeptError: A line is no injection.
+        KeptError: A line is not an injection.
     """
     if not path.exists():
         return
@@ -122,7 +124,7 @@ def read(path: Path, mark: str) -> Iterator[Injection]:
 
 
 def _tasks(case: Case, phases: int, done: Iterable[tuple[str, int]]) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Groups of one walk each in which something is left to do."""
+    """Yield groups of missing injections; each group shares one walk."""
     done = set(done)
     for first in range(0, phases, case.per_walk):
         numbers = tuple(range(first, min(first + case.per_walk, phases)))
@@ -131,7 +133,10 @@ def _tasks(case: Case, phases: int, done: Iterable[tuple[str, int]]) -> Iterator
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
-    """Without what JSON has no word for: a time that never was is null."""
+    """Replace values that JSON cannot represent.
+
+    A time that does not exist becomes null.
+    """
     return {
         name: _plain(value) if isinstance(value, dict) else None if isinstance(value, float) and not isfinite(value) else value
         for name, value in table.items()

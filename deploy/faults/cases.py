@@ -1,6 +1,6 @@
-"""The faults as a table of data: what is done to a walk, for how long, and what the robot is to do then.
+"""The table of faults: actions on a walk, durations, and required reactions.
 
-A number that is not limited is infinite. Times count from the fault's beginning but where something else is said.
+A number without a limit is infinite. Times count from the start of the fault unless stated otherwise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,19 +12,22 @@ from sextant.shared.servo.bus_fault import BusFault
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """A process is away: killed, a new one comes back; or stopped, the same one goes on, but where it is found to hang."""
+    """A process is unavailable.
+
+    If killed, a new process replaces it. If stopped, the same one continues, unless the launcher detects that it hangs.
+    """
 
     service: Literal[
         "planner", "actuator", "stop", "perception", "mapper", "operator", "router", "base router", "console", "recorder"
     ]
     kill: bool
-    for_s: float  # live, who is killed is back as soon as it can be, and is killed again and again for so long
-    after_s: float = 0.0  # of the fault's beginning
+    for_s: float  # in live walks, a killed process restarts as soon as possible, and is killed again during this time
+    after_s: float = 0.0  # after the start of the fault
 
 
 @dataclass(frozen=True, slots=True)
 class Meddling:
-    """The planner is there, and its words are not its own."""
+    """The planner runs, but its messages are manipulated."""
 
     how: Literal["mute", "repeating", "fuzzed"]
     for_s: float
@@ -32,14 +35,14 @@ class Meddling:
 
 @dataclass(frozen=True, slots=True)
 class OnBus:
-    """Something is broken with servos, bus or supply."""
+    """A fault of servos, bus or power supply."""
 
-    fault: BusFault  # at time 0: at once, of servo 0 where it needs one
-    any_servo: bool = False  # one that is drawn takes its place
+    fault: BusFault  # starts at time 0, for servo 0 if it concerns a servo
+    any_servo: bool = False  # replace servo 0 by a random servo
 
     @property
     def for_s(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return self.fault.for_s
 
 
@@ -47,7 +50,7 @@ class OnBus:
 class Off:
     """Torque is ordered off, and the order is repeated as an operator's page does."""
 
-    from_s: float = 0.05  # drawn between the two, after the fault's beginning
+    from_s: float = 0.05  # a random time between the two, after the start of the fault
     until_s: float = 0.8
     for_s: float = 0.0
 
@@ -62,7 +65,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Late:
-    """The actuator's cycles take longer than they should, as on a computer that is too slow; in lockstep alone."""
+    """The actuator's cycles take too long, as on a slow computer; lockstep only."""
 
     cycle_s: float
     for_s: float
@@ -70,7 +73,7 @@ class Late:
 
 @dataclass(frozen=True, slots=True)
 class Hogs:
-    """Others compute, as many as there are cores, with as much right to them as the services; live alone."""
+    """Other processes compute, one per core, with the services' priority; live only."""
 
     for_s: float
 
@@ -80,22 +83,22 @@ Deed = Away | Meddling | OnBus | Off | Clock | Late | Hogs
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the robot is to do; nobody falls in any case."""
+    """The required reaction of the robot; it must never fall."""
 
-    decided_s: float = inf  # until it says that it stops
-    named: str = ""  # pattern of what the reason says meanwhile, {servo} being the id
+    decided_s: float = inf  # until it reports that it stops
+    named: str = ""  # pattern of the reported reason, with {servo} for the ID
     rest_s: float = inf  # until it stands still
-    margin_m: float = -inf  # least stability margin over the three seconds after
-    again_s: float = inf  # until it walks again, from the fault's end on
+    margin_m: float = -inf  # minimum stability margin in the three seconds after the fault's start
+    again_s: float = inf  # until it walks again, from the fault's end
     jump_deg: float = inf  # of a joint, from the fault's end until it walks again
-    lunge_dps: float = inf  # [deg/s] of a joint, from the reset of a shutdown on
-    off_s: float = inf  # until servos hear that torque is off; from the order, or from the bus' return
-    torque_stays: bool = True  # nobody sends that torque be switched
-    walks_on: bool = False  # there is no stop
-    cycle_s: float = inf  # p99 of the time from one sync write of goals to the next; five that are missed in a row are said
+    lunge_dps: float = inf  # [deg/s] of a joint, from the reset of a shutdown
+    off_s: float = inf  # until the servos receive torque off; from the order, or from the bus' return
+    torque_stays: bool = True  # no command switches torque
+    walks_on: bool = False  # it does not stop
+    cycle_s: float = inf  # p99 of the interval between sync writes of goals; five missed cycles in a row are reported
     goal_dps: float = inf  # [deg/s] of a goal from one cycle to the next
-    lost_s: float = inf  # of a recording, from the last message that is in its file to the kill
-    seated: bool = False  # it lies and has let go before a servo shuts down or the battery is empty
+    lost_s: float = inf  # of a recording, from the last stored message to the kill
+    seated: bool = False  # it sits with torque off before a servo shuts down or the battery is empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +109,21 @@ class Case:
     words: str
     deeds: tuple[Deed, ...]
     limits: Limits = field(default_factory=Limits)
-    per_walk: int = 6  # injections in one walk, one after the other, or into a copy each where they end the walk
-    warm_c: float = 0.0  # [deg C] of the drawn servo when the walk begins; 0 leaves it as it is
-    charge: float = 1.0  # of the battery when the walk begins
-    watch_s: float = 8.0  # [s] after the fault's end, at most
-    live: bool = False  # of processes over Zenoh at real time; else in lockstep
-    halves: bool = False  # with mapper, planner, page and operator behind a router of their own, as on another machine
+    per_walk: int = 6  # injections in one walk in sequence, or each into a copy if they end the walk
+    warm_c: float = 0.0  # [deg C] initial temperature of the random servo; 0 for the default
+    charge: float = 1.0  # initial charge of the battery
+    watch_s: float = 8.0  # [s] maximum observation after the fault's end
+    live: bool = False  # processes over Zenoh in real time; else in lockstep
+    halves: bool = False  # mapper, planner, page and operator use a separate router, as on another machine
 
     @property
     def for_s(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return max(deed.for_s + (deed.after_s if isinstance(deed, Away) else 0.0) for deed in self.deeds)
 
     @property
     def concerns_one(self) -> bool:
-        """Whether one servo, which is drawn, is broken."""
+        """Whether one random servo is faulty."""
         return any(isinstance(deed, OnBus) and deed.any_servo for deed in self.deeds)
 
     @property
@@ -130,19 +133,19 @@ class Case:
 
     @property
     def ends_the_walk(self) -> bool:
-        """Whether the robot has let go afterwards, and lies."""
+        """Whether the robot lies with torque off afterwards."""
         return self.lets_go or self.limits.seated
 
 
-_OUT_S = 2.0  # [s] that what is broken stays so
-_RESTART_S = 1.0  # [s] in which a killed actuator's successor is there: seen, started, imported
-_STOPPED_S = 3.4  # [s] that a stopped one stays so
+_OUT_S = 2.0  # [s] duration of a fault
+_RESTART_S = 1.0  # [s] until a killed actuator has restarted: detected, started, imported
+_STOPPED_S = 3.4  # [s] duration of a stopped actuator
 _STOPPED = Limits(decided_s=3.5, jump_deg=2.0)
 _STOPS = Limits(decided_s=0.25, named="no new plan", rest_s=0.7, margin_m=0.010, again_s=2.0)
 _ONE_SERVO = Limits(decided_s=0.25, named=r"\(id {servo}\)", again_s=3.0)
 _NO_BUS = Limits(decided_s=0.25, named="no servo answers|port", again_s=3.0)
-# More than 30 % for 200 ms stops the robot. Of 40 % that are drawn, 40 questions in a row are as bad as that only after 0.44 s
-# in 4 of 1000, after 0.8 s in 2 of 100 000.
+# More than 30 % loss for 200 ms stops the robot. With 40 % drawn at random, 40 requests in a row reach that
+# only after 0.44 s in 4 of 1000 cases, after 0.8 s in 2 of 100 000.
 _MOSTLY_LOST = Limits(decided_s=0.8, named="lost or broken|does not answer|no servo answers", again_s=3.0)
 _TOO_SLOW = Limits(decided_s=0.25, named="too slow: 5 cycles in a row", margin_m=0.010, again_s=2.0)
 _CALM = Limits(walks_on=True)
@@ -275,14 +278,14 @@ CASES: tuple[Case, ...] = (
     Case("sag", "the voltage is 3 V lower for 0.4 s", (_SAG,), _CALM),
     Case(
         "fuzzed-plans", "plans are fuzzed by the thousand for 1 s", (_FUZZED,), Limits(goal_dps=354.0)
-    ),  # the servos' own speed
+    ),  # the servos' maximum speed
     Case("clock-stepped", "the wall clock is stepped by an hour", (_STEPPED,), _CALM),
     *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=12, watch_s=1.0) for name, words, deeds in _OFF),
 )
 
 _BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest
 _GOES_ON = Limits(named="no new plan", margin_m=0.010, again_s=8.0)
-_UNHEARD = Limits(margin_m=0.010, again_s=8.0)  # what it decides is heard once the router passes it on
+_UNHEARD = Limits(margin_m=0.010, again_s=8.0)  # its decision is received once the router forwards it
 _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("planner-killed", "the planner is killed", (Away("planner", True, 0.0),), _BACK_AT_ONCE),
     ("planner-crashing", "the planner is killed, and its successors are, for 2 s", (Away("planner", True, _OUT_S),), _STOPS),
@@ -322,7 +325,8 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
         _LETS_GO,
     ),
 )
-_PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an operator's page needs, and no walk
+# Faults of processes for an operator's page, which a walk does not need.
+_PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("console-killed", "the console is killed", (Away("console", True, 0.0),), _CALM),
     ("console-stopped", "the console is stopped for 3 s", (Away("console", False, 3.0),), _CALM),
     (
@@ -333,7 +337,8 @@ _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an oper
     ),
     ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
-_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but what is the robot's own matter
+# The same with two routers, without the faults that only concern the robot's own machine.
+_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     *(one for one in (*_LIVE, *_PAGE) if not one[0].startswith(("hogs", "off", "servo", "bus"))),
     ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),
     ("base-router-stopped", "the base's router is stopped for 2 s", (Away("base router", False, _OUT_S),), _UNHEARD),

@@ -1,4 +1,7 @@
-"""The operator of a fault's walk as a process of its own, so that it can be killed: python -m sextant.deploy.faults.console."""
+"""The operator of a fault run as a separate process, so that it can be killed.
+
+python -m sextant.deploy.faults.console
+"""
 
 from dataclasses import dataclass
 
@@ -10,11 +13,11 @@ from sextant.shared.runtime import process
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """None."""
+    """No settings."""
 
 
 def operator(profile: RobotProfile, settings: Settings) -> Operator:
-    """One who walks the robot over level ground."""
+    """Return an operator that walks the robot over level ground."""
     return Operator(profile, SCENARIO)
 
 

@@ -8,13 +8,13 @@ from sextant.shared.runtime.shutdown import end_with
 
 
 def commands() -> tuple[Command, ...]:
-    """How to start one for each core that this process may use."""
+    """Return one command for each core that this process may use."""
     count = len(os.sched_getaffinity(0))
     return tuple(Command(f"hog {i}", ("-m", "sextant.deploy.faults.hog"), ENVIRONMENT) for i in range(count))
 
 
 def main() -> None:
-    """Compute nothing, until somebody ends this process."""
+    """Compute until the process is terminated."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.faults.hog", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()

@@ -1,4 +1,7 @@
-"""One walk of processes over Zenoh at real time, into which faults are injected, each at a phase of its own."""
+"""Fault injection into a walk of processes over Zenoh in real time.
+
+Each fault is injected at a different phase of the step.
+"""
 
 import contextlib
 import secrets
@@ -32,38 +35,38 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, RecordCommand
 from sextant.shared.wire.transport import ZenohLink
 
-_GROUND = "flat"  # the scenario that the simulator is given: level ground
+_GROUND = "flat"  # the simulator's scenario: level ground
 _LOOK_S = 0.02
-_SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
-_AGAIN_S = 0.3  # [s] from one crash to the next
-_BACK_S = 15.0  # [s] in which a killed process must be back
-_KILLING_S = 0.05  # [s] in which who is killed may still write; its successor's file begins later
-_RECORD_S = 0.5  # between two orders to record, until that is done
-_WORDS = 40  # lines kept of what the processes say
+_SETTLE_S = 0.5  # [s] minimum observation after a fault's end
+_AGAIN_S = 0.3  # [s] between two crashes
+_BACK_S = 15.0  # [s] timeout for the restart of a killed process
+_KILLING_S = 0.05  # [s] in which a killed process may still write; its successor's file begins later
+_RECORD_S = 0.5  # [s] between two record commands, until recording starts
+_WORDS = 40  # number of log lines kept from the processes
 
 
 class LiveWalk(Watched):
-    """Processes that walk a robot, a tap on their servo bus, and who breaks some of them; a context manager."""
+    """Processes that walk a robot, with a bus sniffer and faults; a context manager."""
 
     start_s = 60.0
 
     def __init__(self, case: Case, seed: int):
-        """Prepare.
+        """Prepare the processes.
 
         Args:
-            case: The fault that will be injected.
-            seed: Of everything random in the simulator.
+            case: The fault to inject.
+            seed: Random seed of the simulator.
         """
         super().__init__(case)
         self._said: deque[str] = deque(maxlen=_WORDS)
         self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
-        self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
-        self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
+        self._ended: dict[str, float] = {}  # time [s] at which the end of each process was last detected
+        self._acts: list[tuple[float, Callable[[], object]]] = []  # scheduled actions and their times [s]
         broken = {deed.service for deed in case.deeds if isinstance(deed, Away)}
         self._places = Places.free("faults", base=case.halves, world="router" in broken)
         self._page = bool(broken & {"console", "recorder"})
         self._recording, self._record_due = False, 0.0
-        # Made by who records, if anybody.
+        # created by the recorder, if there is one
         self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{secrets.token_hex(8)}"
         self.port = self._places.servos
         self._latch = Latch.of_port(self.port)
@@ -74,14 +77,14 @@ class LiveWalk(Watched):
 
     @property
     def now_s(self) -> float:
-        """The machine's monotonic time [s]."""
+        """Monotonic time [s] of the machine."""
         return time.monotonic_ns() * 1e-9
 
     def __enter__(self) -> Self:
         self._latch.open()
         with contextlib.ExitStack() as stack:
             stack.callback(shutil.rmtree, self._recordings, ignore_errors=True)
-            stack.callback(self._latch.open)  # leave none behind
+            stack.callback(self._latch.open)  # remove the latch
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._places.robot))
@@ -91,7 +94,7 @@ class LiveWalk(Watched):
             world = self._link if away is None else stack.enter_context(ZenohLink(away))
             world.subscribe(topics.TRUTH, self.hear)
             for ours in (topics.MODE, topics.FAULT):
-                self._link.wanted(ours)  # announced now, what is ordered and what is broken is not the first word
+                self._link.wanted(ours)  # announced now, so that the first command is not lost
             if self._places.base is not None:
                 base = stack.enter_context(ZenohLink(self._places.base))
                 base.subscribe(topics.ACTUATOR_STATE, lambda *_: self._sign(tapped_robot.BASE_ROUTER, self.now_s))
@@ -99,26 +102,29 @@ class LiveWalk(Watched):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all processes."""
+        """Stop all processes."""
         self._stack.close()
 
     def walk_for(self, length_s: float) -> None:
-        """Have it stand up again where it has let go; then as all."""
+        """Walk as in the base class, after the robot stands up if torque was off."""
         if self.state is not None and self.state.mode is Mode.OFF:
-            self._launcher.kill("operator")  # a new one has the robot stand up
+            self._launcher.kill("operator")  # its successor orders the robot to stand up
         super().walk_for(length_s)
 
     def last_words(self) -> str:
-        """Those of the processes."""
+        """Return the last log lines of the processes."""
         return f"; the processes' last words: {' / '.join(list(self._said)[-5:])}"
 
     @property
     def walks(self) -> bool:
-        """As of all, and where there is a recorder it records."""
+        """Whether the robot walks, and the recorder, if there is one, records."""
         return super().walks and (self._recording or not self._page)
 
     def look(self, until_s: float = inf) -> None:
-        """Let one look's time pass, or less; start again what has ended, and have recorded what can be."""
+        """Wait for at most one interval.
+
+        Restart ended processes, and start the recording if possible.
+        """
         if self._page and not self._recording and self.now_s >= self._record_due:
             self._record_due = self.now_s + _RECORD_S
             self._say(RecordCommand(time.monotonic_ns(), True, time.monotonic_ns()))
@@ -127,7 +133,7 @@ class LiveWalk(Watched):
             self._said.append(str(ended))
 
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
-        """Do what the case says, and watch."""
+        """Inject the faults of the case, and observe the robot."""
         self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
         self._ordered, ends = nan, [self._begin(deed, begin, rng) for deed in self._case.deeds]
         try:
@@ -148,7 +154,7 @@ class LiveWalk(Watched):
                 if over and (self.walks or (self._case.lets_go and self.state is not None and self.state.mode is Mode.OFF)):
                     break
         finally:
-            for _, act in self._acts:  # nothing stays broken
+            for _, act in self._acts:  # end all faults
                 act()
             self._acts.clear()
         end = max(over() for over in ends)
@@ -164,12 +170,12 @@ class LiveWalk(Watched):
         )
 
     def _recorded_until(self, killed_s: float) -> float:
-        """When [s] the last message came that is in the file of a recorder that was killed at a time [s]."""
+        """Return the time [s] of the last message stored before a kill at `killed_s`."""
         ends = (newest_ns(file) * 1e-9 for folder in self._recordings.iterdir() for file in files_of(folder))
         return max((end for end in ends if end <= killed_s + _KILLING_S), default=-inf)
 
     def _begin(self, deed: Deed, begin: float, rng: np.random.Generator) -> Callable[[], float]:
-        """Begin to break something; tells when [s] that ends, NaN for not yet."""
+        """Start a fault; return a function for its end time [s], NaN if still unknown."""
         match deed:
             case Away(service, kill=True, for_s=for_s):
                 self._launcher.kill(service)
@@ -180,7 +186,7 @@ class LiveWalk(Watched):
             case Away(service, kill=False, for_s=for_s):
                 self._launcher.freeze(service)
                 self._acts.append((begin + for_s, lambda: self._launcher.thaw(service)))
-                # Over before that where the launcher found that it hangs, and another has taken its place.
+                # It ends earlier if the launcher detects the hang and replaces the process.
                 return lambda: float(np.fmin(begin + for_s, self.returned(service, begin)))
             case OnBus(fault, any_servo):
                 self._say(replace(fault, servo=self._servo if any_servo else fault.servo).command(time.monotonic_ns()))
@@ -195,12 +201,12 @@ class LiveWalk(Watched):
         raise ValueError(f"a fault that can be live expected, found {deed}; run it in lockstep")
 
     def note_end(self, name: str, at_s: float) -> None:
-        """A process was seen to have ended at a time [s]."""
+        """Record that a process was found to have ended at a time [s]."""
         self._ended[name] = at_s
         self._recording &= name != "recorder"
 
     def returned(self, name: str, since_s: float) -> float:
-        """When [s] a killed process's successor gave its first sign of life, NaN for not yet."""
+        """Return the time [s] of the first sign of life of a process's successor, or NaN."""
         ended, sign = self._ended.get(name, -inf), self._signs.get(name, -inf)
         return sign if since_s < ended < sign else nan
 
@@ -213,7 +219,10 @@ class LiveWalk(Watched):
         self._link.send(topics.OF_TYPE[type(message)], codec.encode(message, codec.Timing(message.stamp_ns, message.stamp_ns)))
 
     def pulls(self) -> NDArray[np.bool_]:
-        """Servos (18,) whose torque is on, by what they were told on the wire; at first it was."""
+        """Return the servos (18,) with torque on, by the commands on the bus.
+
+        Initially all are on.
+        """
         on = dict.fromkeys(self.profile.servo_ids.ravel().tolist(), True)
         for switch in self.recorder.switches:
             if switch.heard and switch.register is dxl.TORQUE_ENABLE:
@@ -221,7 +230,7 @@ class LiveWalk(Watched):
         return np.array(list(on.values()))
 
     def hear(self, topic: AnyTopic, frame: bytes) -> None:
-        """Take in a frame of the wire; from the link's threads."""
+        """Process a received frame; called from Zenoh's threads."""
         if topic is topics.ACTUATOR_STATE:
             self.hear_state(frame)
             self._sign("router", self.now_s)
@@ -231,12 +240,15 @@ class LiveWalk(Watched):
             self._recording = codec.decode(frame, topics.RECORDER_STATE.type)[0].recording
         else:
             health = codec.decode(frame, topics.HEALTH.type)[0]
-            if health.service != "actuator":  # of that the tap knows
+            if health.service != "actuator":  # the bus sniffer reports signs of the actuator
                 self._sign(health.service, health.stamp_ns * 1e-9)
 
     def hear_line(self, name: str, line: str) -> None:
-        """Take in what a process says, the tap's words for the recorder; from the launcher's threads."""
-        if name != "tap" or not line.startswith(("open ", "sent ")):  # a tap that ends says why, too
+        """Process an output line of a process; called from the launcher's threads.
+
+        Lines of the bus sniffer go to the recorder.
+        """
+        if name != "tap" or not line.startswith(("open ", "sent ")):  # the sniffer also logs why it ends
             self._said.append(line)
             return
         match tap.understood(line):
@@ -247,20 +259,20 @@ class LiveWalk(Watched):
                 self.recorder.heard(data, at_ns)
 
     def _sign(self, name: str, at_s: float) -> None:
-        """Note a sign of life, but none later than the first since a process ended."""
+        """Store a sign of life, but only the first since the end of a process."""
         known = self._signs.get(name, -inf)
         if known <= self._ended.get(name, inf):
             self._signs[name] = at_s
 
 
 def commands(places: Places, seed: int, gate: Gate | None = None, page: Page | None = None) -> list[Command]:
-    """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
+    """Return all processes of a robot on level ground, with bus sniffer and operator.
 
     Args:
-        places: Where they meet; the operator with mapper, planner and page, where those have a router of their own.
-        seed: Of the simulator.
-        gate: Of the router, where it lets in others than those of this machine.
-        page: None for no page, and no recorder.
+        places: Endpoints; if the base station has its own router, the operator uses it, as do mapper, planner and page.
+        seed: Seed of the simulator.
+        gate: Access policy of the router, if other machines may connect.
+        page: None for no page and no recorder.
     """
     robot = tapped_robot.commands(places, seed, _GROUND, page, gate=gate)
     met = places.base or places.robot

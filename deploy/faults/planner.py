@@ -1,4 +1,7 @@
-"""The planner with somebody between it and the wire: it falls silent, repeats itself, or its plans are fuzzed."""
+"""Fault injection into the planner's messages.
+
+The planner becomes silent, repeats itself, or its plans are fuzzed.
+"""
 
 import copy
 from collections import deque
@@ -12,33 +15,33 @@ from sextant.shared.geometry import rotation_from_rpy
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service
 from sextant.shared.wire.messages import Message, PlannerStatus, StepPlan
 
-PLANS_PER_STEP = 134  # fuzzed, of a planner that steps 25 times a second: 3350 in a second, a million in 300
-_REPEATED = 8  # plans that are said again and again
+PLANS_PER_STEP = 134  # fuzzed plans per step; with 25 steps a second: 3350 per second, a million in 300 s
+_REPEATED = 8  # number of plans that are repeated
 
 
 class Meddler:
-    """Says what becomes of the planner's words; planners come and go meanwhile."""
+    """Manipulates the planner's messages, across restarts of the planner."""
 
     def __init__(self, rng: np.random.Generator):
-        """Begin with a planner that is let speak."""
-        self.how = ""  # mute, repeating, fuzzed, or nothing
-        self.fuzzed = 0  # plans so far
-        self.stamps: set[int] = set()  # [ns] of those that have one of their own
+        """Start without manipulation."""
+        self.how = ""  # "mute", "repeating", "fuzzed", or empty for none
+        self.fuzzed = 0  # number of fuzzed plans so far
+        self.stamps: set[int] = set()  # [ns] stamps of fuzzed plans that differ from the original's
         self._rng = rng
         self._plans: deque[StepPlan] = deque(maxlen=_REPEATED)
         self._status: PlannerStatus | None = None
         self._said = 0
 
     def around(self, planner: Service) -> Service:
-        """A planner in whose place this one's words are heard."""
+        """Wrap a planner so that its messages are manipulated."""
         return _Meddled(planner, self)
 
     def speak(self, now_ns: int, step: Callable[[], Iterator[Message]]) -> Iterator[Message]:
-        """The messages of one step.
+        """Yield the messages of one step.
 
         Args:
             now_ns: [ns] time.
-            step: The planner's own step; a planner that hangs takes none.
+            step: The planner's own step; not called while muted or repeating.
         """
         if self.how in ("mute", "repeating"):
             if self._status is not None:
@@ -64,7 +67,7 @@ class Meddler:
 
 
 class _Meddled:
-    """A planner, to whom it may concern."""
+    """Planner with manipulated messages."""
 
     def __init__(self, planner: Service, meddler: Meddler):
         self._planner, self._meddler = planner, meddler
@@ -83,7 +86,7 @@ class _Meddled:
         return self._planner.writes
 
     def step(self, message: Any, inbox: Inbox) -> Iterator[Message]:
-        """As the meddler will have it; `message` is the actuator's state."""
+        """Yield the manipulated messages of a step; `message` is the actuator's state."""
         yield from self._meddler.speak(message.stamp_ns, lambda: iter(self._planner.step(message, inbox)))
 
     def doing(self) -> str:
@@ -91,15 +94,18 @@ class _Meddled:
 
 
 def fuzzed(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> StepPlan:
-    """A plan with one to three things wrong: NaN, infinite, out of range, old, early, of another step, or as it was."""
-    # What is not finite comes last: nothing is computed with it.
+    """Return a plan with one to three errors.
+
+    Values are NaN, infinite, out of range, old, early or of another step; a plan may also stay as it is.
+    """
+    # Non-finite values come last, because other errors compute with the values.
     for kind in sorted(rng.choice(len(_WRONGS), size=rng.integers(1, 4)).tolist(), reverse=True):
         plan = _WRONGS[kind](plan, now_ns, rng)
     return plan
 
 
 def _unchecked(plan: StepPlan, **values: Any) -> StepPlan:
-    """A plan as no sender can make it: what its values are is not looked at."""
+    """Return a plan without validation of its values."""
     made = copy.copy(plan)
     for name, value in values.items():
         object.__setattr__(made, name, value)
@@ -124,7 +130,7 @@ def _out_of_range(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> Step
 
 
 def _moved(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> StepPlan:
-    """Touchdowns and body elsewhere, by as much as may still be in reach."""
+    """Move touchdowns and body by distances that may still be reachable."""
     sigma = 10.0 ** rng.uniform(-3.0, -0.5)
     goal = plan.body_goal.copy()
     goal[:3, 3] += rng.normal(size=3) * sigma
@@ -141,7 +147,7 @@ def _at_another_time(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> S
 
 
 def _present(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> StepPlan:
-    """So new that the guard looks at the rest of it."""
+    """Set a stamp so new that the guard validates the rest of the plan."""
     return _unchecked(plan, stamp_ns=now_ns + int(rng.integers(0, 1_000_000)))
 
 

@@ -1,4 +1,7 @@
-"""What came of one injection: arrays in, numbers out. A time is NaN where what it is of did not happen."""
+"""Score one injection: arrays in, numbers out.
+
+A time is NaN if its event did not happen.
+"""
 
 import re
 from dataclasses import dataclass
@@ -19,61 +22,61 @@ from sextant.shared.robot.stability import centre_of_mass
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import Mode
 
-_MARGIN_S = 3.0  # [s] over which the stability margin is looked at
-_STILL_S = 0.2  # [s] for which a robot that is at rest has been so
+_MARGIN_S = 3.0  # [s] in which the stability margin is evaluated
+_STILL_S = 0.2  # [s] minimum time without motion of a robot at rest
 _STILL = 0.02  # [m/s] of the body, and of each foot
-_DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang, and is down
-_HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
-_CYCLE_S = 0.02  # [s] of the actuator
-_SPRINGS_S = 0.2  # [s]
+_DOWN_BY = 0.010  # [m] above level ground: a foot below this is down, although it may hang if the body leans
+_HANGING = 0.003  # [m] a foot this close above level ground supports the body after a tilt of one degree
+_CYCLE_S = 0.02  # [s] period of the actuator
+_SPRINGS_S = 0.2  # [s] interval for the speed of a joint
 _DEBOUNCE = 1  # samples of truth, 20 ms
-_TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
-_MISSED_S = LATE * _CYCLE_S  # [s] what takes a cycle longer has missed a beat
-_CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
-_NOT_AS_PLANNED = re.compile("^(?!walking$)")  # reasons of one that walks, but stops or is about to
+_TWICE_S = 0.002  # [s] goals within this time belong to one cycle: they are sent twice while replies are lost
+_MISSED_S = LATE * _CYCLE_S  # [s] a longer cycle counts as missed
+_CLEARANCE = 0.005  # [m] a lower body underside is a fall, unless the robot was to lie down
+_NOT_AS_PLANNED = re.compile("^(?!walking$)")  # reasons of a robot that walks, but stops or is about to
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one injection; times in seconds."""
+    """Result of one injection; times in seconds."""
 
-    decided_s: float  # until the actuator says that it stops
-    named: bool  # whether it has said why
+    decided_s: float  # until the actuator reports that it stops
+    named: bool  # whether it reported the reason
     rest_s: float  # until the robot stands still
-    margin_m: float  # least stability margin over the three seconds after
+    margin_m: float  # minimum stability margin over the three seconds after
     falls: int
-    again_s: float  # until it walks again, from the fault's end on
+    again_s: float  # until it walks again, from the fault's end
     jump_deg: float  # largest change of a joint, or of its goal, in 20 ms, from the fault's end until it walks again
     lunge_dps: float  # [deg/s] of a joint over 0.2 s, from the reset of its shutdown until the robot walks again; 0 without
-    switched: bool  # whether the host sent that torque be switched
-    off_s: float  # until all servos that hear have heard that torque is off; see `off_time`
-    goals_before_off: int  # sent after the order, or the bus' return, and before torque was
-    on_again: bool  # whether torque was ordered off and yet a servo pulls in the end
-    stops: int  # times that it stopped
-    seated_s: float  # until it has lain down and let go
+    switched: bool  # whether the host sent a command that switches torque
+    off_s: float  # until all reachable servos have received torque off; see `off_time`
+    goals_before_off: int  # goals sent after the order, or the bus' return, and before torque off
+    on_again: bool  # whether torque was ordered off, but a servo is enabled at the end
+    stops: int  # number of stops
+    seated_s: float  # until it sits with torque off
     cut_off: bool  # whether a servo shut down, or the battery was empty, before that
-    outside: int  # goals outside of the joints' limits
-    plans: int  # fuzzed
-    reason: str  # of the last stop, in the actuator's words
-    cycle_s: float = nan  # p99 of the time from one sync write of goals to the next, while the fault lasted
-    missed: int = 0  # most cycles in a row that took more than a period and a half
-    lost_s: float = nan  # of a recording, before its recorder was killed
-    stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing
-    goal_dps: float = nan  # [deg/s] of the fastest goal from one cycle to the next, while the fault lasted
-    walked: int = 0  # of the fuzzed plans, at least
-    misheard: bool = False  # whether a servo heard so though nobody had sent it: of broken bytes, some pass its checksum
+    outside: int  # goals outside the joints' limits
+    plans: int  # number of fuzzed plans
+    reason: str  # the actuator's reason for the last stop
+    cycle_s: float = nan  # p99 of the interval between sync writes of goals during the fault
+    missed: int = 0  # most cycles in a row that took more than one and a half periods
+    lost_s: float = nan  # duration missing at the end of a recording, before its recorder was killed
+    stuck: str = ""  # why it did not walk on afterwards, or empty
+    goal_dps: float = nan  # [deg/s] of the fastest goal from one cycle to the next during the fault
+    walked: int = 0  # minimum number of executed fuzzed plans
+    misheard: bool = False  # whether a servo switched torque without a command: some corrupted bytes pass the checksum
 
 
 def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
-    """What came of an injection."""
+    """Compute the outcome of an injection."""
     since = [word for word in line.words if word.t_s > line.begin_s]
     pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
     decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
-    # Who is not heard may have stopped; then only plain words say that it walks again.
+    # An actuator that is not received may have stopped; then only the plain reason shows that it walks again.
     away, stopping = (decided, pattern) if np.isfinite(decided) else (_unheard(line.words), _NOT_AS_PLANNED)
     again = _again(since, max(line.end_s, away), stopping) if np.isfinite(away) else nan
-    quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # it says that it walks after the first goals of the step
+    quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # its state follows the first goals of the step
     reset = next((s.t_s for s in line.switches if s.heard and s.register == dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
@@ -114,12 +117,15 @@ def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:
 
 
 def _again(since: list[Word], after_s: float, stopping: re.Pattern[str] | None) -> float:
-    """When it walks again, NaN where it does not; one that says why it stops is not there yet."""
+    """Return when it walks again, or NaN.
+
+    A robot that reports why it stops does not count as walking.
+    """
     return next((w.t_s for w in since if w.t_s > after_s and w.mode is Mode.WALK and not _names(stopping, w)), nan)
 
 
 def _unheard(words: tuple[Word, ...]) -> float:
-    """Since when nothing was heard of it, NaN where there were always words."""
+    """Return the time of the last message before the first gap, or NaN."""
     return next((before.t_s for before, word in pairwise(words) if word.t_s - before.t_s > STALE_S), nan)
 
 
@@ -129,9 +135,9 @@ def _stops(words: tuple[Word, ...]) -> int:
 
 
 def off_time(line: Timeline) -> tuple[float, int]:
-    """How long [s] it took until all servos heard that torque is off, and how many goals were sent before.
+    """Return the time [s] until torque off at all servos, and the goals sent before.
 
-    From the order on; or from when bus and actuator were there again, if later. A servo that does not hear does not count.
+    It counts from the order, or from when bus and actuator were available again, if later. Unreachable servos do not count.
     """
     if not np.isfinite(line.ordered_s):
         return nan, 0
@@ -146,7 +152,10 @@ def off_time(line: Timeline) -> tuple[float, int]:
 
 
 def cycles(line: Timeline) -> tuple[float, int]:
-    """How long [s] 99 % of the cycles took at most while the fault lasted, by the goals sent, and most missed in a row."""
+    """Return the 99th percentile [s] of the cycle times, and the most missed in a row.
+
+    Cycles are measured by the goals sent during the fault.
+    """
     spans = np.diff([goals.t_s for goals in _cycle_goals(line)])
     if not len(spans):
         return nan, 0
@@ -155,14 +164,17 @@ def cycles(line: Timeline) -> tuple[float, int]:
 
 
 def _cycle_goals(line: Timeline) -> list[Goals]:
-    """What was sent while the fault lasted, once of each cycle."""
+    """Return the goals sent during the fault, one per cycle."""
     sent = [goals for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s]
     apart = np.diff([goals.t_s for goals in sent], prepend=-inf) > _TWICE_S
     return [goals for goals, first in zip(sent, apart, strict=True) if first]
 
 
 def _goal_speed(line: Timeline) -> float:
-    """Speed [deg/s] of the fastest goal, a tick of rounding left out; cycles are even, whenever in them a packet is sent."""
+    """Return the speed [deg/s] of the fastest goal, without one tick of rounding.
+
+    Cycles are taken as even, whenever their packets are sent.
+    """
     sent = _cycle_goals(line)
     if len(sent) < 2:
         return nan
@@ -172,7 +184,10 @@ def _goal_speed(line: Timeline) -> float:
 
 
 def carrying(truth: Truth, profile: RobotProfile) -> Flags:
-    """Feet (n, 6) that carry on level ground, or would as soon as the body leaned on them."""
+    """Return the feet (n, 6) that support the body on level ground.
+
+    Feet that would support it after a slight tilt are included.
+    """
     low = truth.feet[..., 2] - profile.foot.radius < _HANGING
     return np.asarray(debounced(truth.contact, _DEBOUNCE) | low)
 
@@ -197,12 +212,15 @@ def _falls(line: Timeline, profile: RobotProfile) -> bool:
 
 
 def _broken_leg(line: Timeline, profile: RobotProfile) -> Flags:
-    """The leg (6,) whose servo is broken: where that is limp, the foot may hang."""
+    """Return the leg (6,) with the faulty servo: without torque, its foot may hang."""
     return np.asarray((profile.servo_ids == line.servo).any(axis=1))
 
 
 def _at_rest(truth: Truth, decided_s: float, broken: Flags, profile: RobotProfile) -> float:
-    """When all feet but those of broken legs (6,), which may sink, were down, and nothing else moved any more, for a while."""
+    """Return when the robot came to rest, or NaN.
+
+    All feet are down and nothing moves for a while. The feet of broken legs (6,) may sink.
+    """
     if not np.isfinite(decided_s) or len(truth.t) < 3:
         return nan
     down = truth.contact | broken | (truth.feet[..., 2] - profile.foot.radius < _DOWN_BY)
@@ -216,19 +234,20 @@ def _at_rest(truth: Truth, decided_s: float, broken: Flags, profile: RobotProfil
 
 
 def _speeds(points: Array, t: Array) -> Array:
-    """Speeds (n, k) [m/s] of points (n, k, 3), over two samples."""
+    """Return speeds (n, k) [m/s] of points (n, k, 3), over two samples."""
     return np.asarray(np.linalg.norm(np.gradient(points, t, axis=0), axis=-1))
 
 
 def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) -> float:
-    """Largest change [deg] of a joint in one sample, or of its goal from one to the next, but of a broken servo.
+    """Return the largest change [deg] of a joint in one sample, or between two goals.
 
-    A goal that goes with a moving speed is as far as the servo gets at that speed until the next.
+    Goals of a faulty servo are excluded. If a goal has a moving speed, its change is limited to what the servo can reach until
+    the next goal.
     """
     rows = (line.truth.t >= from_s) & (line.truth.t <= until_s)
     joints = np.degrees(np.abs(np.diff(line.truth.q[rows], axis=0))).max(initial=0.0)
     recent = [goals for goals in line.goals if goals.t_s <= until_s]
-    first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the last before is where the servos are told to be
+    first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the goals before `from_s` are the current command
     ticks = np.array([goals.ticks for goals in recent[first:]]).reshape(-1, 18)
     speeds = np.array([goals.speeds for goals in recent[first:]]).reshape(-1, 18)
     most = np.where(speeds > 0, speeds * dxl.SPEED_RAD_S * _CYCLE_S, np.inf)
@@ -238,7 +257,10 @@ def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) 
 
 
 def _fastest(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) -> float:
-    """Speed [deg/s] of the joint that is reset over any fifth of a second: for less than that a loaded leg springs back."""
+    """Return the highest speed [deg/s] of the reset joint over a fifth of a second.
+
+    Over less time, the elastic motion of a loaded leg dominates.
+    """
     rows = (line.truth.t >= from_s) & (line.truth.t <= until_s)
     t, q = line.truth.t[rows], line.truth.q[rows][:, profile.servo_ids == line.servo]
     if len(t) < 2 or not q.size:

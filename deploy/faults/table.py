@@ -1,4 +1,4 @@
-"""What many injections came to, against the limits: numbers in, a table out."""
+"""Compare many injections with the limits: numbers in, a table out."""
 
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -15,7 +15,10 @@ from sextant.services.actuator.safety.health_monitor import LATE_CYCLES
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One quantity over the injections in which it was measured, NaN where it was in none; nearest ranks."""
+    """Percentiles of one quantity over the injections in which it was measured.
+
+    They use the nearest rank, and are NaN without a measurement.
+    """
 
     n: int
     p50: float
@@ -25,30 +28,30 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What one fault came to."""
+    """Results of one fault."""
 
     fault: str
     n: int
     decided_s: Figure
     rest_s: Figure
-    margin_m: Figure  # the worst is the least
+    margin_m: Figure  # the worst is the minimum
     again_s: Figure
     jump_deg: Figure
     lunge_dps: Figure
     off_s: Figure
     seated_s: Figure
-    cycle_s: Figure  # p99 of each
+    cycle_s: Figure  # p99 of each injection
     falls: int
-    switched: int  # injections in which torque was
-    stopped: int  # in which it stopped
-    outside: int  # goals outside of the joints' limits
-    plans: int  # fuzzed
-    missed: tuple[str, ...]  # limits, each with the number of injections that miss it
+    switched: int  # number of injections in which torque was switched
+    stopped: int  # number of injections in which the robot stopped
+    outside: int  # goals outside the joints' limits
+    plans: int  # number of fuzzed plans
+    missed: tuple[str, ...]  # violated limits, each with its number of injections
     lost_s: Figure = Figure(0, nan, nan, nan)
-    misheard: int = 0  # injections in which a servo's torque was switched by what nobody sent
+    misheard: int = 0  # injections in which a servo switched torque without a command
     goal_dps: Figure = Figure(0, nan, nan, nan)
-    walked: int = 0  # of the plans, at least
-    commits: tuple[str, ...] = ()  # that made them, in alphabetical order
+    walked: int = 0  # minimum number of executed fuzzed plans
+    commits: tuple[str, ...] = ()  # commits of the program, in alphabetical order
 
     @property
     def passed(self) -> bool:
@@ -57,7 +60,7 @@ class Row:
 
 
 def rows(found: Iterable[Injection]) -> list[Row]:
-    """A row for each fault, in their order."""
+    """Return a row for each fault, in order."""
     by_fault: dict[str, list[Injection]] = {}
     for one in found:
         by_fault.setdefault(one.fault, []).append(one)
@@ -68,7 +71,7 @@ def rows(found: Iterable[Injection]) -> list[Row]:
 
 
 def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) -> Row:
-    """What one fault came to."""
+    """Compute the row of one fault."""
 
     def of(name: str, worst_is_least: bool = False) -> Figure:
         return figure([getattr(one, name) for one in outcomes], worst_is_least)
@@ -100,7 +103,10 @@ def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) 
 
 
 def figure(values: Sequence[float], worst_is_least: bool = False) -> Figure:
-    """p50, p99 and worst of values by nearest rank; where the worst is the least, p99 is what 99 % are above."""
+    """Return p50, p99 and worst of values by nearest rank.
+
+    With `worst_is_least`, 99 % of the values are above p99.
+    """
     known = sorted((value for value in values if isfinite(value)), reverse=worst_is_least)
     if not known:
         return Figure(0, nan, nan, nan)
@@ -109,18 +115,18 @@ def figure(values: Sequence[float], worst_is_least: bool = False) -> Figure:
 
 
 def _missed(case: Case, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
-    """Which limits are not kept, and how often."""
+    """Return the violated limits with their counts."""
     counts = [(words, sum(not keeps(one) for one in outcomes)) for words, keeps in _laws(case)]
     return tuple(f"{words}: missed by {count} of {len(outcomes)}" for words, count in counts if count)
 
 
 def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
-    """What every injection of a fault is held to, in words."""
+    """Yield the requirements for every injection of a fault, each with its text."""
     limits = case.limits
     for name, rounding, words, unit, factor in _AT_MOST:
         most = getattr(limits, name)
         if not isinf(most):
-            # A time that never came keeps no limit.
+            # a time that does not exist violates the limit
             yield f"{words} {most * factor:g} {unit}", _at_most(name, most + rounding)
     if isfinite(limits.margin_m):
         yield f"margin {limits.margin_m * 1e3:g} mm", lambda one: one.margin_m >= limits.margin_m
@@ -161,7 +167,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
 
 
 def markdown(table: Sequence[Row]) -> str:
-    """The table for people and documents; p50 / p99 / worst."""
+    """Return the table as Markdown; figures are p50 / p99 / worst."""
     columns = (
         "fault | n | hold decided [ms] | at rest [ms] | margin [mm] | falls | walks again [s] | jump [deg] | torque switched"
     )
@@ -190,7 +196,7 @@ def markdown(table: Sequence[Row]) -> str:
 
 
 def _others(one: Row) -> Iterable[str]:
-    """What only some faults are about."""
+    """Yield the figures that apply only to some faults."""
     if one.off_s.n:
         yield f"torque off after {_cell(one.off_s, 1e3, '.0f')} ms"
     if one.seated_s.n and not one.off_s.n:
@@ -217,17 +223,17 @@ def _cell(one: Figure, unit: float, form: str) -> str:
 
 
 def to_json(table: Sequence[Row]) -> str:
-    """The table for scripts; what was never measured is null."""
+    """Return the table as JSON; missing values are null."""
     return json.dumps([_plain(asdict(one)) | {"passed": one.passed} for one in table], indent=1, ensure_ascii=False) + "\n"
 
 
 def from_json(text: str) -> list[Row]:
-    """The rows of a table as `to_json` writes it."""
+    """Read the rows of a table written by `to_json`."""
     return [_row(entry) for entry in json.loads(text)]
 
 
 def _row(entry: dict[str, Any]) -> Row:
-    known = [f.name for f in fields(Row) if f.name in entry]  # what is measured since a row was made, it has not
+    known = [f.name for f in fields(Row) if f.name in entry]  # old rows lack newer quantities
     figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict)}
     values = {name: entry[name] for name in known if name not in figures}
     return Row(**values | figures | {name: tuple(values.get(name, ())) for name in ("missed", "commits")})

@@ -1,8 +1,10 @@
-"""A tap on a live servo bus, as a process: it passes bytes on between host and servos, and says what the host sent and when.
+"""Bus sniffer process between the host and the servo bus.
+
+It forwards bytes in both directions, and logs what the host sent and when.
 
 python -m sextant.deploy.faults.tap --listen 21000 --servos 22000
 
-A line of stdout each time: `open NS` where a host has come, `sent NS HEX` for bytes that went to the servos; NS is the
+Each event is a line on stdout: `open NS` if a host has connected, `sent NS HEX` for bytes sent to the servos; NS is the
 machine's monotonic clock [ns].
 """
 
@@ -34,7 +36,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A host's bytes have gone to the servos."""
+    """A host's bytes were sent to the servos."""
 
     at_ns: int
     data: bytes
@@ -44,16 +46,16 @@ class Sent:
 
 
 def command(listen: int, servos: int) -> Command:
-    """How a tap is started between a host that opens one TCP port of 127.0.0.1 and servos at another."""
+    """Return the command of a sniffer between the host's port and the servos' port."""
     words = ("-m", "sextant.deploy.faults.tap", "--listen", str(listen), "--servos", str(servos))
     return Command("tap", words, ENVIRONMENT, ready_port=listen)
 
 
 def understood(line: str) -> Opened | Sent:
-    """What a tap's line says.
+    """Parse an output line of the sniffer.
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is invalid.
     """
     match line.split():
         case ["open", at_ns]:
@@ -66,7 +68,10 @@ def understood(line: str) -> Opened | Sent:
 
 
 def serve(listener: socket.socket, servos: int, say: Callable[[Opened | Sent], object]) -> None:
-    """Pass on between one host after another and the servos, a connection for each; until the listener is closed."""
+    """Forward between the servos and one host after another.
+
+    Each host gets a new connection to the servos. The function returns when the listener closes.
+    """
     while True:
         try:
             host, _ = listener.accept()
@@ -77,7 +82,7 @@ def serve(listener: socket.socket, servos: int, say: Callable[[Opened | Sent], o
             try:
                 with socket.create_connection((_HOST, servos)) as bus:
                     _pass_on(host, bus, say)
-            except OSError:  # one of them went away without a word; so does this
+            except OSError:  # one side closed without notice; so does this process
                 continue
 
 
@@ -98,7 +103,7 @@ def _pass_on(host: socket.socket, bus: socket.socket, say: Callable[[Opened | Se
 
 
 def main() -> int:
-    """Serve until somebody ends this process."""
+    """Serve until the process is terminated."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.faults.tap", description=__doc__)
     parser.add_argument("--listen", type=int, required=True, help="TCP port of 127.0.0.1 that the host opens")
     parser.add_argument("--servos", type=int, required=True, help="TCP port of 127.0.0.1 of the servo bus")
@@ -106,7 +111,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    go_first()  # a wire does not wait
+    go_first()  # high priority: a real wire adds no delay
 
     def say(word: Opened | Sent) -> None:
         sys.stdout.write(f"{word}\n")

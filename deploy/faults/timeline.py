@@ -1,4 +1,4 @@
-"""What was heard and truly happened around one fault, as arrays: what the scoring goes by."""
+"""Timeline of one fault: received messages and ground truth as arrays."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from sextant.deploy.faults.wire import Goals, Outside, Switch
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import Mode
 
-STALE_S = 0.25  # [s] after which an actuator that says nothing is not known to walk
+STALE_S = 0.25  # [s] without a message after which an actuator does not count as walking
 
 
 class Word(NamedTuple):
-    """What the actuator said at a time."""
+    """An actuator state and its time."""
 
     t_s: float
     mode: Mode
@@ -23,7 +23,7 @@ class Word(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """The robot as it truly was, a row per sample."""
+    """Ground truth of the robot, one row per sample."""
 
     t: Array  # (n,) [s]
     q: Array  # (n, 6, 3) [rad]
@@ -35,23 +35,23 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timeline:
-    """One injection, from its beginning until it was watched no more."""
+    """One injection, from its start to the end of the observation."""
 
     begin_s: float
-    end_s: float  # of the fault
-    servo: int  # that was drawn, -1 for none
-    phase: float  # of the step, at the beginning
-    words: tuple[Word, ...]  # the newest before the beginning is the first of them
+    end_s: float  # end of the fault
+    servo: int  # ID of the random servo, -1 for none
+    phase: float  # phase of the step at the start
+    words: tuple[Word, ...]  # the first is the newest before the start
     truth: Truth
     goals: tuple[Goals, ...]
     switches: tuple[Switch, ...]
     outside: tuple[Outside, ...]
-    pulls: NDArray[np.bool_]  # (18,) servos whose torque was on in the end
-    ordered_s: float = np.nan  # when torque was ordered off
-    returned_s: float = np.nan  # when bus and actuator were there again to do so, if they were not
-    empty_s: float = np.nan  # when the battery was
-    plans: int = 0  # that were fuzzed
-    walked: int = 0  # of them, at least: of those of one cycle the last is heard of
-    voltage: float = np.nan  # [V] in the end
-    lost_s: float = np.nan  # of a recording, before its recorder was killed
-    stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing
+    pulls: NDArray[np.bool_]  # (18,) servos with torque on at the end
+    ordered_s: float = np.nan  # time of the torque-off order
+    returned_s: float = np.nan  # time when bus and actuator were available again to execute it, if they were not
+    empty_s: float = np.nan  # time when the battery was empty
+    plans: int = 0  # number of fuzzed plans
+    walked: int = 0  # minimum number of executed ones: only the last of each cycle is reported
+    voltage: float = np.nan  # [V] at the end
+    lost_s: float = np.nan  # duration missing at the end of a recording, before its recorder was killed
+    stuck: str = ""  # why it did not walk on afterwards, or empty

@@ -1,4 +1,7 @@
-"""One walk in lockstep over level ground, into which faults are injected, each at a phase of its own."""
+"""Fault injection into a walk in lockstep over level ground.
+
+Each fault is injected at a different phase of the step.
+"""
 
 import os
 import time
@@ -26,28 +29,28 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode, ModeCommand
 
 _LOOK_NS = 20_000_000
-_BESIDE_S = 0.001  # [s] by which a beat falls outside of what is to leave it out
-SOON_S = 0.06  # [s] in which an order to let go is to be on the bus: a gap that begins in it may swallow it
+_BESIDE_S = 0.001  # [s] margin between a cycle and the outage that must skip it
+SOON_S = 0.06  # [s] in which a torque-off order should be on the bus: an outage that begins in it may block the order
 
 
 class FaultWalk(Watched):
-    """A walk, what was heard and seen of it, and those who break something."""
+    """A walk in lockstep, its recorded messages, and its faults."""
 
     start_s = 20.0
 
     def __init__(self, case: Case, seed: int):
-        """Assemble it.
+        """Assemble the walk.
 
         Args:
-            case: The fault that will be injected.
-            seed: Of everything random but the phases.
+            case: The fault to inject.
+            seed: Random seed of everything but the phases.
         """
         super().__init__(case)
         self._rng = np.random.default_rng([crc32(case.name.encode()), seed])
         self._meddler = Meddler(np.random.default_rng([seed, 1]))
-        self._walked: set[int] = set()  # [ns] stamps of fuzzed plans
+        self._walked: set[int] = set()  # [ns] stamps of executed fuzzed plans
         self._sequence = 0
-        self._failed = ""  # which service raised an exception, and which
+        self._failed = ""  # the service that raised an exception, and the exception
         stop_port = f"faults {os.getpid()}"
         self._latch = Latch.of_port(stop_port)
         self._latch.open()
@@ -72,27 +75,30 @@ class FaultWalk(Watched):
 
     @property
     def walks(self) -> bool:
-        """Whether the robot walks on its plans, every service being alive."""
+        """Whether the robot walks on its plans, with all services alive."""
         return not self._failed and super().walks
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave no latch behind."""
+        """Remove the latch."""
         self._latch.open()
 
     def what_happens(self, rng: np.random.Generator) -> Timeline:
-        """Break something now and watch; where that ends the walk, it is the walk of a copy, and this one goes on."""
+        """Inject the fault now, and observe.
+
+        A fault that ends the walk is injected into a copy of it, and this walk continues.
+        """
         if not self._case.ends_the_walk:
             return super().what_happens(rng)
         try:
             return in_copy(partial(super().what_happens, rng))
         finally:
-            self._latch.open()  # for the copy's is the same file
+            self._latch.open()  # the copy has used the same file
 
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
-        """Do what the case says, and watch."""
+        """Inject the faults of the case, and observe the robot."""
         case, ordered, empty, wall, fuzzed = self._case, nan, nan, time.time, self._meddler.fuzzed
         self._meddler.stamps.clear()
         self._walked.clear()
@@ -137,7 +143,7 @@ class FaultWalk(Watched):
         )
 
     def _do(self, deed: Deed, begin: float) -> float:
-        """Begin to break something; when it ends [s]."""
+        """Start a fault; return its end time [s]."""
         match deed:
             case Away(service, kill, for_s, after_s):
                 from_ns = round((begin + after_s) * 1e9)
@@ -162,7 +168,10 @@ class FaultWalk(Watched):
         raise ValueError(f"a fault to begin with expected, found {deed}; run it live")
 
     def _away_for(self) -> float:
-        """How long [s] after the beginning nobody can turn torque off: without bus, or without actuator."""
+        """Return how long [s] after the start torque cannot be switched off.
+
+        Bus or actuator are unavailable then.
+        """
         away = 0.0
         for deed in self._case.deeds:
             if isinstance(deed, OnBus) and deed.fault.target == "bus" and deed.fault.kind in _BUSES_AWAY:
@@ -172,7 +181,10 @@ class FaultWalk(Watched):
         return away
 
     def _gap_until(self, ordered_s: float, begin: float) -> float:
-        """When [s] after the beginning the gap ends that an order to let go has met, if it was not heard before; else 0."""
+        """Return when [s] after the start the outage ends that blocked a torque-off order.
+
+        Return 0 if the order was received before.
+        """
         from_s, until_s = gap_after(self._case.deeds, ordered_s)
         offs = [s.t_s - begin for s in self.recorder.switches if s.heard and s.register is dxl.TORQUE_ENABLE]
         met = from_s - ordered_s < SOON_S and not any(ordered_s <= t < from_s for t in offs)
@@ -183,7 +195,7 @@ class FaultWalk(Watched):
         self._run.say(ModeCommand(self._run.now_ns(), "off", self._sequence, "bench"))
 
     def look(self, until_s: float = float("inf")) -> None:
-        """Let one look's simulated time pass, or less."""
+        """Run at most one interval of simulated time."""
         now = self._run.now_ns()
         self._run.run(min(now + _LOOK_NS, max(round(min(until_s, 1e6) * 1e9), now + 1)))
 
@@ -200,7 +212,10 @@ _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")
 
 
 def gap_after(deeds: Sequence[Deed], since_s: float) -> tuple[float, float]:
-    """From and until when [s] a bus that is away now and then is so next, or is at that time; never where it is not."""
+    """Return begin and end [s] of the next or current outage of an intermittent bus.
+
+    Both are infinite without such a fault.
+    """
     for deed in deeds:
         if isinstance(deed, OnBus) and deed.fault.target in ("bus", "bytes") and deed.fault.kind == "intermittent":
             on, whole = deed.fault.on_ms * 1e-3, (deed.fault.on_ms + deed.fault.off_ms) * 1e-3

@@ -1,4 +1,4 @@
-"""A walk over level ground that is listened to while somebody breaks something, in lockstep or live."""
+"""Base of fault runs: a monitored walk over level ground, in lockstep or live."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -21,19 +21,19 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
 
 SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
-STEADY_S = 0.5  # [s] of walking before a fault, ...
-PHASES_S = 2.0  # ... and up to so much more, drawn: two steps and more
+STEADY_S = 0.5  # [s] of walking before a fault,
+PHASES_S = 2.0  # [s] and the maximum of a random additional time: more than two steps
 LEAST_WATCH_S = 3.0
 REPEAT_S = 0.5  # [s] between an order and its repetition
 
 
 class NoWalkError(RuntimeError):
-    """The robot does not walk before anything was broken, in words."""
+    """The robot does not walk although no fault was injected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """How much had been heard at a time."""
+    """Number of messages received by a time."""
 
     word: int
     truth: int
@@ -44,7 +44,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was heard since a mark, as a timeline has it."""
+    """Messages received since a mark, as in a timeline."""
 
     words: tuple[Word, ...]
     truth: Truth
@@ -55,7 +55,7 @@ class Heard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What whoever broke something knows of it in the end, as a timeline has it."""
+    """Results known to the code that injected the fault, as in a timeline."""
 
     end_s: float
     pulls: NDArray[np.bool_]
@@ -71,12 +71,12 @@ class Seen:
 
 
 class Watched(ABC):
-    """What was heard of a walk, and the waiting for it to go on."""
+    """A monitored walk: received messages, and waiting for the robot to walk."""
 
-    start_s: float  # in which a walk must have begun
+    start_s: float  # timeout [s] for the start of a walk
 
     def __init__(self, case: Case):
-        """Begin with nothing heard, of a walk in which a fault will be injected."""
+        """Start without messages; `case` is the fault to inject."""
         self.profile = load_profile(SCENARIO.robot)
         self.recorder = Recorder(self.profile)
         self.words: list[Word] = []
@@ -91,29 +91,34 @@ class Watched(ABC):
 
     @abstractmethod
     def look(self, until_s: float = float("inf")) -> None:
-        """Let one look's time pass, or less."""
+        """Wait for at most one interval."""
 
     @abstractmethod
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
-        """Do what the case says at a time [s], and watch until the robot walks again, or for as long as the case says."""
+        """Inject the faults of the case at `begin` [s].
+
+        Observe until the robot walks again, or for the time given by the case.
+        """
 
     def last_words(self) -> str:
-        """What was said last by those that are not listened to, for who asks why the robot does not walk."""
+        """Return the last output of the other processes, to explain why it does not walk."""
         return ""
 
     def inject(self, number: int) -> Timeline:
-        """Walk until a phase that its number gives, break something, and watch until the robot walks again.
+        """Walk until a phase given by the number, inject the fault, and observe.
+
+        The observation ends when the robot walks again.
 
         Raises:
-            NoWalkError: It does not walk by itself.
+            NoWalkError: The robot does not walk without a fault.
         """
         rng = np.random.default_rng([crc32(self._case.name.encode()), number])
-        steady_s = 0.0 if self._case.ends_the_walk else STEADY_S  # what was broken in a copy has not touched this walk
+        steady_s = 0.0 if self._case.ends_the_walk else STEADY_S  # a fault in a copy has not affected this walk
         self.walk_for(steady_s + PHASES_S * rng.random())
         return self.what_happens(rng)
 
     def what_happens(self, rng: np.random.Generator) -> Timeline:
-        """Break something now, and watch until the robot walks again."""
+        """Inject the fault now, and observe until the robot walks again."""
         mark, begin = self.mark(), self.now_s
         assert self.state is not None
         phase = self.state.phase
@@ -142,23 +147,23 @@ class Watched(ABC):
 
     @abstractmethod
     def __enter__(self) -> Self:
-        """Begin the walk."""
+        """Start the walk."""
 
     @abstractmethod
     def __exit__(self, *_: object) -> None:
-        """Leave nothing behind."""
+        """Clean up."""
 
     @property
     def walks(self) -> bool:
-        """Whether the robot walks on its plans, nothing being wrong, by a word that is no older than it may be."""
+        """Whether the robot walks on its plans without problems, by a recent state."""
         walking = self.state is not None and self.state.mode is Mode.WALK and self.state.reason == "walking"
         return walking and self.now_s - self.words[-1].t_s < STALE_S
 
     def walk_for(self, length_s: float) -> None:
-        """Let it walk without a stop for so long, then up to the next moment at which it does.
+        """Wait for `length_s` of walking without a stop, and until the robot walks.
 
         Raises:
-            NoWalkError: It does not walk by itself.
+            NoWalkError: The robot does not walk without a fault.
         """
         since, patience = self.now_s, self.now_s + self.start_s + length_s
         while self.now_s < since + length_s or not self.walks:
@@ -171,12 +176,15 @@ class Watched(ABC):
                 since = self.now_s
 
     def mark(self) -> Mark:
-        """How much has been heard by now."""
+        """Return the number of messages received so far."""
         kept = self.recorder
         return Mark(len(self.words), len(self._truth), len(kept.goals), len(kept.switches), len(kept.outside))
 
     def since(self, mark: Mark) -> Heard:
-        """What has been heard since a mark, and the last word, truth and goals before it."""
+        """Return the messages received since a mark.
+
+        The last state, truth and goals before it are included.
+        """
         kept = self.recorder
         return Heard(
             words=tuple(self.words[max(mark.word - 1, 0) :]),
@@ -187,31 +195,31 @@ class Watched(ABC):
         )
 
     def hear_state(self, frame: bytes, at_ns: int | None = None) -> None:
-        """Take in a word of the actuator, said at a time [ns] or, by default, at its stamp."""
+        """Process an actuator state with its time [ns], by default its stamp."""
         self.state = codec.decode(frame, topics.ACTUATOR_STATE.type)[0]
         at = self.state.stamp_ns if at_ns is None else at_ns
         self.words.append(Word(at * 1e-9, self.state.mode, self.state.reason))
 
     def hear_truth(self, frame: bytes) -> None:
-        """Take in how the robot truly was."""
+        """Process a ground truth message."""
         self._truth.append(codec.decode(frame, topics.TRUTH.type)[0])
 
 
 def in_walks(
     case: Case, numbers: tuple[int, ...], begin: Callable[[Case, int], Watched]
 ) -> list[tuple[int, int, Timeline, RobotProfile]]:
-    """Inject a fault several times, in one walk as long as the robot walks on.
+    """Inject a fault several times, in one walk while the robot keeps walking.
 
     Args:
         case: The fault.
-        numbers: Each gives a phase.
-        begin: Makes a walk of a seed.
+        numbers: Each determines a phase.
+        begin: Creates a walk from a seed.
 
     Returns:
-        For each number: it, the seed of its walk, what happened, and the robot.
+        For each number: the number, the seed of its walk, the timeline, and the robot.
 
     Raises:
-        NoWalkError: The robot does not walk before anything was broken.
+        NoWalkError: The robot does not walk before any fault.
     """
     found: list[tuple[int, int, Timeline, RobotProfile]] = []
     left = deque(numbers)

@@ -1,4 +1,7 @@
-"""A recorder on the servos' wire: goals as they are sent, switches of torque and resets as the servos hear them."""
+"""Recorder on the servo bus.
+
+It records goals sent by the host, and torque switches and resets received by the servos.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,25 +17,25 @@ _SIDES = ("sent", "heard")
 
 
 class Switch(NamedTuple):
-    """A register that was written, of some servos."""
+    """A register write to some servos."""
 
     t_s: float
-    heard: bool  # by the servos; else sent by the host
+    heard: bool  # received by the servos; else sent by the host
     register: Register
-    values: dict[int, int]  # by the servos' ids
+    values: dict[int, int]  # value for each servo ID
 
 
 class Goals(NamedTuple):
     """A sync write of goals, sent by the host."""
 
     t_s: float
-    ticks: NDArray[np.int64]  # (18,) in the order of the profile
-    speeds: NDArray[np.int64]  # (18,) moving speeds of the same packet, 0 for as fast as can be
+    ticks: NDArray[np.int64]  # (18,) in the order of the robot profile
+    speeds: NDArray[np.int64]  # (18,) moving speeds of the same packet, 0 for the maximum
 
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """A goal that no joint may have."""
+    """A goal outside the joint limits."""
 
     t_s: float
     servo: int
@@ -40,10 +43,10 @@ class Outside:
 
 
 class Recorder:
-    """Understands what it hears of the wire, and judges every goal against the joints' limits."""
+    """Decodes bus traffic, and compares every goal with the joint limits."""
 
     def __init__(self, profile: RobotProfile):
-        """Begin with nothing heard."""
+        """Start without data."""
         self.goals: list[Goals] = []
         self.switches: list[Switch] = []
         self.outside: list[Outside] = []
@@ -51,15 +54,15 @@ class Recorder:
         self._parsers = {side: PacketParser() for side in _SIDES}
         servo = profile.servo_angles(np.moveaxis(profile.joint_limits, -1, 0)).reshape(2, 18)
         ticks = dxl.TICK_CENTRE + np.sort(servo, axis=0) / dxl.TICK_RAD
-        # A goal is a whole tick: the nearest to a limit may be half a tick beyond it.
+        # a goal is a whole tick: the nearest one may be half a tick beyond the limit
         self._low, self._high = (np.rint(side).clip(0, dxl.TICK_MAX).astype(np.int64) for side in ticks)
 
     def sent(self, data: bytes, now_ns: int) -> None:
-        """Bytes have left the host."""
+        """Process bytes sent by the host."""
         self._hear("sent", data, now_ns)
 
     def heard(self, data: bytes, now_ns: int) -> None:
-        """Bytes have come to the servos."""
+        """Process bytes received by the servos."""
         self._hear("heard", data, now_ns)
 
     def _hear(self, side: str, data: bytes, now_ns: int) -> None:
@@ -88,7 +91,7 @@ class Recorder:
                 self._judge(t_s, values, speeds)
 
     def _judge(self, t_s: float, values: dict[int, int], speeds: dict[int, int]) -> None:
-        """Keep goals, and those of them that lie outside of a joint's limits."""
+        """Store goals, and those outside the joint limits."""
         before = self.goals[-1].ticks if self.goals else np.full(18, -1)
         ticks = np.array([values.get(i, old) for i, old in zip(self._ids, before, strict=True)])
         self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
@@ -97,7 +100,10 @@ class Recorder:
 
 
 def _writes(packet: Packet) -> tuple[int, dict[int, bytes]] | None:
-    """Address of what a packet writes, and the data by servo; None where it writes nothing."""
+    """Return the address written by a packet, and the data by servo.
+
+    Return None for a packet that writes nothing.
+    """
     parameters = packet.parameters
     if packet.code == Instruction.WRITE and len(parameters) >= 2:
         return parameters[0], {packet.servo_id: parameters[1:]}

@@ -1,1 +1,1 @@
-"""Broken messages for whatever takes in something that others have made: `sextant fuzz`."""
+"""Fuzzing of every message and file parser: `sextant fuzz`."""

@@ -1,10 +1,13 @@
-"""Ways to break bytes, and values of a structure. Pure."""
+"""Mutations of bytes and of structured values.
+
+This module is pure.
+"""
 
 from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any
 
-_MOST = 4  # times that one is broken
+_MOST = 4  # maximum number of mutations
 _LONGEST_RUN = 32  # [bytes]
 _RUNS = (
     b"\0",
@@ -28,14 +31,14 @@ _ODD: tuple[Any, ...] = (
 
 
 def broken(data: bytes, others: Sequence[bytes], rng: Random) -> bytes:
-    """Bytes that are broken in one way or a few; `others` lend pieces of themselves."""
+    """Apply one or a few mutations to bytes; pieces are spliced in from `others`."""
     for _ in range(rng.randint(1, _MOST)):
         data = rng.choice(_WAYS)(data, others, rng)
     return data
 
 
 def odd(values: list[Any], rng: Random) -> list[Any]:
-    """A structure of lists in which some value, or all of a list, is an odd one."""
+    """Replace, insert or remove a value in nested lists."""
     out = list(values)
     at = rng.randrange(len(out)) if out else 0
     if out and isinstance(out[at], list) and out[at] and rng.random() < 0.7:
@@ -50,7 +53,7 @@ def odd(values: list[Any], rng: Random) -> list[Any]:
 
 
 def odd_table(table: dict[str, Any], rng: Random) -> dict[str, Any]:
-    """A table in which some value is an odd one, is missing, or has another name."""
+    """Replace, remove or rename a value in a table."""
     out = dict(table)
     key = rng.choice(list(out) or ["type"])
     change = rng.random()

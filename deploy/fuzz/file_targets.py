@@ -1,4 +1,7 @@
-"""What reads files that others have written, each with good examples of them; a refusal is one sentence that names the file."""
+"""Fuzz targets: parsers of files, each with valid examples.
+
+A valid refusal is one sentence that names the file.
+"""
 
 import json
 import re
@@ -30,7 +33,7 @@ from sextant.shared.runtime import process
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import access
 
-_NESTED = 0.8  # of the tables in a table that something odd is put into
+_NESTED = 0.8  # probability that the mutation goes into a nested table
 _FLEET = """[robots.alpha]
 connect = ["tcp/127.0.0.1:7447"]
 without = ["mapper"]
@@ -62,18 +65,22 @@ _OWN_ERRORS = (config.ConfigError, input_file.FileError, kept.KeptError, access.
 
 
 def file_targets() -> tuple[Target, ...]:
-    """Scenarios, profiles, settings, recordings' text files, pictures, arrays, keys, and what earlier runs have left."""
+    """Return the targets for files.
+
+    They are scenarios, profiles, settings, text files of recordings, pictures, arrays, keys, and results of earlier runs.
+    """
     folder = Folder()
     place = folder.path
     grey = np.arange(12, dtype=np.uint16).reshape(3, 4) * 4000
     pictures = [cv2.imencode(".png", picture)[1].tobytes() for picture in (grey, cv2.merge([grey.astype(np.uint8)] * 3))]
+    scenarios = _shipped("scenario.scenarios", "steps", "mixed", "rubble")
     profiles = [*_shipped("robot.profiles", "phantomx_mk2"), _CALIBRATED.encode()]
     Authority(days=30).issue(place / "keys", "base")
 
     def target(name: str, file: str, examples: Sequence[bytes], twisted: Callable[[bytes, Random], bytes], read: Any) -> Target:
         path = place / file
 
-        def take(data: bytes, _: Any = folder) -> bool:  # which is there as long as the target is
+        def take(data: bytes, _: Any = folder) -> bool:  # the default keeps the folder alive as long as the target
             path.write_bytes(data)
             try:
                 read(path)
@@ -85,7 +92,7 @@ def file_targets() -> tuple[Target, ...]:
         return Target(name, tuple(examples), twisted, take)
 
     return (
-        target("file, scenario", "scenario.toml", _shipped("scenario.scenarios", "steps", "mixed", "rubble"), _odd_toml, _read_scenario),
+        target("file, scenario", "scenario.toml", scenarios, _odd_toml, _read_scenario),
         target("file, profile", "robot.toml", profiles, _odd_toml, _read_profile),
         target("file, settings", "settings.toml", [b"rate_hz = 100.0\narc = 'flow'\n"], _odd_toml, _read_settings),
         target("file, fleet", "fleet.toml", [_FLEET.encode()], _odd_toml, fleet.load),
@@ -105,18 +112,21 @@ def file_targets() -> tuple[Target, ...]:
 
 
 def _check_refusal(words: str, name: str) -> None:
-    """Fail where a refusal is more than a sentence, or a list of them, or does not name its file."""
+    """Raise if a refusal has the wrong form.
+
+    It must be one sentence or a list of sentences, and name its file.
+    """
     first, *listed = words.split("\n")
     if name not in first or not all(line.startswith("  - ") for line in listed) or len(words) > 20_000:
         raise AssertionError(f"no sentence about {name}: {words:.200}")
 
 
-# ---------------------------------------------------------------------------------------------------------- what reads
+# ---------------------------------------------------------------------------------------------------------- parsers
 
 
 def _read_scenario(path: Path) -> None:
     scenario = load_scenario(str(path))
-    with suppress(config.ConfigError):  # it names the scenario
+    with suppress(config.ConfigError):  # the error names the scenario
         build_terrain(scenario, np.random.default_rng(1))
 
 
@@ -171,7 +181,7 @@ def _arrays(path: Path) -> Sequence[bytes]:
     return found
 
 
-# -------------------------------------------------------------------------------- whole structures with something odd
+# --------------------------------------------------------------------------------- valid structures with odd values
 
 
 def _odd_toml(data: bytes, rng: Random) -> bytes:
@@ -187,7 +197,7 @@ def _odd_json(data: bytes, rng: Random) -> bytes:
 
 
 def _odd_below(table: dict[str, Any], rng: Random) -> dict[str, Any]:
-    """A table in which something is odd, at its top or further down."""
+    """Mutate a table at its top level or deeper."""
     inner = [key for key, value in table.items() if isinstance(value, dict)]
     lists = [key for key, value in table.items() if isinstance(value, list) and value and isinstance(value[0], dict)]
     if not inner + lists or rng.random() > _NESTED:
@@ -217,14 +227,14 @@ _ODD_WORDS = (
 
 
 def _odd_words(data: bytes, rng: Random) -> bytes:
-    """A text in which one word is another."""
+    """Replace one word of a text."""
     words = re.split(rb"(\s+)", data)
     at = rng.randrange(len(words))
     return b"".join([*words[:at], rng.choice(_ODD_WORDS).encode(), *words[at + 1 :]])
 
 
 def _odd_array(data: bytes, rng: Random) -> bytes:
-    """An array whose header, its length right, says something else."""
+    """Mutate an array's header, with a correct length."""
     end = 10 + int.from_bytes(data[8:10], "little")
     header = broken(data[10:end], (data[10:end],), rng)
     if rng.random() < 0.5:
@@ -236,7 +246,7 @@ def _odd_array(data: bytes, rng: Random) -> bytes:
 
 
 def _odd_picture(data: bytes, rng: Random) -> bytes:
-    """A PNG of whose chunks one is odd, every checksum right."""
+    """Mutate one chunk of a PNG, with correct checksums."""
     at, chunks = 8, []
     while at < len(data):
         (length,) = struct.unpack_from(">I", data, at)

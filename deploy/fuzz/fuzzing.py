@@ -1,4 +1,4 @@
-"""Broken messages by the million, and what became of them."""
+"""Fuzz all targets with millions of mutated messages, and collect the outcomes."""
 
 import contextlib
 import ctypes
@@ -19,60 +19,60 @@ from sextant.deploy.fuzz.broken import broken
 from sextant.deploy.fuzz.target import Target
 from sextant.deploy.fuzz.targets import targets
 
-GROWTH_MB = 5.0  # that memory may grow by
-MOST_CPU_S, MOST_MB = 30.0, 400.0  # of processor time and memory that one message may take
-_WARM = 0.1  # share of the messages after which memory is looked at first: by then all is compiled and cached
-_ROUND = 500  # messages for a target at a time
-_TWISTED = 0.5  # share of them whose structure is whole
-_KEPT = struct.Struct("<I")  # length of what was given
-_LONGEST = 1 << 20  # [bytes] that a message may have, with all that is before it
+GROWTH_MB = 5.0  # [MB] tolerated growth of memory
+MOST_CPU_S, MOST_MB = 30.0, 400.0  # maximum processor time and memory for one message
+_WARM = 0.1  # share of messages before the first memory measurement: by then all is compiled and cached
+_ROUND = 500  # consecutive messages for one target
+_TWISTED = 0.5  # share of messages with a valid structure
+_KEPT = struct.Struct("<I")  # length of the stored message
+_LONGEST = 1 << 20  # [bytes] maximum length of a message with its header
 
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of the messages for one target."""
+    """Outcome of the messages for one target."""
 
     target: str
     messages: int = 0
-    taken: int = 0  # for good ones, though they were broken
+    taken: int = 0  # accepted although mutated
     slowest_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A message that was neither taken nor refused."""
+    """A message that was neither accepted nor refused."""
 
     target: str
-    error: str  # in words, and where
+    error: str  # the error as text, with its location
     data: bytes
 
 
 @dataclass(slots=True)
 class Found:
-    """Of a run of messages."""
+    """Results of a fuzzing run."""
 
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
-    growth_mb: float = 0.0  # of this process's memory, from when all was warm to the end
+    growth_mb: float = 0.0  # growth of this process's memory after warm-up
     process: int = field(default_factory=os.getpid)
 
 
 def names() -> tuple[str, ...]:
-    """Of the targets."""
+    """Return the names of the targets."""
     return tuple(target.name for target in targets(Random(0)))
 
 
 def fuzz(messages: int, seed: int, only: Sequence[str], newest: Path) -> Found:
-    """Give broken messages to every target in turn.
+    """Give mutated messages to every target in turn.
 
     Args:
-        messages: To all of them together.
-        seed: Of how they are broken.
+        messages: Total number of messages.
+        seed: Random seed of the mutations.
         only: Names of targets; empty for all.
-        newest: File that holds the newest message at any time, for when it ends this process: name of its target, a line feed,
-            its length (uint32, little-endian), itself.
+        newest: File that always holds the newest message, in case it crashes this process: name of its target, a line feed,
+            its length (uint32, little-endian), the message.
     """
-    logging.disable(logging.WARNING)  # they say what they refuse
+    logging.disable(logging.WARNING)  # targets log what they refuse
     try:
         with _stderr_closed():
             return _fuzz(messages, Random(seed), only, newest)
@@ -82,7 +82,7 @@ def fuzz(messages: int, seed: int, only: Sequence[str], newest: Path) -> Found:
 
 @contextlib.contextmanager
 def _stderr_closed() -> Iterator[None]:
-    """Drop what libraries in C write to stderr about broken files."""
+    """Drop messages about invalid files that C libraries write to stderr."""
     before, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 2)
     try:
@@ -118,7 +118,7 @@ def _fuzz(messages: int, rng: Random, only: Sequence[str], newest: Path) -> Foun
 
 
 def give(target: str, data: bytes) -> bool:
-    """Give a message to one target, as it is: whether it was taken.
+    """Give an unchanged message to one target; return whether it was accepted.
 
     Raises:
         KeyError: No target has this name.
@@ -141,7 +141,7 @@ def _round(target: Target, count: int, outcome: Outcome, kept: mmap.mmap, rng: R
         began, began_cpu, before_mb = time.perf_counter(), time.process_time(), _peak_mb()
         try:
             outcome.taken += target.take(data)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is what is looked for
+        except Exception as error:  # noqa: BLE001 - any exception is a finding
             findings.append(Finding(target.name, _words(error), data))
         outcome.slowest_s = max(outcome.slowest_s, time.perf_counter() - began)
         if time.process_time() - began_cpu > MOST_CPU_S:
@@ -158,7 +158,7 @@ def _words(error: Exception) -> str:
 
 
 def _peak_mb() -> float:
-    """The most memory that this process has had."""
+    """Return the peak memory [MB] of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 * 1e-6
 
 

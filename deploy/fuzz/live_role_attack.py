@@ -1,4 +1,7 @@
-"""The attack by meaning on a live robot: its processes behind its guarded router, the attacker with a certificate over TLS."""
+"""Attack with valid certificates on a live robot.
+
+The robot's processes run behind its secured router. The attacker connects over TLS with a role's certificate.
+"""
 
 import contextlib
 import tempfile
@@ -31,17 +34,20 @@ from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "attacked"
 _GROUND = "flat"
-_UP_S, _BACK_S = 120.0, 60.0  # [s] for the first walk, and for one after torque was off
-_LEARN_S = 3.0  # of walking, of which examples are kept
-_WALKS_M, _WALKS_S = 0.01, 1.5  # [m] that a walking robot moves in a time [s]
-_OFFS = 3  # orders to turn torque off, in each attack
+_UP_S, _BACK_S = 120.0, 60.0  # [s] timeouts for the first walk, and for one after torque off
+_LEARN_S = 3.0  # [s] of walking from which examples are kept
+_WALKS_M, _WALKS_S = 0.01, 1.5  # [m] minimum motion of a walking robot in a time [s]
+_OFFS = 3  # torque-off orders in each attack
 _OFF_PATIENCE_S = 3.0
 _LOOK_S = 0.05
 _MEMORY_LOOKS = 5
 
 
 class _Robot:
-    """The processes of a robot, its page and recorder included, its bus, and where it truly is; a context manager."""
+    """Processes of a robot with page and recorder, its bus, and its true position.
+
+    This is a context manager.
+    """
 
     def __init__(self, folder: Path, seed: int):
         authority = Authority(days=1)
@@ -60,8 +66,8 @@ class _Robot:
         self.ids = profile.servo_ids.ravel().tolist()
         self.ended: list[str] = []
         self.reasons: Counter[str] = Counter()
-        self.looks = self.walked = 0  # looks at whether it walks, and those at which it did
-        self._blocked, self._state = "", ""  # why the planner does not go on, and the actuator's mode with its reason
+        self.looks = self.walked = 0  # checks for walking, and those in which it walked
+        self._blocked, self._state = "", ""  # the planner's reason for not going on, and the actuator's mode with its reason
         self._track: list[tuple[float, float, float]] = []  # [s, m, m]
         self._over = threading.Event()
 
@@ -86,24 +92,24 @@ class _Robot:
         self._stack.close()
 
     def link_of(self, role: str) -> ZenohLink:
-        """A link of somebody who has the certificate of a role."""
+        """Open a link with a role's certificate."""
         return ZenohLink(Endpoints((self._secure,), namespace=_NAMESPACE, keys=Keys.load(self._folder / role)))
 
     def walks(self) -> bool:
-        """Whether it moves, by the truth."""
+        """Return whether it moves, by ground truth."""
         track = self._track[-200:]
         recent = [(x, y) for t, x, y in track if t > time.monotonic() - _WALKS_S]
         return len(recent) > 1 and float(np.hypot(*np.subtract(recent[-1], recent[0]))) > _WALKS_M
 
     def look(self, seconds: float) -> None:
-        """Let time pass, and note which processes have ended."""
+        """Wait, and record which processes have ended."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             self.ended += [str(ended)[:200] for ended in self._launcher.wait(_LOOK_S)]
             self.looks, self.walked = self.looks + 1, self.walked + self.walks()
 
     def until_it_walks(self, within_s: float) -> bool:
-        """Whether it walks within a time."""
+        """Return whether it walks within a time."""
         limit = time.monotonic() + within_s
         while not self.walks():
             if time.monotonic() > limit:
@@ -112,11 +118,14 @@ class _Robot:
         return True
 
     def why_it_stands(self) -> str:
-        """The reason of the planner, or of the actuator where the planner has none."""
+        """Return the planner's reason for standing, or else the actuator's."""
         return self._blocked or self._state
 
     def memory_mb(self) -> dict[str, float]:
-        """Of each process [MB], the least of a second: what a recorder holds until it is written comes and goes."""
+        """Return the memory [MB] of each process: the minimum in one second.
+
+        A recorder's memory varies with the data that it has not written yet.
+        """
         looks = []
         for _ in range(_MEMORY_LOOKS):
             looks.append({name: own_mb(self._launcher.pid(name)) for name in self.names if name in self._launcher.names()})
@@ -124,7 +133,10 @@ class _Robot:
         return {name: min(look.get(name, np.inf) for look in looks) for name in self.names}
 
     def off(self, bystander: ZenohLink) -> float:
-        """Have a bystander order torque off; time [ms] until it is, infinite where that is late by seconds."""
+        """Order torque off as a bystander; return the time [ms] until it is off.
+
+        The time is infinite if torque is not off within a few seconds.
+        """
         self.recorder.switches.clear()
         now_ns = time.monotonic_ns()
         order = StopOrder(now_ns, "off", now_ns, OFF_HOLDER)
@@ -159,10 +171,10 @@ class _Robot:
 
 
 def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
-    """Attack a robot with each role in turn, a robot of its own each time.
+    """Attack with each role in turn, each time on a new robot.
 
     Raises:
-        TimeoutError: A robot does not walk before it is attacked.
+        TimeoutError: A robot does not walk before the attack.
     """
     rows = []
     for role in roles:
@@ -175,7 +187,7 @@ def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str],
 def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
     attacker, sent = Attacker(role, seed), [0]
     with robot.link_of(role) as link, robot.link_of("viewer") as bystander:
-        # 1. A walk, of whose messages examples are kept.
+        # 1. Walk, and keep examples of the messages.
         endings = [robot.link.subscribe(topic, attacker.learn) for topic in attacker.topics]
         if not robot.until_it_walks(_UP_S):
             raise TimeoutError(f"a walk expected before the attack of {role}: {kinds(robot.reasons)}; {robot.ended}")
@@ -186,7 +198,7 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
         robot.reasons.clear()
         robot.looks = robot.walked = 0
         before = robot.memory_mb()
-        # 2. The attack, torque being ordered off now and then.
+        # 2. Attack, with occasional torque-off orders.
         attacking = threading.Thread(target=_send, args=(attacker, link, messages, sent), name="attack")
         attacking.start()
         offs: list[float] = []
@@ -198,8 +210,8 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
             if not half and sent[0] >= messages // 2:
                 half = robot.memory_mb()
         attacking.join()
-        offs += [robot.off(bystander) for _ in range(_OFFS - len(offs))]  # of an attack that was over sooner
-        # 3. What is left of it.
+        offs += [robot.off(bystander) for _ in range(_OFFS - len(offs))]  # for an attack that ended earlier
+        # 3. Check the robot afterwards.
         afterwards = WALKS if robot.until_it_walks(_BACK_S) else robot.why_it_stands()
         after = robot.memory_mb()
     growth, taken = _more(after, half), _more(after, before)
@@ -208,7 +220,10 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
 
 
 def _more(after: dict[str, float], before: dict[str, float]) -> dict[str, float]:
-    """What each process has more than before [MB]; one that has ended or was not there is left out."""
+    """Return the additional memory [MB] of each process.
+
+    Processes that have ended or are new are left out.
+    """
     return {name: round(mb - before[name], 1) for name, mb in after.items() if np.isfinite(mb - before.get(name, np.nan))}
 
 

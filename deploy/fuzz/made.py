@@ -1,4 +1,4 @@
-"""Frames of a message, made from its declaration: what a fuzzer begins with."""
+"""Generate frames of a message from its declaration, as seeds for fuzzing."""
 
 from enum import StrEnum
 from random import Random
@@ -10,15 +10,18 @@ from sextant.shared.wire import codec
 from sextant.shared.wire.codec import Timing
 from sextant.shared.wire.messages import Health, Message, schema
 
-_LONGEST = 6  # of a free length
-_TRIES = 20  # for one whose fields agree with each other
+_LONGEST = 6  # maximum of a free length
+_TRIES = 20  # attempts to get consistent fields
 _INTS = (0, 1, 3, 255, 2000, 10**9, 10**18)
 _FLOATS = (0.0, 0.02, 0.5, 1.0, 4.0, 1e3)
 _TEXTS = ("", "walking", "no fresh plan came for 0.2 s", "linker Vorderlauf")
 
 
 def frame(kind: type[Message], rng: Random) -> bytes:
-    """A frame of a message: a good one if some tries come to one, else one that is good but for how its fields agree."""
+    """Return a frame of a message.
+
+    It is valid if an attempt succeeds. Otherwise only the consistency of its fields is wrong.
+    """
     for _ in range(_TRIES):
         values = _values(kind, rng)
         try:
@@ -34,7 +37,7 @@ def frame(kind: type[Message], rng: Random) -> bytes:
 def _values(kind: type[Message], rng: Random) -> dict[str, Any]:
     lengths: dict[str, int] = {}
     values = {name: _value(base, detail, lengths, rng) for name, base, detail in schema(kind)}
-    if kind is Health:  # a number for each name
+    if kind is Health:  # one number for each name
         values |= {names: tuple(rng.choices(_TEXTS, k=lengths[of])) for names, of in (("stages", "stage"), ("inputs", "input"))}
     return values
 

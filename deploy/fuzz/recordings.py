@@ -1,4 +1,7 @@
-"""Broken recordings for all that reads one: reader, contents, recovery. Memory and times are bounded."""
+"""Fuzz targets: recordings for the reader, the contents and the recovery.
+
+Memory and times are bounded.
+"""
 
 import json
 import resource
@@ -27,10 +30,10 @@ from sextant.shared.recording.writer import Recorder
 from sextant.shared.wire import topics
 
 _EXAMPLES = 8
-_FRAMES = 12  # of an example
+_FRAMES = 12  # frames of an example
 _APART_NS = 40_000_000
 _LONGEST = 1 << 18  # [bytes] of a recording
-_MOST_MEMORY = 4 * LARGEST_BYTES  # [bytes] that reading a file may take
+_MOST_MEMORY = 4 * LARGEST_BYTES  # [bytes] maximum memory for reading a file
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")  # start, end, size, checksum
 _ODD_LENGTHS = (0, 1, 21, 22, 1 << 16, 1 << 26, (1 << 26) + 1, 3 << 30, 1 << 32, (1 << 63) - 1, (1 << 64) - 1)
@@ -41,7 +44,10 @@ _Records = list[tuple[int, bytes]]  # opcode, body
 
 
 def examples(rng: Random) -> tuple[bytes, ...]:
-    """Recordings of this program, and of others: packed in each way, without chunks, without checksums, without messages."""
+    """Return example recordings of this program and of others.
+
+    They use each compression, or have no chunks, no checksums or no messages.
+    """
     ways = [
         (CompressionType.ZSTD, True, True),
         (CompressionType.LZ4, True, False),
@@ -52,7 +58,7 @@ def examples(rng: Random) -> tuple[bytes, ...]:
 
 
 def twisted(data: bytes, rng: Random) -> bytes:
-    """A recording whose records are whole, and in them, or in their order, something odd."""
+    """Mutate records of a recording, or their order, with valid framing."""
     records = _records(data, len(MAGIC), len(data) - len(MAGIC))
     for _ in range(rng.randint(1, 3)):
         records = rng.choice(_WAYS)(records, rng)
@@ -66,7 +72,7 @@ def twisted(data: bytes, rng: Random) -> bytes:
 
 
 class Taker:
-    """Reads a recording in every way that the program reads one, from a folder of its own."""
+    """Reads a recording with every reader of the program, in a separate folder."""
 
     def __init__(self) -> None:
         self._folder = Folder()
@@ -74,7 +80,10 @@ class Taker:
         self._target = self._folder.path / "recording.recovered.mcap"
 
     def take(self, data: bytes) -> bool:
-        """Whether there are messages in it; what is whole of it is the same before and after recovery."""
+        """Return whether it contains messages.
+
+        Raise if intact data differs before and after recovery.
+        """
         self._file.write_bytes(data)
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         try:
@@ -106,7 +115,7 @@ def _check_recovered(source: Path, target: Path, messages: int) -> None:
 
 
 def _own(rng: Random) -> bytes:
-    """A recording of this program, of some frames."""
+    """Return a recording of this program with some frames."""
     about = {"robot": "phantomx_mk2", "run": "lockstep", "scenario": "flat", "seed": "3"}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.mcap"
@@ -120,7 +129,7 @@ def _own(rng: Random) -> bytes:
 
 
 def _foreign(way: tuple[CompressionType, bool, bool], count: int, rng: Random) -> bytes:
-    """A recording of another program, in which frames of this one are, too."""
+    """Return a recording of another program that also contains frames of this one."""
     compression, chunked, checked = way
     out = BytesIO()
     writer = Writer(out, chunk_size=200, compression=compression, use_chunking=chunked, enable_crcs=checked)
@@ -138,7 +147,7 @@ def _foreign(way: tuple[CompressionType, bool, bool], count: int, rng: Random) -
 
 
 def _records(data: bytes, at: int, end: int) -> _Records:
-    """Opcodes and bodies of the records between two offsets, as far as their lengths go."""
+    """Return opcodes and bodies of the complete records between two offsets."""
     found: _Records = []
     while at + _HEAD.size <= end:
         opcode, length = _HEAD.unpack_from(data, at)
@@ -176,7 +185,10 @@ def _odd_body(records: _Records, rng: Random) -> _Records:
 
 
 def _odd_chunk(records: _Records, rng: Random) -> _Records:
-    """One chunk has odd claims, is a bomb, or has something odd inside and is right on the outside."""
+    """Mutate one chunk.
+
+    It gets wrong header fields, a decompression bomb, or mutated records in a valid chunk.
+    """
     chunks = [k for k, (kind, _) in enumerate(records) if kind == Opcode.CHUNK]
     if not chunks:
         return records
@@ -204,7 +216,7 @@ def _chunk(body: bytes) -> tuple[int, int, int, int, bytes, bytes]:
         (long,) = struct.unpack_from("<I", body, _CHUNK.size)
         begins = _CHUNK.size + 4 + long
         return *_CHUNK.unpack_from(body), body[_CHUNK.size + 4 : begins], body[begins + 8 :]
-    except struct.error:  # it was broken before
+    except struct.error:  # mutated before
         return 0, 0, 0, 0, b"", b""
 
 
@@ -215,7 +227,7 @@ def _unpacked(compression: bytes, packed: bytes) -> bytes:
                 return zstandard.ZstdDecompressor().decompress(packed, max_output_size=1 << 20)
             case b"lz4":
                 return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=1 << 20))
-    except (zstandard.ZstdError, RuntimeError):  # it was broken before
+    except (zstandard.ZstdError, RuntimeError):  # mutated before
         return b""
     return packed
 

@@ -1,9 +1,11 @@
-"""An attack by meaning: each role sends every message that it may send, well formed, with extreme values, while a robot walks.
+"""Attack with valid certificates while a robot walks.
 
-A certificate of the role is all that the attacker needs, so the access rules and the schema let everything through. What
-counts is what the robot does: it walks on or stops with a reason, no process ends, torque goes off when that is ordered,
-nothing grows once each process has taken the memory for what it is asked.
-In lockstep the services are one process on simulated time; live they are the robot's processes behind its guarded router.
+Each role sends every message that it may send, well formed, with extreme values. The attacker needs only a certificate of the
+role, so the access rules and the schema accept everything. The robot's reaction is evaluated. It must walk on or stop with a
+reason. No process may end. Torque must go off when ordered. Memory must stay bounded once each process has allocated what its
+requests need.
+In lockstep, the services are one process on simulated time. In live mode, they are the robot's processes behind its secured
+router.
 """
 
 import json
@@ -38,40 +40,44 @@ from sextant.shared.wire.messages import (
     VelocityCommand,
 )
 
-OFF_WITHIN_S = 0.06  # from the order to torque off on the servo bus
-GROWTH_MB = 20.0  # that a process may grow by in the second half of an attack
-TAKEN_MB = 64.0  # that it may take in the whole of it: for maps, plans and records that it is asked for
-PERIOD_S = 0.004  # between two messages of an attacker
+OFF_WITHIN_S = 0.06  # [s] from the order to torque off on the servo bus
+GROWTH_MB = 20.0  # maximum growth of a process in the second half of an attack
+TAKEN_MB = 64.0  # maximum growth in the whole attack: for requested maps, plans and recordings
+PERIOD_S = 0.004  # [s] between two messages of an attacker
 ROLE_NAMES = tuple(role.name for role in ROLES)
 WALKS = "walks"
-OFF_HOLDER = "bystander"  # who orders torque off
-_OFTEN = 8  # examples kept of a topic
-_ENDING_SHARE = 0.01  # of the orders that end a walk rightfully: the rest is left out, or it would never walk
+OFF_HOLDER = "bystander"  # holder of the torque-off orders
+_OFTEN = 8  # examples kept per topic
+_ENDING_SHARE = 0.01  # share kept of the orders that validly end a walk: with all of them, the robot would never walk
 _ENDING = ("off", "stop", "sit", "ready")
 _ORDER_NS = 500_000_000  # [ns] between two messages of an order
-_AGAIN_NS = 1_000_000_000  # [ns] after which an order that was not obeyed is given anew
-_UP_NS, _WARM_NS, _BACK_NS = 40_000_000_000, 2_000_000_000, 15_000_000_000  # [ns] to walk; of walking before; to stand up
+_AGAIN_NS = 1_000_000_000  # [ns] after which an ignored order is repeated as a new one
+# [ns] timeout for walking; walking before the attack; timeout for standing up
+_UP_NS, _WARM_NS, _BACK_NS = 40_000_000_000, 2_000_000_000, 15_000_000_000
 _LOOK_NS = 20_000_000
-_OFF_EVERY = 500  # messages between two orders to turn torque off, in lockstep
+_OFF_EVERY = 500  # messages between two torque-off orders, in lockstep
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of the attack of one role."""
+    """Results of the attack by one role."""
 
     role: str
     messages: int
     walking: float  # [1] share of the attack in which the robot walked
-    reasons: tuple[str, ...]  # why it did not, one of a kind
-    off_ms: tuple[float, ...]  # from each order to torque off on the bus
-    ended: tuple[str, ...] = ()  # processes or services that ended, with their last words
+    reasons: tuple[str, ...]  # reasons for not walking, one of each kind
+    off_ms: tuple[float, ...]  # time from each order to torque off on the bus
+    ended: tuple[str, ...] = ()  # ended processes or services, with their last output
     growth_mb: dict[str, float] = field(default_factory=dict)  # by process, in the second half of the attack
-    taken_mb: dict[str, float] = field(default_factory=dict)  # likewise, in the whole of it
-    afterwards: str = WALKS  # what the robot does after the attack: it walks, or why it does not
+    taken_mb: dict[str, float] = field(default_factory=dict)  # by process, in the whole attack
+    afterwards: str = WALKS  # state after the attack: the robot walks, or the reason why it does not
 
     @property
     def passed(self) -> bool:
-        """Whether nothing ended or grew, torque went off in time each time, and the robot walks or says why not."""
+        """Whether the attack had no effect.
+
+        No process ended or grew, torque went off in time, and the robot walks or reports why not.
+        """
         in_time = bool(self.off_ms) and all(ms <= 1e3 * OFF_WITHIN_S for ms in self.off_ms)
         bounded = (
             max(self.growth_mb.values(), default=0.0) <= GROWTH_MB and max(self.taken_mb.values(), default=0.0) <= TAKEN_MB
@@ -80,7 +86,7 @@ class Row:
 
 
 class Leader:
-    """An operator who has the robot walk in circles, and takes over again from whoever leads it."""
+    """Operator that walks the robot in circles, and always takes over control again."""
 
     name = "leader"
     paced_by = Every.hz(20.0)
@@ -88,16 +94,16 @@ class Leader:
     writes: tuple[AnyTopic, ...] = (topics.MODE, topics.VELOCITY)
 
     def __init__(self) -> None:
-        """Begin with nothing ordered."""
+        """Start without an order."""
         self.stages = Stages()
         self._order, self._given_ns, self._due_ns = "", 0, 0
 
     def doing(self) -> str:
-        """What was ordered last."""
+        """Return the last order."""
         return self._order
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Have it stand, then walk."""
+        """Order the robot to stand, then to walk."""
         state, now_ns = inbox.latest(topics.ACTUATOR_STATE), tick.stamp_ns
         if state is None:
             return
@@ -113,10 +119,10 @@ class Leader:
 
 
 class Attacker:
-    """Makes what a role sends, of examples that were heard on the wire."""
+    """Generates a role's messages from examples received on the network."""
 
     def __init__(self, role: str, seed: int):
-        """Begin without examples."""
+        """Start without examples."""
         self.topics = tuple(ROLE_NAMED[role].puts)
         self._rng = Random(f"{role} {seed}")
         self._frames: dict[str, deque[bytes]] = defaultdict(lambda: deque(maxlen=_OFTEN))
@@ -126,7 +132,7 @@ class Attacker:
         self._frames[topic.type.__name__].append(frame)
 
     def next(self, now_ns: int) -> tuple[AnyTopic, bytes]:
-        """A topic and a frame to send at a time [ns]."""
+        """Return a topic and a frame to send at a time [ns]."""
         while True:
             topic = self._rng.choice(self.topics)
             examples = [codec.decode(frame, topic.type, topic.max_bytes)[0] for frame in self._frames[topic.type.__name__]]
@@ -137,7 +143,10 @@ class Attacker:
 
 
 def off_delay_s(recorder: Recorder, ordered_s: float, ids: Sequence[int]) -> float | None:
-    """Time [s] from an order to torque off at all servos, as the bus heard it; None while it has not been."""
+    """Return the time [s] from an order to torque off at all servos.
+
+    It is measured on the bus. Return None while some servos are still enabled.
+    """
     limp: set[int] = set()
     for switch in recorder.switches:
         if switch.heard and switch.register is dxl.TORQUE_ENABLE and switch.t_s >= ordered_s:
@@ -148,7 +157,7 @@ def off_delay_s(recorder: Recorder, ordered_s: float, ids: Sequence[int]) -> flo
 
 
 def kinds(reasons: Counter[str]) -> tuple[str, ...]:
-    """The most frequent reasons, short enough for a table."""
+    """Return the most frequent reasons, shortened for a table."""
     return tuple(words[:80] for words, _ in reasons.most_common(5))
 
 
@@ -156,16 +165,16 @@ def kinds(reasons: Counter[str]) -> tuple[str, ...]:
 
 
 class _Walk:
-    """A walk in lockstep, its bus, and what its own actuator says."""
+    """A walk in lockstep, its bus, and the messages of its own services."""
 
     def __init__(self, attacker: Attacker, seed: int):
         self.profile = load_profile(SCENARIO.robot)
         self.recorder = Recorder(self.profile)
         self.state: ActuatorState | None = None
-        self.blocked = ""  # why its own planner does not go on
+        self.blocked = ""  # its own planner's reason for not going on
         self.states: Counter[str] = Counter()
         self._attacker, self._foreign = attacker, False
-        self._translation = Foxglove(self.profile)  # of a recorder
+        self._translation = Foxglove(self.profile)  # as in a recorder
         port = f"role attack {seed}"
         self.latch = Latch.of_port(port)
         self.latch.open()
@@ -188,7 +197,7 @@ class _Walk:
             self.states["" if self.state.mode is Mode.WALK else f"{self.state.mode}: {self.state.reason}"] += 1
 
     def attack(self) -> None:
-        """Send one message, and let a moment pass."""
+        """Send one message, and run for one period."""
         topic, frame = self._attacker.next(self.run.now_ns())
         message, _ = codec.decode(frame, topic.type, topic.max_bytes)
         self._foreign = True
@@ -197,7 +206,10 @@ class _Walk:
         self.run.run(self.run.now_ns() + round(1e9 * PERIOD_S))
 
     def until(self, holds: Callable[[ActuatorState], bool], within_ns: int) -> bool:
-        """Let time pass until a state of the actuator; whether it came in time."""
+        """Run until the actuator's state fulfils a condition.
+
+        Return whether it did so in time.
+        """
         limit_ns = self.run.now_ns() + within_ns
         while self.state is None or not holds(self.state):
             if self.run.now_ns() >= limit_ns:
@@ -206,11 +218,14 @@ class _Walk:
         return True
 
     def why_it_stands(self) -> str:
-        """The reason of the planner, or of the actuator where the planner has none."""
+        """Return the planner's reason for standing, or else the actuator's."""
         return self.blocked or ("" if self.state is None else f"{self.state.mode}: {self.state.reason}")
 
     def off(self) -> float:
-        """Order torque off, as a bystander; time [ms] until it is, infinite where it is not within a second."""
+        """Order torque off as a bystander; return the time [ms] until it is off.
+
+        The time is infinite if torque is not off within a second.
+        """
         self.recorder.switches.clear()
         now_ns = self.run.now_ns()
         self.run.say(StopOrder(now_ns, "off", now_ns, OFF_HOLDER), topics.STOP)
@@ -220,7 +235,7 @@ class _Walk:
 
 
 def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
-    """Attack a walk on simulated time with each role in turn, a walk of its own each time."""
+    """Attack in simulated time with each role in turn, each time in a new walk."""
     rows = []
     for role in roles:
         rows.append(in_lockstep(role, messages, seed))
@@ -229,10 +244,10 @@ def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str],
 
 
 def in_lockstep(role: str, messages: int, seed: int) -> Row:
-    """Attack a walk on simulated time.
+    """Attack a walk in simulated time.
 
     Raises:
-        TimeoutError: The robot does not walk before it is attacked.
+        TimeoutError: The robot does not walk before the attack.
     """
     attacker = Attacker(role, seed)
     walk = _Walk(attacker, seed)
@@ -261,11 +276,11 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
     return Row(role, sent, round(walking / max(total, 1), 3), kinds(walk.states), tuple(offs), ended, afterwards=reason)
 
 
-# ------------------------------------------------------------------------------------------------------------- for people
+# ------------------------------------------------------------------------------------------------------------- output
 
 
 def in_words(rows: Sequence[Row]) -> str:
-    """A table."""
+    """Return the rows as a Markdown table."""
     lines = [
         "| role | messages | walking | why not | torque off after, ms | ended | growth, MB | taken, MB | afterwards | |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -297,5 +312,5 @@ def _most(memory_mb: dict[str, float]) -> str:
 
 
 def to_json(rows: Sequence[Row]) -> str:
-    """The rows as JSON."""
+    """Return the rows as JSON."""
     return json.dumps([asdict(row) | {"passed": row.passed} for row in rows], indent=1)

@@ -1,4 +1,7 @@
-"""What came of broken messages, of one process or several, in words and for scripts. Pure."""
+"""Results of fuzzing, of one process or several, as Markdown and JSON.
+
+This module is pure.
+"""
 
 import json
 from collections.abc import Sequence
@@ -9,21 +12,21 @@ from sextant.deploy.fuzz.fuzzing import GROWTH_MB, Finding, Found, Outcome
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """All of it."""
+    """Results of all runs."""
 
     outcomes: tuple[Outcome, ...]
-    findings: tuple[Finding, ...]  # each fault once
-    growth_mb: float  # of the process whose memory grew most
+    findings: tuple[Finding, ...]  # each error once
+    growth_mb: float  # of the process with the largest growth
     processes: int
 
     @property
     def passed(self) -> bool:
-        """Whether each message was taken or refused, and memory stayed what it was."""
+        """Whether each message was accepted or refused, and memory did not grow."""
         return not self.findings and self.growth_mb < GROWTH_MB
 
 
 def table(found: Sequence[Found]) -> Table:
-    """Of all runs together."""
+    """Merge the results of all runs."""
     outcomes: dict[str, Outcome] = {}
     growth_mb: dict[int, float] = {}
     findings: dict[tuple[str, str], Finding] = {}
@@ -40,7 +43,7 @@ def table(found: Sequence[Found]) -> Table:
 
 
 def markdown(found: Table) -> str:
-    """For people."""
+    """Return the table as Markdown."""
     lines = ["| what takes them in | messages | taken | refused | neither |", "|---|---|---|---|---|"]
     for one in found.outcomes:
         neither = sum(finding.target == one.target for finding in found.findings)
@@ -57,7 +60,7 @@ def markdown(found: Table) -> str:
 
 
 def to_json(found: Table) -> str:
-    """For scripts."""
+    """Return the table as JSON."""
     return json.dumps(
         {
             "passed": found.passed,
@@ -81,7 +84,7 @@ def to_json(found: Table) -> str:
 
 
 def from_json(text: str) -> Table:
-    """What `to_json` gave."""
+    """Read a table written by `to_json`."""
     found = json.loads(text)
     return Table(
         tuple(Outcome(o["target"], o["messages"], o["taken"], 1e-3 * o["slowest_ms"]) for o in found["outcomes"]),

@@ -1,4 +1,4 @@
-"""What a fuzzer gives messages to."""
+"""Interface of fuzz targets."""
 
 import shutil
 import tempfile
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
-_MEMORY_DISK = Path("/dev/shm")  # where waiting for the disk takes no time; elsewhere a usual folder serves
+_MEMORY_DISK = Path("/dev/shm")  # a RAM disk has no disk latency; elsewhere, the default folder is used
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Something that takes in what others have made."""
+    """A parser of external data."""
 
     name: str
     examples: tuple[bytes, ...]
-    twisted: Callable[[bytes, Random], bytes]  # an example whose structure is whole, and in it something odd
-    take: Callable[[bytes], bool]  # whether it took it for good; raises only what is a fault
+    twisted: Callable[[bytes, Random], bytes]  # mutate an example with a valid structure
+    take: Callable[[bytes], bool]  # return whether the data was accepted; any exception is a finding
 
 
 class Folder:
-    """A temporary folder that is removed with the last target that uses it."""
+    """Temporary folder, deleted with the last target that uses it."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="sextant-fuzz-", dir=_MEMORY_DISK if _MEMORY_DISK.is_dir() else None))

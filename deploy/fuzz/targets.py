@@ -1,4 +1,4 @@
-"""What takes in something that others have made, each with good examples of it."""
+"""Fuzz targets: parsers of external data, each with valid examples."""
 
 import asyncio
 import json
@@ -24,13 +24,16 @@ from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import DecodeError
 
-_EXAMPLES = 32  # of a message
+_EXAMPLES = 32  # examples of a message
 _PREFIX = struct.Struct("<I")
 _ALIGNMENT = 8
 
 
 def targets(rng: Random) -> tuple[Target, ...]:
-    """All of them: topics, servo bus, the microcontroller's wire from both ends, ROS 2, the page, recordings, files."""
+    """Return all targets.
+
+    They are topics, servo bus, both ends of the microcontroller's protocol, ROS 2, the page, recordings and files.
+    """
     return (
         *(_of_topic(topic, rng) for topic in topics.TOPICS),
         Target("servo bus", tuple(_packets()), _broken_behind(0), _take_packets),
@@ -54,14 +57,14 @@ def _of_topic(topic: AnyTopic, rng: Random) -> Target:
             message, timing = codec.decode(data, topic.type, topic.max_bytes)
         except DecodeError:
             return False
-        codec.encode(message, timing)  # a recorder, or a bridge, may say it again
+        codec.encode(message, timing)  # a recorder or a bridge may encode it again
         return True
 
     return Target(topic.key, tuple(made.frame(topic.type, rng) for _ in range(_EXAMPLES)), _odd_header, take)
 
 
 def _odd_header(frame: bytes, rng: Random) -> bytes:
-    """A frame with something odd in its header, whose length is right again."""
+    """Mutate a frame's header, with a correct length."""
     (length,) = _PREFIX.unpack_from(frame)
     end = _PREFIX.size + length
     header = odd(codec.unpack_values(frame[_PREFIX.size : end]), rng)
@@ -130,7 +133,7 @@ def _wire_messages() -> list[bytes]:
 
 
 def _odd_frame(frame: bytes, rng: Random) -> bytes:
-    """A frame whose stuffing and sum are right again."""
+    """Mutate a frame, with correct stuffing and checksum."""
     payload = framing.Deframer().feed(frame)[0]
     twisted = codec.pack_values(odd(codec.unpack_values(payload, framing.MAX_PAYLOAD), rng))
     return framing.frame(twisted) if len(twisted) < framing.MAX_PAYLOAD - _PREFIX.size else frame
@@ -198,10 +201,10 @@ def _take_request(data: bytes) -> bool:
 
 
 class _Host:
-    """Has no pages, and hears what they ask for."""
+    """Host without pages that counts their requests."""
 
     door, porter = Door(Settings()), Porter()
-    files: dict[str, bytes] = {"index.html": b"<!doctype html>"}  # noqa: RUF012 - as its protocol has it
+    files: dict[str, bytes] = {"index.html": b"<!doctype html>"}  # noqa: RUF012 - required by its protocol
 
     def __init__(self) -> None:
         self.heard = 0
@@ -223,7 +226,7 @@ class _Host:
 
 
 class _Nowhere(asyncio.Transport):
-    """Takes what is sent, and forgets it."""
+    """Transport that discards its data."""
 
     def write(self, data: Any) -> None: ...
 
@@ -236,7 +239,7 @@ class _Nowhere(asyncio.Transport):
 
 
 class _Still(asyncio.AbstractEventLoop):
-    """A loop in which no time passes."""
+    """Event loop in which no time passes."""
 
     def get_debug(self) -> bool:
         return False
@@ -251,8 +254,8 @@ class _Still(asyncio.AbstractEventLoop):
 
 
 def _of_socket() -> Target:
-    """A browser's first request and what it says on its socket, as the bytes come in."""
-    loop = _Still()  # type: ignore[abstract]  # a connection asks for nothing else
+    """Return the target for a browser's HTTP request and socket messages, in pieces."""
+    loop = _Still()  # type: ignore[abstract]  # a connection needs no other methods
     greeting = "\r\n".join(
         (
             f"GET {SOCKET} HTTP/1.1",
@@ -287,7 +290,7 @@ def _of_socket() -> Target:
 
 
 def _framed(text: str) -> bytes:
-    """A text as a browser frames it, masked with zeros."""
+    """Frame a text as a browser does, masked with zeros."""
     data = text.encode()
     length = bytes([0x80 | len(data)]) if len(data) < 126 else b"\xfe" + struct.pack(">H", len(data))
     return b"\x81" + length + bytes(4) + data

@@ -1,7 +1,7 @@
-"""Well-formed messages with extreme values: what somebody may publish whose certificate is good and whose words are not.
+"""Well-formed messages with extreme values.
 
-A message is made of an example, one to three of whose fields are replaced. So it passes the schema, and reaches the code that
-has to judge what it means.
+A client with a valid certificate may send them. One to three fields of an example are replaced. So the message passes the
+schema, and reaches the code that validates its meaning.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ _LARGEST = (1 << 63) - 1
 _INTS = (0, 1, -1, 2, 255, 1 << 31, 10**9, 1 << 62, _LARGEST, -_LARGEST)
 _AGES_NS = tuple(round(s * 1e9) for s in (0.0, 0.0, 0.0, -0.4, 0.1, 1.9, 3.0, -1.9, -3.0, -60.0, 60.0, -86400.0, 86400.0))
 _FLOATS = (0.0, -0.0, 5e-324, 1e-9, -1e-9, 0.5, -0.5, 1.0, -1.0, math.pi, 1e3, -1e3, 1e6, -1e9, 1e12, -1e12)
-_WILD = (1e19, 1e30, 3e38)  # where numbers need not be finite
+_WILD = (1e19, 1e30, 3e38)  # for fields that need not be finite
 _TEXTS = (
     "",
     "x" * MAX_TEXT,
@@ -37,18 +37,18 @@ _TEXTS = (
     " ",
 )
 _FREE_LENGTHS = (0, 1, 2, 7, 64, 400, 3000)
-_FIELDS = (1, 1, 1, 2, 3)  # that are replaced
-_TRIES = 20  # for a message that is well formed and not too large
+_FIELDS = (1, 1, 1, 2, 3)  # number of fields replaced
+_TRIES = 20  # attempts to get a well-formed message that is not too large
 
 
 def worst(topic: AnyTopic, examples: Sequence[Message], now_ns: int, rng: Random) -> Message:
-    """A well-formed message of a topic, some of whose fields have extreme values.
+    """Return a well-formed message of a topic with extreme values in some fields.
 
     Args:
-        topic: Whose message it is.
-        examples: Good messages of the topic; without one, one is made from the declaration.
+        topic: Topic of the message.
+        examples: Valid messages of the topic; if empty, one is generated from the declaration.
         now_ns: [ns] the robot's time, near which some stamps are.
-        rng: What is drawn from.
+        rng: Random generator.
     """
     for _ in range(_TRIES):
         example = rng.choice(examples) if examples else _made(topic.type, rng)
@@ -60,7 +60,7 @@ def worst(topic: AnyTopic, examples: Sequence[Message], now_ns: int, rng: Random
             name: _value(base, detail, lengths, now_ns, rng)
             for name, base, detail in fields
             if name not in chosen and base is np.ndarray and set(detail[1].shape) & lengths.keys()
-        }  # their lengths have to agree
+        }  # the lengths have to agree
         if "stamp_ns" not in chosen and rng.random() < 0.8:
             values["stamp_ns"] = now_ns
         try:
@@ -76,7 +76,7 @@ def worst(topic: AnyTopic, examples: Sequence[Message], now_ns: int, rng: Random
 
 
 def _made(kind: type[Message], rng: Random) -> Message:
-    """A good message that is made from its declaration."""
+    """Generate a valid message from its declaration."""
     while True:
         with contextlib.suppress(codec.DecodeError):  # its fields contradict each other
             return codec.decode(made.frame(kind, rng), kind)[0]
@@ -130,7 +130,7 @@ def _filled(shape: list[int], dtype: np.dtype[Any], dims: Dims, rng: Random) -> 
 
 
 def _pose(rng: Random) -> Any:
-    """(4, 4): far away, on its side or upside down, or barely a pose."""
+    """Return a pose (4, 4): far away, tilted or upside down, or nearly invalid."""
     T = np.eye(4)
     match rng.randrange(4):
         case 0:
@@ -141,12 +141,15 @@ def _pose(rng: Random) -> Any:
             angle, (i, j) = rng.choice((0.02, 0.3, math.pi / 2, math.pi)), rng.choice(((0, 1), (1, 2), (2, 0)))
             T[[i, j], [i, j]], T[i, j], T[j, i] = math.cos(angle), -math.sin(angle), math.sin(angle)
         case _:
-            T[:3, :3] *= 1.0 + 4e-5 * rng.choice((-1.0, 1.0))  # as far from a rotation as frames may be
+            T[:3, :3] *= 1.0 + 4e-5 * rng.choice((-1.0, 1.0))  # the largest accepted deviation from a rotation
     return T
 
 
 def _covariance(rng: Random) -> Any:
-    """(6, 6): of nothing, negative, huge, lopsided, or of mixed signs."""
+    """Return an extreme covariance (6, 6).
+
+    It is zero, negative, huge, asymmetric, or has mixed signs.
+    """
     match rng.randrange(5):
         case 0:
             return np.zeros((6, 6))

@@ -1,1 +1,1 @@
-"""Judges a run by its truth and by what was heard of it: arrays, figures, and the report that they come to."""
+"""Evaluation of a run from ground truth and recorded messages."""

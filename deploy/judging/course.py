@@ -1,8 +1,8 @@
 """The true ground of a run's course, in its frame {start}.
 
-{start} lies on the true ground under the robot's starting place, x along its starting direction, z up. It is what the services
-call {world}, as the truth has it: where the robot stands before its first step, it is laid so that place and heading of the
-truth are those of the estimate, so errors count from there; its height is never taken from an estimate.
+{start} lies on the true ground under the robot's initial position, x along its initial heading, z up. It is the ground truth's
+counterpart of the services' {world}. Before the first step, {start} is placed so that position and heading of truth and
+estimate agree, so errors count from there. Its height never comes from an estimate.
 """
 
 from collections.abc import Iterable, Iterator
@@ -16,11 +16,11 @@ from sextant.shared.geometry import Array, apply, inverse, rotation_z, transform
 from sextant.shared.robot.profile import Camera
 from sextant.shared.scenario.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 
-RAISED = 0.005  # [m] over the ground beside: on something
-_NARROW = 0.20  # [m] and less is the width of pillars, stones and the like
-_SAME_HEIGHT = 1e-6  # [m] of a place and the box that it lies on
-_EDGE_JUMP = 0.02  # [m] in height, and more, is an edge of what carries a foot,
-_EDGE_STEP, _DIRECTIONS = 0.001, 64  # [m] looked for in such steps outward, in so many directions
+RAISED = 0.005  # [m] ground this much higher than its surroundings is raised
+_NARROW = 0.20  # [m] maximum width of narrow tops, such as pillars and stones
+_SAME_HEIGHT = 1e-6  # [m] tolerance for a point on the top of a box
+_EDGE_JUMP = 0.02  # [m] minimum height difference at the edge of a supporting surface
+_EDGE_STEP, _DIRECTIONS = 0.001, 64  # [m] radial step of the search for edges, and its number of directions
 _IN_THE_WAY = (
     Box,
     Hole,
@@ -29,7 +29,7 @@ _IN_THE_WAY = (
     PillarField,
     Puddle,
     Puddles,
-)  # without which the ground is what blocks are raised over
+)  # parts removed to get the ground below the blocks
 
 
 class Ground(Protocol):
@@ -44,15 +44,15 @@ class Course:
     """The true ground, built as the simulator builds it, and where {start} lies on it."""
 
     def __init__(self, scenario: Scenario, seed: int, terrain: Ground | None = None):
-        """Build it.
+        """Build the ground.
 
         Args:
-            scenario: Whose terrain.
-            seed: The run's; the terrain's generator is `default_rng([seed, 0])`, as the simulator's.
+            scenario: The scenario with the terrain.
+            seed: Seed of the run; the terrain generator is `default_rng([seed, 0])`, as in the simulator.
             terrain: The ground, in place of the scenario's.
         """
         from sextant.services.simulator.physics.terrain import (
-            build_terrain,  # a robot without the simulator can import this module
+            build_terrain,  # imported here because a robot has no simulator
         )
 
         self.terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
@@ -63,9 +63,10 @@ class Course:
         self.T_sim_start = self.T_start_sim = np.eye(4)
 
     def lay(self, T: Array, standing: float) -> None:
-        """Lay {start} under a pose (4, 4) of the body in the simulator's world.
+        """Place {start} under a body pose (4, 4) in the simulator's world.
 
-        Over an abyss, what the feet stand on [m] is its height.
+        Its height is that of the ground, or `standing` [m] where there is no ground. That is the height of the surface under
+        the feet.
         """
         ground = float(self.terrain.height_at(T[None, :2, 3])[0])
         level = ground if np.isfinite(ground) else standing
@@ -73,32 +74,38 @@ class Course:
         self.T_start_sim = inverse(self.T_sim_start)
 
     def around(self, margin: float) -> tuple[float, float, float, float]:
-        """Lowest and highest x, then y [m] {start}, of the course with a margin [m]."""
+        """Return min x, max x, min y, max y [m] {start} of the course plus a margin [m]."""
         return -margin, self._length + margin, -margin, margin
 
     def height_at(self, xy: Array) -> Array:
-        """True height (n,) [m] {start} at (n, 2) [m] {start}."""
+        """Return the true height (n,) [m] {start} at (n, 2) [m] {start}."""
         return np.asarray(self.terrain.height_at(self._in_sim(xy)) - self.T_sim_start[2, 3])
 
     def sink_at(self, xy: Array) -> Array:
-        """How far (n,) [m] the ground at (n, 2) [m] {start} gives way."""
+        """Return by how much (n,) [m] the ground at (n, 2) [m] {start} yields under load."""
         sink_at = getattr(self.terrain, "sink_at", None)
         return np.zeros(len(xy)) if sink_at is None else np.asarray(sink_at(self._in_sim(xy)))
 
     def carrying_at(self, xy: Array) -> Array:
-        """Height (n,) [m] {start} of what carries at (n, 2) [m] {start}: below what is seen where that gives way."""
+        """Return the height (n,) [m] {start} of the supporting surface at (n, 2) [m].
+
+        It is below the visible surface where that yields.
+        """
         return self.height_at(xy) - self.sink_at(xy)
 
     def on_blocks(self, xy: Array) -> int:
-        """How many of the places (n, 2) [m] {start} lie on blocks and the like, over the ground as it were without them."""
+        """Return how many points (n, 2) [m] {start} lie on blocks and similar parts.
+
+        These are higher than the ground would be without them.
+        """
         sim = self._in_sim(xy)
         without = np.maximum(self._unblocked.height_at(sim), self.T_sim_start[2, 3])
         return int((self.terrain.height_at(sim) > without + RAISED).sum())
 
     def edge_distance(self, xy: Array) -> Array:
-        """Distance (n,) [m] from places (n, 2) [m] {start} to the nearest edge of the narrow top there, NaN without one.
+        """Return the distance (n,) [m] from points (n, 2) [m] {start} to the nearest edge.
 
-        Tops that touch at one height are one.
+        Only points on narrow tops have a distance; others are NaN. Adjacent tops of the same height count as one.
         """
         places = self._in_sim(xy)
         found = np.full(len(xy), np.nan)
@@ -114,7 +121,7 @@ class Course:
         return found
 
     def _on_narrow_tops(self, places: Array) -> NDArray[np.bool_]:
-        """Whether places (n, 2) [m] of the simulator's world lie on tops of pillars, stones and the like."""
+        """Return which points (n, 2) [m] in the simulator's world lie on narrow tops."""
         on = np.zeros(len(places), dtype=bool)
         boxes, height = getattr(self.terrain, "boxes", None), self.terrain.height_at(places)
         if boxes is None:
@@ -126,7 +133,7 @@ class Course:
         return on
 
     def block_corners(self) -> Array:
-        """Corners (b, 4, 2) [m] {start} of the tops of the terrain's boxes."""
+        """Return the corners (b, 4, 2) [m] {start} of the tops of the terrain's boxes."""
         boxes = getattr(self.terrain, "boxes", None)
         if boxes is None or not len(boxes):
             return np.zeros((0, 4, 2))
@@ -135,16 +142,16 @@ class Course:
         return apply(self.T_start_sim, top)[..., :2]
 
     def weak_blocks(self) -> NDArray[np.intp]:
-        """Which of them give way under a foot."""
+        """Return the indices of the boxes that yield under a foot."""
         weak = getattr(self.terrain, "weak", None)
         return np.zeros(0, dtype=np.intp) if weak is None else np.asarray(weak.box)
 
     def views(self, poses: Iterable[Array], camera: Camera) -> Iterator[tuple[NDArray[np.float32], Array]] | None:
-        """What an undisturbed camera at poses (4, 4) of the simulator's world sees: depths (h, w) [m], and poses in {start}.
+        """Render undisturbed depth frames at camera poses (4, 4) in the simulator's world.
 
-        None where the ground is none that can be drawn.
+        Return depth frames (h, w) [m] with their poses in {start}, or None where the terrain cannot be rendered.
         """
-        from sextant.services.simulator.physics.terrain import Terrain  # as above
+        from sextant.services.simulator.physics.terrain import Terrain  # imported here for the same reason
 
         if not isinstance(self.terrain, Terrain):
             return None

@@ -1,4 +1,4 @@
-"""What a run has said to its scorer: the truth, and beside it the services' words."""
+"""Messages that the scorer has received in a run: ground truth and services."""
 
 from dataclasses import replace
 from typing import TypeVar
@@ -21,12 +21,15 @@ from sextant.shared.wire.messages import (
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
 
-_MOST_STEPS = 1 << 40  # that are counted on: a larger number is no count
-_REFUSED_NS = 10_000_000_000  # [ns] that a robot must stand and say why, where that is right
+_MOST_STEPS = 1 << 40  # upper limit of step numbers that are added up
+_REFUSED_NS = 10_000_000_000  # [ns] minimum duration of a refusal: standing and reporting the reason
 
 
 class Heard:
-    """All that was said, in order; steps are counted from the run's beginning, over restarts of the actuator."""
+    """All received messages in order.
+
+    Steps are counted from the run's beginning, across restarts of the actuator.
+    """
 
     def __init__(self) -> None:
         self.truth: list[GroundTruth] = []
@@ -34,31 +37,31 @@ class Heard:
         self.states: list[ActuatorState] = []
         self.statuses: list[PlannerStatus] = []
         self.plans: dict[int, StepPlan] = {}  # the newest revision of each step
-        self.moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
-        self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # and the newest map of the strip by then
-        self.routes: list[Array] = []  # (k, 2) [m] {world} ways to a goal, each where it was new
+        self.moved: dict[int, int] = {}  # moved footholds of each step, as reported by the planner
+        self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # with the newest map of the strip at that time
+        self.routes: list[Array] = []  # (k, 2) [m] {world} new routes to a goal
         self.first_step_ns: int | None = None
-        self.refusal = ""  # why the robot does not go on, in the planner's words, once it has said so for long
-        self._newest_step = self._steps_before = 0  # of the actuator as it counts, and of those before it
+        self.refusal = ""  # the planner's reason for not going on, once it has lasted `_REFUSED_NS`
+        self._newest_step = self._steps_before = 0  # newest step of the actuator, and the steps before its restart
         self._blocked_since_ns: int | None = None
 
     @property
     def begin_ns(self) -> int:
-        """Stamp [ns] of the first message of truth, from which a run's time counts."""
+        """Stamp [ns] of the first message of truth, the zero of the run's time."""
         return self.truth[0].stamp_ns if self.truth else 0
 
     def stamps(self) -> Array:
-        """Times (n,) [ns] of the truth since the first of it."""
+        """Return times (n,) [ns] of the truth, relative to its first message."""
         begin = self.begin_ns
         return np.array([m.stamp_ns - begin for m in self.truth], dtype=np.float64)
 
     def take_in(self, truth: GroundTruth, inbox: Inbox) -> None:
-        """Take in one message of truth and what the services have said since the last."""
+        """Process one message of truth and the service messages since the last one."""
         self.truth.append(truth)
         self.poses += inbox.drain(topics.BODY_POSE)
         for state in inbox.drain(topics.ACTUATOR_STATE):
             if state.step < self._newest_step:
-                # An actuator that began anew counts from zero.
+                # A restarted actuator counts from zero.
                 self._steps_before = min(self._steps_before + max(self._newest_step, 0), _MOST_STEPS)
             self._newest_step = state.step
             self.states.append(self._counted_on(state))
@@ -92,6 +95,6 @@ class Heard:
 
 
 def _goes_on(path: Array, known: Array) -> bool:
-    """Whether a way (k, 2) is what is left of a known one."""
+    """Return whether a path (k, 2) is the rest of a known one."""
     rest = path[1:]
     return len(rest) < len(known) and np.array_equal(rest, known[len(known) - len(rest) :])

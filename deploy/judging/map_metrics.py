@@ -1,5 +1,6 @@
-"""Maps judged by the true ground: laid over each other, compared cell by cell, and asked how much of the way ahead they know.
+"""Metrics of elevation maps against the true ground.
 
+They cover the mosaic of all maps, the error per cell, and the coverage ahead.
 Frame: {start}, as in `sextant.deploy.judging.course`.
 """
 
@@ -16,32 +17,35 @@ from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.robot.profile import Camera
 from sextant.shared.wire.messages import TerrainMap
 
-_MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
-_STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go
+_MAP_RADIUS = 1.0  # [m] around the body in which maps are compared
+_STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: the area of the steps after the next
 _GROUND_RESOLUTION = 0.02  # [m]
-_SEEN_RANGE = 1.5  # [m] horizontally from the camera, within which what is in view should be mapped
-_STEP = 0.02  # [m] jump in height that is an edge of a course: blocks and stairs that a small robot climbs are low
-_SAMPLED = 2  # every how many rows and columns of a picture are looked at
+_SEEN_RANGE = 1.5  # [m] horizontal distance from the camera within which visible ground should be mapped
+_STEP = 0.02  # [m] height difference that counts as an edge: blocks and stairs for a small robot are low
+_SAMPLED = 2  # stride over rows and columns of a depth frame
 
 
 @dataclass(frozen=True, slots=True)
 class Mosaic:
-    """All maps of a run laid over each other, the newest measurement of each cell on top."""
+    """Mosaic of all maps of a run, with the newest measurement of each cell."""
 
     origin: Array  # (2,) [m] {start} centre of cell (0, 0)
     resolution: float  # [m]
-    elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where never seen
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where unknown
     unacceptable: NDArray[np.bool_]  # (nx, ny) no foothold by the map's score
     assumed: NDArray[np.bool_]  # (nx, ny) filled in, never measured
-    color: NDArray[np.uint8] | None = None  # (nx, ny, 3) R, G, B, black where none was seen; None without a colour camera
+    color: NDArray[np.uint8] | None = None  # (nx, ny, 3) R, G, B, black where unknown; None without a colour camera
 
     @property
     def measured(self) -> NDArray[np.float32]:
-        """(nx, ny) [m] {start} heights that were measured, NaN elsewhere."""
+        """Measured heights (nx, ny) [m] {start}, NaN elsewhere."""
         return np.where(self.assumed, np.float32(np.nan), self.elevation)
 
     def in_view(self, views: Iterable[tuple[NDArray[np.float32], Array]], camera: Camera) -> NDArray[np.bool_]:
-        """Cells (nx, ny) into which undisturbed pictures show: depths (h, w) [m] and poses (4, 4) {start} of the camera."""
+        """Return the cells (nx, ny) that are visible in undisturbed depth frames.
+
+        Each view is a depth frame (h, w) [m] and the camera pose (4, 4) {start}.
+        """
         shape = self.elevation.shape
         seen = np.zeros(shape, dtype=bool)
         for depth, T in views:
@@ -56,25 +60,25 @@ class Mosaic:
 
 
 class GroundHeights:
-    """The true ground under the path on a grid, for a look at every message."""
+    """True ground under the path on a grid, for a fast query at every message."""
 
     def __init__(self, area: tuple[float, float, float, float], T_start_sim: Array, height_at: HeightAt):
         grid = Grid(area, _GROUND_RESOLUTION)
         self._height = height_at(grid.points()).reshape(grid.shape).tolist()
         self._last = grid.shape[0] - 1, grid.shape[1] - 1
-        # From the simulator's world straight to cells.
+        # transform from the simulator's world to cell indices
         to_cells = T_start_sim[:2, [0, 1, 3]] / _GROUND_RESOLUTION
         to_cells[:, 2] -= grid.origin / _GROUND_RESOLUTION
         self._rows = to_cells.tolist()
 
     def under(self, x: float, y: float) -> float:
-        """Height [m] {start} of the grid point nearest to a place [m] of the simulator's world."""
+        """Return the height [m] {start} of the grid point nearest to (x, y) [m] {sim}."""
         i, j = (min(max(round(a * x + b * y + c), 0), n) for (a, b, c), n in zip(self._rows, self._last, strict=True))
         return float(self._height[i][j])
 
 
 class Grid:
-    """Cells over an area, on which maps of one resolution and phase fall without a remainder."""
+    """Cell grid over an area, aligned with maps of one resolution and phase."""
 
     def __init__(self, area: tuple[float, float, float, float], resolution: float, phase: Array | None = None):
         x0, x1, y0, y1 = area
@@ -84,32 +88,32 @@ class Grid:
 
     @classmethod
     def of(cls, area: tuple[float, float, float, float], terrain: TerrainMap) -> "Grid":
-        """The grid on which a map's cells lie."""
+        """Return the grid that contains a map's cells."""
         r = terrain.resolution
         return cls(area, r, terrain.origin - np.round(terrain.origin / r) * r)
 
     def fits(self, terrain: TerrainMap) -> bool:
-        """Whether a map's cells lie on this grid."""
+        """Return whether a map's cells lie on this grid."""
         cells = (terrain.origin - self.origin) / self.resolution
         return terrain.resolution == self.resolution and bool(np.all(np.abs(cells - np.round(cells)) < 1e-3))
 
     def first(self, terrain: TerrainMap) -> NDArray[np.int64]:
-        """The cell (2,) of a map's cell (0, 0)."""
+        """Return the cell (2,) on this grid of a map's cell (0, 0)."""
         return np.round((terrain.origin - self.origin) / self.resolution).astype(np.int64)
 
     def points(self) -> Array:
-        """Centres (n, 2) [m] of the cells, row by row."""
+        """Return the centres (n, 2) [m] of the cells, row by row."""
         x, y = (self.origin[k] + self.resolution * np.arange(self.shape[k]) for k in (0, 1))
         return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 class MapJudge:
-    """The run's maps: laid over each other, and compared with the truth."""
+    """The maps of a run: mosaic and comparison with the truth."""
 
     def __init__(self, grid: Grid, height_at: HeightAt):
         self.grid = grid
         self._height_at = height_at
-        self._true = np.full(grid.shape, np.nan)  # filled in where it is asked for: looking it up is dear
+        self._true = np.full(grid.shape, np.nan)  # computed only where needed: a query is expensive
         self._elevation = np.full(grid.shape, np.nan, dtype=np.float32)
         self._unacceptable = np.zeros(grid.shape, dtype=bool)
         self._assumed = np.zeros(grid.shape, dtype=bool)
@@ -118,9 +122,9 @@ class MapJudge:
         self._coverage: list[float] = []
 
     def add(self, terrain: TerrainMap, T_world_body: Array, compare: bool) -> None:
-        """Lay a map over the others; with `compare` its comparison with the truth counts.
+        """Add a map to the mosaic, and compare it with the truth if `compare`.
 
-        The robot believes to be at T_world_body (4, 4).
+        T_world_body (4, 4) is the body pose as the robot estimates it.
         """
         grid = self.grid
         first = grid.first(terrain)
@@ -135,7 +139,7 @@ class MapJudge:
         measured = seen & ~assumed
         fill = measured | (seen & (np.isnan(self._elevation[here]) | self._assumed[here]))
         np.copyto(self._elevation[here], elevation, where=fill)
-        np.copyto(self._unacceptable[here], score > 1, where=fill & np.isfinite(score))  # none along the border of a map
+        np.copyto(self._unacceptable[here], score > 1, where=fill & np.isfinite(score))  # the border of a map has no score
         np.copyto(self._assumed[here], assumed, where=fill)
         if terrain.color.size:
             if self._color is None:
@@ -159,7 +163,7 @@ class MapJudge:
         i, j = np.nonzero(cells & np.isnan(true))
         true[i, j] = self._height_at(np.stack([axes[0][i], axes[1][j]], axis=1))
         error = elevation[cells] - true[cells]
-        error = error[np.isfinite(error)]  # no ground, no height to compare with
+        error = error[np.isfinite(error)]  # without ground there is no height to compare with
         if len(error):
             size = np.abs(error)
             rank = int(0.95 * (len(size) - 1))
@@ -181,24 +185,24 @@ class MapJudge:
         self._coverage.append(float(known.mean()))
 
     def error(self) -> MapError:
-        """Errors of the maps compared, averaged over them."""
+        """Return the errors of the compared maps, averaged over the maps."""
         if not self._errors:
             return MapError(coverage=float(np.mean(self._coverage)) if self._coverage else np.nan)
         rmse, bias, p95 = np.mean(self._errors, axis=0).tolist()
         return MapError(rmse, bias, p95, float(np.mean(self._coverage)))
 
     def mosaic(self) -> Mosaic:
-        """The maps laid over each other."""
+        """Return the mosaic of the maps."""
         return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed, self._color)
 
 
 def judge_course(mosaic: Mosaic, height_at: HeightAt, seen: NDArray[np.bool_] | None = None) -> CourseMap:
-    """The maps of a whole run against the true ground.
+    """Compare the mosaic of a run with the true ground.
 
     Args:
-        mosaic: The maps laid over each other.
+        mosaic: All maps of the run, the newest measurement on top.
         height_at: True heights (n,) [m] {start} at (n, 2) [m].
-        seen: (nx, ny) cells that were in view; without them nothing is said about coverage.
+        seen: (nx, ny) cells that were in view; without them the coverage is NaN.
     """
     shape = mosaic.elevation.shape
     truth = TrueGround.under(height_at, mosaic.origin, (shape[0], shape[1]), mosaic.resolution, _STEP)

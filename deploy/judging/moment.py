@@ -1,4 +1,4 @@
-"""The moment that decided how a run ended, and what led up to it: for who looks at a walk that failed."""
+"""Failure analysis: the decisive moment of a run, and the events that led to it."""
 
 from dataclasses import dataclass
 
@@ -12,47 +12,48 @@ from sextant.deploy.judging.walk_metrics import Flags, runs
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS
 
-ENDED = "ended"  # of a run that nothing else decided
-MISSED = 0.02  # [m] from the foothold that was chosen, and more, is beside it
-_BEFORE = 4.0  # [s] before the moment that are looked through
-_LAST = 0.5  # [s] before the last step is over in which the planner may have begun to refuse the next
-_SIGNS = 6  # that are told of
-_STILL = 2.0  # [s] of standing, after which a run has come to a stop before it ended
-_OUTSIDE = 0.04  # [s] and longer the body is beside what supports it before that counts
+ENDED = "ended"  # the moment of a run that nothing else decided
+MISSED = 0.02  # [m] a touchdown at least this far from the chosen foothold missed it
+_BEFORE = 4.0  # [s] before the moment in which signs are searched
+_LAST = 0.5  # [s] before the end of the last step in which the planner may have begun to refuse the next one
+_SIGNS = 6  # maximum number of signs reported
+_STILL = 2.0  # [s] of standing after which a run counts as stopped before it ended
+_OUTSIDE = 0.04  # [s] minimum duration of the centre of mass outside the support polygon
 _SATURATED = 0.98  # [1] of the stall torque
-_PULLING = 0.1  # [s] and longer at that torque
-_LEANING = float(np.radians(10.0))  # [rad] off the command
-_SUNK = 0.02  # [m] lower than commanded
+_PULLING = 0.1  # [s] minimum duration at that torque
+_LEANING = float(np.radians(10.0))  # [rad] from the commanded attitude
+_SUNK = 0.02  # [m] below the commanded height
 _LOST = 0.03  # [m] error of the estimate
-_STALE = 1.0  # [s] after which an estimate says nothing any more
-_SILENT = 0.6  # [s] and longer that a service says nothing
+_STALE = 1.0  # [s] after which an estimate is not used any more
+_SILENT = 0.6  # [s] without a message after which a service counts as silent
 _NONE = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When, where and how it was decided."""
+    """When and where the run was decided, and how."""
 
     t: float  # [s]
     p: Array  # (2,) [m] {start} body
-    words: str  # what happened, in two or three
-    leg: int = _NONE  # whose it was
+    words: str  # what happened, in two or three words
+    leg: int = _NONE  # the leg concerned
 
 
 @dataclass(frozen=True, slots=True)
 class Sign:
-    """What went wrong, or began to, on the way there."""
+    """An event before the decisive moment that may have caused the failure."""
 
-    weight: int  # the more, the less it takes to bring a walk down
+    weight: int  # higher for events that more easily bring a walk down
     t: float  # [s]
     words: str
     leg: int = _NONE
 
 
 def decisive_moment(report: Report, trace: Trace) -> Moment | None:
-    """When it was decided that a run would not arrive: a fall, a shutdown, a collision, a refusal, or where it stood still.
+    """Return the moment that decided that a run would not arrive.
 
-    None for a run that arrived, and for one of which nothing is known.
+    This is a fall, a shutdown, a collision, a refusal, or the last step before the robot stood still.
+    Return None for a run that arrived, and for a run without data.
     """
     if not len(trace.t) or (report.success and report.reason == ARRIVED):
         return None
@@ -78,7 +79,10 @@ def decisive_moment(report: Report, trace: Trace) -> Moment | None:
 
 
 def refusal(trace: Trace) -> Complaint | None:
-    """Why the planner did not go on after the last step, in the words that it held to longest; None where it did not refuse."""
+    """Return why the planner did not go on after the last step, or None.
+
+    Of several reasons, this is the one reported for the longest time. None means that it did not refuse.
+    """
     walking = np.flatnonzero(trace.walking)
     stood = trace.t[walking[-1]] - _LAST if len(walking) else 0.0
     if not len(trace.t) or trace.t[-1] - stood < _STILL:
@@ -88,7 +92,10 @@ def refusal(trace: Trace) -> Complaint | None:
 
 
 def signs(trace: Trace, moment: Moment) -> list[Sign]:
-    """What led up to a moment, the weightiest in order of time: footholds missed, support lost, joints at their limit."""
+    """Return the most important signs before a moment, in order of time.
+
+    Signs are missed footholds, lost support, joints at their limit, and the like.
+    """
     begin, end = moment.t - _BEFORE, moment.t + 1e-6
     found = [*_of_feet(trace), *_of_body(trace, moment.t), *_of_joints(trace, begin, end), *_of_services(trace)]
     near = [sign for sign in found if begin <= sign.t <= end]
@@ -102,15 +109,15 @@ def _moment(trace: Trace, t: float, words: str, leg: int = _NONE) -> Moment:
 
 
 def _suspect(trace: Trace, t: float) -> int:
-    """The leg that last came down badly before a fall, if one did."""
+    """Return the leg with the last bad touchdown before a fall, or -1."""
     bad = [sign for sign in _of_feet(trace) if t - _BEFORE <= sign.t <= t]
     return max(bad, key=lambda sign: sign.t).leg if bad else _NONE
 
 
 def missed_by(trace: Trace) -> Array:
-    """How far (k,) [m] each touchdown lies beside the foothold that was chosen, the error of the estimate taken out.
+    """Return the distance (k,) [m] of each touchdown from the chosen foothold.
 
-    NaN where nobody heard which that was, or where the robot believed to be.
+    The estimate's error is subtracted. NaN where the chosen foothold or the estimated pose is unknown.
     """
     downs = trace.touchdowns
     drift = _drift(trace, downs.t)
@@ -118,7 +125,10 @@ def missed_by(trace: Trace) -> Array:
 
 
 def _drift(trace: Trace, t: Array) -> Array:
-    """True less estimated place (k, 2) [m] by the newest estimate at some times, NaN where that is old."""
+    """Return the true minus the estimated position (k, 2) [m] at the given times.
+
+    Each uses the newest estimate; NaN where that is old.
+    """
     if not len(trace.t_estimate) or not len(trace.t):
         return np.full((len(t), 2), np.nan)
     k = np.clip(np.searchsorted(trace.t_estimate, t, side="right") - 1, 0, None)
@@ -184,11 +194,15 @@ def _of_joints(trace: Trace, begin: float, end: float) -> list[Sign]:
 
 
 def _of_services(trace: Trace) -> list[Sign]:
-    """Services that fell silent; the planner's and the actuator's last word ends with the run."""
+    """Return signs for silent services.
+
+    The last message of planner and actuator is compared with the end of the run.
+    """
     found = []
     for who in SPEAKERS:
         own = [spell for spell in trace.spells if spell.who == who]
-        following = [spell.begin for spell in own[1:]] + [float(trace.t[-1])] * bool(own)  # nobody is silent who never spoke
+        # A service that never published is not silent.
+        following = [spell.begin for spell in own[1:]] + [float(trace.t[-1])] * bool(own)
         found += [
             Sign(5, spell.end, f"{who} fell silent")
             for spell, begin in zip(own, following, strict=True)
@@ -198,7 +212,7 @@ def _of_services(trace: Trace) -> list[Sign]:
 
 
 def _last_run(trace: Trace, flags: NDArray[np.bool_], t: float, least: float = 0.0) -> slice | None:
-    """The last stretch of samples up to a time through which something held for long enough [s]."""
+    """Return the last interval up to `t` where a flag held for at least `least` [s]."""
     held: Flags = np.asarray(flags & (trace.t <= t))
     long = [run for run in runs(held) if trace.t[run[1] - 1] - trace.t[run[0]] >= least]
     return slice(int(long[-1][0]), int(long[-1][1])) if long else None

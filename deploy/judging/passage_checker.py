@@ -1,7 +1,8 @@
-"""Checks plans over a passage by other means than those that made them: trigonometry, dense in time, the actuator's own swing.
+"""Check plans for a passage independently of the planner that made them.
 
-Nothing of the search is used here but what its steps say. What is demanded are the rules as they are told; the search keeps a
-little more. Sources: Masri 2016, Table 3.2, sections 5.1.1, 5.2.1 and 5.4; what the thesis leaves out is said where it is.
+The checks use trigonometry, dense sampling in time, and the actuator's own swing trajectory. From the search, they use
+only the resulting steps. They demand the documented rules; the search itself keeps slightly larger margins. Sources:
+Masri 2016, Table 3.2, sections 5.1.1, 5.2.1 and 5.4. Rules that the thesis leaves out are marked where they occur.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,38 +19,38 @@ from sextant.shared.robot.kinematics import body_inverse, joint_torques, leg_nea
 from sextant.shared.robot.profile import GRAVITY, JOINTS, LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 
-_TIMES = 31  # instants of a step
-_ALONG = np.linspace(0.0, 1.0, 13)  # places along a link at which its distance to others is taken
+_TIMES = 31  # samples per step
+_ALONG = np.linspace(0.0, 1.0, 13)  # positions along a link for distances between links
 _ROUNDING = 1e-6
-_MOVED = 1e-3  # [m] by which a touchdown may be beyond reach
+_MOVED = 1e-3  # [m] tolerated distance of a touchdown beyond reach
 _SMALL_TURN = 1e-6  # [rad]
 
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What a plan must keep."""
+    """Required margins of a plan."""
 
-    margin: float = 0.03  # [m] of support: 2 cm, the feet being believed off by 1 cm
-    legs_apart: float = 0.04  # [m] between the middle lines of femurs and tibias of neighbouring legs
-    body_clear: float = 0.02  # [m] of the trunk over the ground
-    leg_clear: float = 0.01  # [m] of knees and upper shanks over the ground
-    swing_clear: float = 0.02  # [m] of a swinging foot over the ground, less within 6 cm of both its ends
-    torque: float = 0.6  # of stall
-    worst_foothold: int = -1  # [cells] of the evaluation function
-    body_step: float = 0.055  # [m] of the body in one step, at most
+    margin: float = 0.03  # [m] stability margin: 2 cm, if feet are off by 1 cm
+    legs_apart: float = 0.04  # [m] between the centre lines of femurs and tibias of neighbouring legs
+    body_clear: float = 0.02  # [m] between the trunk and the ground
+    leg_clear: float = 0.01  # [m] between knees or upper shanks and the ground
+    swing_clear: float = 0.02  # [m] between a swinging foot and the ground, less within 6 cm of both its ends
+    torque: float = 0.6  # share of the stall torque
+    worst_foothold: int = -1  # [cells] highest accepted value of the evaluation function
+    body_step: float = 0.055  # [m] maximum body motion in one step
 
 
 def violations(
     profile: RobotProfile, field: Field, start: Stance, steps: Sequence[PassageStep], demands: Demands | None = None
 ) -> list[str]:
-    """What is wrong with a plan, in words; nothing where all is kept.
+    """Return the violations of a plan as text; empty for a valid plan.
 
     Args:
         profile: The robot.
-        field: The strip that it was planned on.
-        start: Where it begins. Its own feet are taken as they stand.
+        field: The strip on which the steps were planned.
+        start: The initial stance. Its feet are not checked.
         steps: The plan.
-        demands: What must be kept.
+        demands: The required margins.
     """
     check = _Check(profile, field, demands or Demands())
     out: list[str] = []
@@ -66,20 +67,23 @@ def violations(
 
 
 class _Check:
-    """All tests of one step."""
+    """All checks of one step."""
 
     def __init__(self, profile: RobotProfile, field: Field, demands: Demands):
         self._profile, self._field, self._demands = profile, field, demands
 
     def step(self, body: Array, feet: Array, planned: NDArray[np.bool_], step: PassageStep) -> Iterator[str]:
-        """What is wrong with a step from a body (3,) and feet (6, 3) [m] {strip}, of which some stand where planned."""
+        """Yield the violations of a step.
+
+        It begins with the body at (3,) and feet at (6, 3) [m] {strip}; `planned` marks feet placed by the plan.
+        """
         swing = np.arange(6) == step.leg
         if np.linalg.norm((step.body - body)[:2]) > self._demands.body_step:
             yield f"the body goes {np.linalg.norm((step.body - body)[:2]):.3f} m"
         if swing.any():
             yield from self._touchdown(feet, step)
         time = np.linspace(0.0, 1.0, _TIMES)
-        # The body goes at an even speed between two steps that join, or starts and stops with each: both must do.
+        # The body moves at constant speed between joined steps, or starts and stops with each: check both.
         for share in (time, time**2 * (3.0 - 2.0 * time)):
             bodies = body + share[:, None] * (step.body - body)
             placed = np.repeat(feet[None], _TIMES, axis=0)
@@ -88,7 +92,7 @@ class _Check:
             yield from self._motion(bodies, placed, swing, planned)
 
     def _touchdown(self, feet: Array, step: PassageStep) -> Iterator[str]:
-        """Where a foot comes down: on known good ground, at its height, away from the others."""
+        """Check a touchdown: on known good ground, at its height, away from other feet."""
         name, field = LEGS[step.leg], self._field
         i, j = np.rint((step.touchdown[:2] - field.corner) / field.resolution).astype(int).tolist()
         nx, ny = field.evaluation.shape
@@ -108,10 +112,10 @@ class _Check:
             yield f"a clearance of {step.clearance:.3f} m"
 
     def _motion(self, bodies: Array, feet: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]) -> Iterator[str]:
-        """Bodies (n, 3) and feet (n, 6, 3) [m] {strip} through a step."""
+        """Check bodies (n, 3) and feet (n, 6, 3) [m] {strip} during a step."""
         profile, demands = self._profile, self._demands
         local = feet - bodies[:, None]
-        for leg in np.flatnonzero(swing):  # as the actuator flies
+        for leg in np.flatnonzero(swing):  # as the actuator executes swings
             T, back = profile.T_coxa_body[leg], profile.T_body_coxa[leg]
             wanted = local[:, leg].copy()
             local[:, leg] = apply(back, leg_nearest_reachable(apply(T, wanted), profile.leg_reach[leg], profile.links))
@@ -128,13 +132,16 @@ class _Check:
         yield from self._torques(q, local, swing)
         yield from self._trunk(bodies)
         if np.isnan(q).any():
-            return  # said already
+            return  # reported already
         points = leg_points(profile, q) + bodies[:, None, None]
         yield from self._distances(points)
         yield from self._over_ground(points, np.flatnonzero(swing))
 
     def _joints(self, q: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]) -> Iterator[str]:
-        """Masri 2016, eq. (3.14)-(3.16). A foot where the robot found itself may be a shade beyond."""
+        """Check joint limits: Masri 2016, eq. (3.14)-(3.16).
+
+        A foot of the initial stance may be slightly beyond its limits.
+        """
         limits = self._profile.joint_limits
         for leg in range(6):
             spare = _SMALL_TURN if planned[leg] or swing[leg] else np.radians(0.5)
@@ -146,7 +153,10 @@ class _Check:
                 yield f"{LEGS[leg]} leg: {JOINTS[joint]} at {angle:.1f} deg, {'swinging' if swing[leg] else 'standing'}"
 
     def _places(self, local: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]) -> Iterator[str]:
-        """No foot under the body, front feet before the body's front axes, rear feet behind the rear ones (5.1.1, 5.2.1)."""
+        """Check foot regions (5.1.1, 5.2.1).
+
+        No foot is under the body. Front feet are in front of the body's front axes, rear feet behind the rear ones.
+        """
         length, width, _ = self._profile.body.size
         mounts = self._profile.T_body_coxa[:, 0, 3]
         for leg in range(6):
@@ -160,7 +170,10 @@ class _Check:
                 yield f"{LEGS[leg]} foot beyond its axis by {-ahead.min():.3f} m"
 
     def _torques(self, q: Array, local: Array, swing: NDArray[np.bool_]) -> Iterator[str]:
-        """Static torques of the standing legs, which share the weight with the least squares of forces that balance it."""
+        """Check static torques of the standing legs.
+
+        The legs share the weight: the forces are the least-squares solution of the balance.
+        """
         most = self._demands.torque * self._profile.servo.stall_torque
         weight = self._profile.body.total_mass * GRAVITY
         for k in (0, len(q) - 1):
@@ -175,7 +188,10 @@ class _Check:
                 yield f"{LEGS[leg]} leg: {torques.max():.2f} N m at the {JOINTS[joint]}"
 
     def _distances(self, points: Array) -> Iterator[str]:
-        """Femurs and tibias (n, 6, 4, 3) of neighbouring legs: places along one from the links of the other."""
+        """Check distances between femurs and tibias (n, 6, 4, 3) of neighbouring legs.
+
+        Points along the links of one leg are compared with the links of the other.
+        """
         for leg in range(6):
             other = (leg + 1) % 6
             gap = min(_nearest(points[:, a, 1:], points[:, b, 1:]) for a, b in ((leg, other), (other, leg)))
@@ -183,7 +199,7 @@ class _Check:
                 yield f"{LEGS[leg]} and {LEGS[other]} legs {gap:.3f} m apart"
 
     def _trunk(self, bodies: Array) -> Iterator[str]:
-        """The trunk over the map."""
+        """Check the clearance of the trunk above the map."""
         length, width, height = self._profile.body.size
         along, across = (
             np.linspace(-size / 2, size / 2, 1 + round(2 * size / self._field.resolution)) for size in (length, width)
@@ -195,7 +211,7 @@ class _Check:
                 yield f"the trunk {body[2] - height / 2 - under.max():.3f} m over the ground"
 
     def _over_ground(self, points: Array, legs: NDArray[np.intp]) -> Iterator[str]:
-        """Legs and the swinging foot over the map."""
+        """Check the clearance of the legs and of the swinging foot above the map."""
         shank = (
             points[:, :, 3, None] + np.array([0.35, 0.5, 0.75, 1.0])[:, None] * (points[:, :, 2] - points[:, :, 3])[:, :, None]
         )
@@ -213,7 +229,10 @@ class _Check:
                 yield f"{LEGS[leg]} foot passes {gap[at]:.3f} m over the ground, {off[at]:.3f} m from its end"
 
     def _ground(self, x: Array, y: Array) -> Array:
-        """Height [m] of the ground under places, -inf where it is unknown or beside the strip."""
+        """Return the height [m] of the ground under points.
+
+        It is -inf where the ground is unknown, and outside the strip.
+        """
         h, (x0, y0), resolution = self._field.elevation, self._field.corner, self._field.resolution
         i, j = np.rint((x - x0) / resolution).astype(int), np.rint((y - y0) / resolution).astype(int)
         inside = (i >= 0) & (j >= 0) & (i < h.shape[0]) & (j < h.shape[1])
@@ -222,7 +241,10 @@ class _Check:
 
 
 def _nearest(one: Array, other: Array) -> float:
-    """Least distance [m] of places along two links (n, 3, 3), end to end, from two others."""
+    """Return the least distance [m] between points on links and two other links.
+
+    Links are (n, 3, 3) points, connected end to end.
+    """
     places = (one[:, :2, None] + _ALONG[:, None] * (one[:, 1:] - one[:, :2])[:, :, None]).reshape(len(one), -1, 1, 3)
     begin, way = other[:, None, :2], (other[:, 1:] - other[:, :2])[:, None]
     share = np.clip(((places - begin) * way).sum(axis=-1) / (way * way).sum(axis=-1), 0.0, 1.0)
@@ -230,7 +252,7 @@ def _nearest(one: Array, other: Array) -> float:
 
 
 def _flown(foot: Array, step: PassageStep) -> Array:
-    """Where (n, 3) [m] {strip} the actuator has a foot through its swing."""
+    """Return foot positions (n, 3) [m] {strip} of the actuator's swing trajectory."""
     target = step.touchdown[None]
     swing = Swing(foot[None], target, np.array([step.clearance]))
     dt = 1.0 / (_TIMES - 1)

@@ -1,4 +1,4 @@
-"""What is judged of a gap that is crossed on pillars: where feet stood on them, whether one was off, what planning came to."""
+"""Metrics of a gap crossed on pillars: footholds, feet off the pillars, planning."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,16 @@ from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import PassagePlan
 
-_OVER_NOTHING = 0.03  # [m] of air under a standing foot's underside: what holds it, if anything, is an edge beside it
-_FALLEN = 0.08  # [m] under the other feet's undersides: it stands in the gap
-_LASTING = round(0.1 * topics.TRUTH.rate_hz)  # samples of truth: by plan a foot still swings, or does so already
+_OVER_NOTHING = 0.03  # [m] of air under a standing foot: it stands on an edge at most
+_FALLEN = 0.08  # [m] below the other feet: the foot stands in the gap
+_LASTING = round(0.1 * topics.TRUTH.rate_hz)  # samples of truth: shorter events occur around planned swings
 
 
 def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
-    """The part of a report that is about a passage; see there. `passable` is what others have found out, None for nothing."""
+    """Return the passage part of a report.
+
+    `passable` is the result of an exhaustive search, None if there is none.
+    """
     edge = course.edge_distance(trace.touchdowns.p[:, :2])
     edge = edge[np.isfinite(edge)]
     p05, median = np.percentile(edge, [5, 50]).tolist() if len(edge) else (float("nan"), float("nan"))
@@ -37,12 +40,17 @@ def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, pass
 
 
 def steps_of(plan: PassagePlan) -> int:
-    """How many steps of legs a plan has for walking: none where there is no way, for it shows only how far one would come."""
+    """Return the number of leg steps in a plan.
+
+    It is 0 if there is no way: such a plan only shows how far the robot would come.
+    """
     return 0 if plan.state == "no way" else int(np.count_nonzero(plan.leg < len(LEGS)))
 
 
 def feet_off(underside: Array, ground: Array, standing: NDArray[np.bool_]) -> int:
-    """How often a foot that stands, or should, is over nothing or in the gap, for a tenth of a second at least.
+    """Count how often a standing foot is over nothing or in the gap.
+
+    Shorter events than a tenth of a second are ignored.
 
     Args:
         underside: (n, 6) [m] lowest points of the feet.
@@ -55,5 +63,5 @@ def feet_off(underside: Array, ground: Array, standing: NDArray[np.bool_]) -> in
 
 
 def _standing(walk: Walk) -> NDArray[np.bool_]:
-    """Feet (n, 6) that stand by plan, from the first step on."""
+    """Return the feet (n, 6) in stance by plan, from the first step on."""
     return np.asarray(~walk.swing & np.logical_or.accumulate(walk.walking)[:, None])

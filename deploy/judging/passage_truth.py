@@ -1,4 +1,7 @@
-"""Whether the true ground of a run whose seed decides has a way across: for the scorer, who may know it, and nobody else."""
+"""Whether the true ground of a run has a way across, where the seed decides.
+
+Only the scorer may use this.
+"""
 
 import numpy as np
 
@@ -13,26 +16,28 @@ from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import PillarField, Scenario
 
-_HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8  # [m] of a band whose share on a level [m] tells where the gap begins
-_CYCLES = 30  # of the gait: the whole way in one section
+# Half width [m] of a band, tolerance in height [m], and the share [1] of supporting ground below which the gap begins.
+_HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8
+_CYCLES = 30  # cycles of the gait: enough for the whole way in one section
 
 
 def decided_by_seed(scenario: Scenario) -> bool:
-    """Whether it goes by the seed if there is a way across."""
+    """Return whether it depends on the seed if there is a way across."""
     return (
         scenario.goal.passage and scenario.goal.expect == "either" and any(isinstance(p, PillarField) for p in scenario.terrain)
     )
 
 
 def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> bool | None:
-    """Whether a robot that stands before the first gap ahead can get behind it; as `passable` says it.
+    """Return whether a robot in front of the first gap can get behind it.
 
-    The strip lies along x of {start}; heights are the true ones, evaluated as the mapper does.
+    None where `passable` cannot tell. The strip lies along x of {start}. Heights are the true ones, evaluated as the mapper
+    does.
 
     Args:
         profile: The robot.
-        scenario: The run's.
-        course: Its true ground, laid under its start.
+        scenario: The scenario of the run.
+        course: Its true ground, placed under its start.
     """
     height = scenario.walk.body_height
     near = gap_begins(course, scenario.goal.distance) - BEFORE - BEHIND
@@ -45,7 +50,10 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
 
 
 def gap_begins(course: Course, until: float) -> float:
-    """Where [m] {start} the ground ahead ceases to carry at the start's level as anywhere; `until` [m] where it never does."""
+    """Return x [m] {start} where the ground ahead stops carrying at the start's level.
+
+    Return `until` [m] if it carries everywhere.
+    """
     x, y = np.arange(0.0, until, RESOLUTION), np.arange(-_HALF_WIDTH, _HALF_WIDTH, RESOLUTION)
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(len(x), len(y))
     bare = (np.abs(heights) < _LEVEL).mean(axis=1) < _CARRYING
@@ -53,7 +61,10 @@ def gap_begins(course: Course, until: float) -> float:
 
 
 def strip_from(course: Course, near: float, body_height: float) -> Field:
-    """The strip whose near side is at a place [m] {start}, for a robot that walks so high [m]."""
+    """Return the strip whose near side is at x = `near` [m] {start}.
+
+    The robot's body height is `body_height` [m].
+    """
     n = [round(length / RESOLUTION) for length in STRIP]
     x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)

@@ -1,6 +1,6 @@
-"""What a run comes to: `report.json`, the contract for scripts.
+"""The result of a run: `report.json`, the contract for scripts.
 
-Floats are rounded to six digits, NaN (nothing to measure) becomes null, keys stand in the order of the declarations.
+Floats are rounded to six digits. NaN (nothing to measure) becomes null. Keys are in the order of the declarations.
 """
 
 import dataclasses
@@ -15,12 +15,12 @@ from sextant.shared.files import whole_files
 _NAN = float("nan")
 _DIGITS = 6
 FILE = "report.json"
-ARRIVED = "goal reached"  # the reason of a run that is a success by arriving
+ARRIVED = "goal reached"  # the reason of a run that succeeds by arriving
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """The usual and the worst."""
+    """The 95th percentile and the maximum."""
 
     p95: float = _NAN
     max: float = _NAN
@@ -28,7 +28,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """Motor torque [N m] over all joints, and the root mean square of the joint where that is highest."""
+    """Motor torque [N m] over all joints, and the highest RMS of one joint."""
 
     p95: float = _NAN
     max: float = _NAN
@@ -37,7 +37,7 @@ class Torque:
 
 @dataclass(frozen=True, slots=True)
 class HeightError:
-    """True height of the body less the one commanded [m]."""
+    """True minus commanded height of the body [m]."""
 
     mean: float = _NAN
     rms: float = _NAN
@@ -45,7 +45,7 @@ class HeightError:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """How far a planted foot moves sideways in a step [m]."""
+    """Sideways motion of a planted foot in a step [m]."""
 
     p50: float = _NAN
     p95: float = _NAN
@@ -53,7 +53,7 @@ class Slip:
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Estimated less true position of the body [m]."""
+    """Estimated minus true position of the body [m]."""
 
     rms: float = _NAN
     final: float = _NAN
@@ -61,7 +61,10 @@ class PoseError:
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Mapped less true height [m] within a metre of the robot, and the known share of the ground just ahead [1]."""
+    """Mapped minus true height [m] within 1 m of the robot, and coverage.
+
+    Coverage is the known share [1] of the ground just ahead.
+    """
 
     rmse: float = _NAN
     bias: float = _NAN
@@ -71,21 +74,21 @@ class MapError:
 
 @dataclass(frozen=True, slots=True)
 class CourseMap:
-    """The maps of a run laid over each other, the newest measurement of each cell on top, less the true ground [m].
+    """Mosaic of a run's maps minus the true ground [m].
 
-    In the words of `sextant bench accuracy`; assumed cells are left out.
+    Each cell holds its newest measurement. Names are those of `sextant bench accuracy`; assumed cells are excluded.
     """
 
     rmse: float = _NAN
     off_edges: float = _NAN  # rmse of cells further than 2 cm from an edge
     bias: float = _NAN
-    edge: float = _NAN  # median distance from a true edge of more than 2 cm to the mapped one
-    coverage: float = _NAN  # [1] known share of the cells that the camera had in view
+    edge: float = _NAN  # median distance from a true edge higher than 2 cm to the mapped edge
+    coverage: float = _NAN  # [1] known share of the cells in the camera's view
 
 
 @dataclass(frozen=True, slots=True)
 class FootholdEdge:
-    """How far the footholds on pillars, and on whatever else is as narrow, are from the nearest true edge [m]."""
+    """Distance [m] of footholds on narrow tops from the nearest edge."""
 
     p05: float = _NAN
     median: float = _NAN
@@ -93,30 +96,33 @@ class FootholdEdge:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What planning at one stop of a passage came to, in the words of `sextant.shared.wire.messages.PassagePlan`."""
+    """Result of planning at one stop of a passage.
+
+    Fields are those of `sextant.shared.wire.messages.PassagePlan`.
+    """
 
     state: str
     reason: str
-    generated: int  # nodes, Masri's n_g
-    expanded: int  # expansions, in vain or not, his n_e
+    generated: int  # number of nodes, n_g of Masri
+    expanded: int  # number of expansions, successful or not, n_e of Masri
     planning_ms: float  # timing
-    steps: int  # of legs, that are planned to be walked: none where there is no way
+    steps: int  # planned steps of legs: 0 where there is no way
 
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How a gap was crossed on pillars; without any there is nothing of it but the feet."""
+    """How a gap was crossed on pillars; without pillars only `feet_off` applies."""
 
     pillar_touchdowns: int = 0
     foothold_edge_m: FootholdEdge = FootholdEdge()
-    feet_off: int = 0  # times a foot that should stand was over nothing, beside a pillar, or in the gap
-    passable: bool | None = None  # by an exhaustive search offline; null where nobody has looked, or it cannot tell
-    sections: tuple[Section, ...] = ()  # in their order: one for each time it stopped to plan
+    feet_off: int = 0  # times that a standing foot was over nothing, next to a pillar, or in the gap
+    passable: bool | None = None  # by an exhaustive search offline; null if no search was made or its result is unknown
+    sections: tuple[Section, ...] = ()  # in order: one for each stop to plan
 
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """How long a stage of the work took [ms]."""
+    """Duration of a stage of the work [ms]."""
 
     p50: float
     p99: float
@@ -124,75 +130,78 @@ class StageTime:
 
 @dataclass(frozen=True, slots=True)
 class InputAges:
-    """How old an input of a service was at its uses [s]."""
+    """Age of a service's input when it is used [s]."""
 
     max: float
-    limit: float  # beyond which it is of no use
-    late: float  # [1] share of the uses beyond the limit
+    limit: float  # above which the input is unusable
+    late: float  # [1] share of the uses above the limit
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One run, judged by the truth. Metrics of the walk are NaN when it took no step."""
+    """One run, evaluated by ground truth.
+
+    Metrics of the walk are NaN if no step was taken.
+    """
 
     scenario: str
     seed: int
     robot: str
     gait: str
     blind: bool  # the baseline without a map
-    success: bool  # goal truly reached, or refused where that is right; no fall, no servo shut down, on a route no collision
-    reason: str  # in words
-    distance_m: float  # true progress along the starting direction
+    success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
+    reason: str  # as text
+    distance_m: float  # true progress along the initial heading
     duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
     speed_mps: float  # true mean over that time
     falls: int
     shutdowns: int  # servos that latched an error
     steps: int
-    tilt_deg: Spread = Spread()  # against the commanded attitude
+    tilt_deg: Spread = Spread()  # from the commanded attitude
     commanded_tilt_deg: Spread = Spread()
     torque_nm: Torque = Torque()
     touchdowns: int = 0
-    raised_touchdowns: int = 0  # on ground more than 5 mm over the start's: blocks and stairs
-    raised_block_touchdowns: int = 0  # of those, on blocks
+    raised_touchdowns: int = 0  # on ground more than 5 mm above the start: blocks and stairs
+    raised_block_touchdowns: int = 0  # those on blocks
     body_height_error_m: HeightError = HeightError()
-    body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, telling on level ground only
+    body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, meaningful on level ground only
     slip_m_per_step: Slip = Slip()
-    missteps: int = 0  # touchdowns where there truly is no foothold
-    collisions: int = 0  # times a foot or the body ran into what is higher than a step, or a foot hung in a hole
+    missteps: int = 0  # touchdowns where the true ground is no foothold
+    collisions: int = 0  # times that a foot or the body hit an obstacle higher than a step, or a foot hung in a hole
     min_stability_margin_m: float = _NAN
     pose_error_m: PoseError = PoseError()
     map_error_m: MapError = MapError()
     course_map_m: CourseMap = CourseMap()
     passage: Passage = Passage()
-    real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not the same twice
-    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing too
-    too_slow: str = ""  # that the computer was too slow, in words; empty when it was not
-    late_s: float = 0.0  # [s] of the run for which services had inputs that were too old, through a slow computer or link
-    input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input", its topic key or "beat"
-    missed_beats: dict[str, int] = field(default_factory=dict)  # of each service with a clock of its own, left out
+    real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not reproducible
+    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing, too
+    too_slow: str = ""  # why the computer was too slow, as text; empty if it was not
+    late_s: float = 0.0  # [s] of the run in which services had inputs that were too old, because of a slow computer or link
+    input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input": the input is a topic key or "beat"
+    missed_beats: dict[str, int] = field(default_factory=dict)  # missed cycles of each service with its own clock
 
 
 def without_timing(report: Report) -> Report:
-    """The part of a report that one seed determines."""
+    """Return the part of a report that the seed determines."""
     sections = tuple(replace(section, planning_ms=_NAN) for section in report.passage.sections)
     passage = replace(report.passage, sections=sections)
     return replace(report, passage=passage, real_time_factor=_NAN, stages_ms={}, too_slow="")
 
 
 def as_table(report: Report) -> dict[str, Any]:
-    """Plain nested tables, rounded, stages in alphabetical order."""
+    """Return the report as nested dictionaries, rounded, with sorted stages."""
     table: dict[str, Any] = plain(report)
     table["stages_ms"] = dict(sorted(table["stages_ms"].items()))
     return table
 
 
 def to_json(report: Report) -> str:
-    """The report as JSON text that ends in a line break."""
+    """Return the report as JSON text with a final newline."""
     return json.dumps(as_table(report), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write(report: Report, folder: Path) -> None:
-    """Write `report.json` into a folder, made where it is missing; a half-written file is never seen.
+    """Write `report.json` atomically into a folder, which is created if missing.
 
     Raises:
         WriteError: It cannot be written.
@@ -202,9 +211,9 @@ def write(report: Report, folder: Path) -> None:
 
 
 def check(table: object, kind: type = Report) -> list[str]:
-    """What a table lacks to be a report, or of another kind, in words and with its place; nothing when it is one.
+    """Return the problems of a table as a report (or another kind); empty if valid.
 
-    Further keys are allowed.
+    Each problem names its path. Further keys are allowed.
     """
     problems: list[str] = []
     _check(table, kind, "", problems)
@@ -212,7 +221,7 @@ def check(table: object, kind: type = Report) -> list[str]:
 
 
 def passage_of(table: dict[str, Any]) -> Passage:
-    """A passage of its table, in which `check` finds nothing wrong."""
+    """Build a passage from its table, which `check` has accepted."""
     sections = tuple(Section(**_numbered(section)) for section in table["sections"])
     edge = FootholdEdge(**_numbered(table["foothold_edge_m"]))
     return Passage(**{**table, "foothold_edge_m": edge, "sections": sections})
@@ -223,7 +232,10 @@ def _numbered(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: tables of dataclasses, lists of tuples, floats rounded, null for NaN."""
+    """Convert a value to JSON types.
+
+    Dataclasses become dictionaries, tuples lists, NaN null; floats are rounded.
+    """
     if dataclasses.is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
@@ -231,7 +243,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [plain(item) for item in value]
     if isinstance(value, float):
-        return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero takes the sign off -0.0
+        return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero turns -0.0 into 0.0
     return value
 
 

@@ -1,4 +1,4 @@
-"""What the services said of themselves in a run: the states they were in, and the words in which they refused or complained."""
+"""The services' own reports in a run: their states, refusals and complaints."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -12,41 +12,42 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PlannerS
 Speaker = Literal["planner", "actuator", "perception"]
 SPEAKERS: tuple[Speaker, ...] = ("planner", "actuator", "perception")
 
-_SILENT = 1.0  # [s] after which who has said nothing is not in a state any more
-_ROUTINE = "plan of step # does not follow step #"  # of a plan that crossed the end of a step on its way
-_LACKING = ("no fresh", "where the robot is", "the actuator is in mode", "the terrain map", "by touch: no pose")  # of a wait
-_LONG = 0.3  # [s] that a planner waits or stands now and then without it meaning anything
+_SILENT = 1.0  # [s] without a message after which a service's state ends
+_ROUTINE = "plan of step # does not follow step #"  # from a plan that crossed the end of a step in transit
+# First words of the reasons for waiting.
+_LACKING = ("no fresh", "where the robot is", "the actuator is in mode", "the terrain map", "by touch: no pose")
+_LONG = 0.3  # [s] minimum duration of a planner's wait or stop that matters
 
 
 @dataclass(frozen=True, slots=True)
 class Spell:
-    """A time through which a service said that it was in one state."""
+    """An interval in which a service reported one state."""
 
     who: Speaker
     state: str
     begin: float  # [s]
-    end: float  # [s] where it said something else, or fell silent
+    end: float  # [s] the state changed, or the service went silent
 
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """Why something did not go on, in a service's own words, for as long as it said so."""
+    """A service's reason for not going on, with the interval in which it was reported."""
 
     who: Speaker
     begin: float  # [s]
     end: float  # [s]
-    words: str  # the last of them: figures in them may change meanwhile
-    leg: int = -1  # that has no foothold
+    words: str  # the newest wording: its numbers may change in the meantime
+    leg: int = -1  # the leg that has no foothold
 
 
 _FIGURE = re.compile(r"[-+]?\d+(\.\d+)?")
 _LEGS = re.compile(r"({0})((, | and )({0}))*".format("|".join(LEGS)))
 
-Word = tuple[float, str, int]  # time [s], what was said, leg
+Word = tuple[float, str, int]  # time [s], reason, leg
 
 
 def spells(heard: Heard) -> tuple[Spell, ...]:
-    """The states of a run's services, one after the other for each."""
+    """Return the states of a run's services, in sequence for each service."""
     found: list[Spell] = []
     for who in SPEAKERS:
         states = [(_seconds(heard, message.stamp_ns), _state(message)) for message in _of(heard, who)]
@@ -61,7 +62,10 @@ def spells(heard: Heard) -> tuple[Spell, ...]:
 
 
 def complaints(heard: Heard) -> tuple[Complaint, ...]:
-    """Refusals and complaints of a run in order of time; what only differs in its figures is one."""
+    """Return refusals and complaints of a run in order of time.
+
+    Reasons that differ only in their numbers count as one.
+    """
     begun = _seconds(heard, heard.first_step_ns) if heard.first_step_ns is not None else float("inf")
     statuses = [(_seconds(heard, status.stamp_ns), status) for status in heard.statuses]
     planner = _together("planner", ((t, *_refusal(status, t > begun)) for t, status in statuses))
@@ -76,7 +80,10 @@ def complaints(heard: Heard) -> tuple[Complaint, ...]:
 
 
 def last_reason(heard: Heard) -> str:
-    """Who stopped the walk last, and the reason: of planner and actuator, whichever complained last; empty if neither did."""
+    """Return the service that stopped the walk last, with its reason, or "".
+
+    The service is the planner or the actuator: the one with the newest complaint.
+    """
     found = [c for c in complaints(heard) if c.who != "perception"]
     if not found:
         return ""
@@ -108,17 +115,20 @@ def _state(message: PlannerStatus | ActuatorState | BodyPose) -> str:
 
 
 def _refusal(status: PlannerStatus, walked: bool) -> tuple[str, int]:
-    """Words and leg of a planner that does not go on; before the first step, or to look around, it may wait."""
+    """Return the reason and the leg of a planner that does not go on.
+
+    It may wait before the first step, or to look around.
+    """
     stands = status.state == "blocked" or (walked and status.state == "waiting" and status.reason.startswith(_LACKING))
     return (status.reason, status.blocked_leg) if stands else ("", -1)
 
 
 def _together(who: Speaker, words: Iterable[Word]) -> list[Complaint]:
-    """What was said without a break, as one complaint each."""
+    """Merge the same reason, reported without a break, into one complaint."""
     found: list[Complaint] = []
     running = ""
     for t, text, leg in words:
-        if running and t - found[-1].end < _SILENT:  # it held until now
+        if running and t - found[-1].end < _SILENT:  # it lasted until now
             found[-1] = Complaint(who, found[-1].begin, t, found[-1].words, found[-1].leg)
         kind = kind_of(text)
         if kind and kind == running and t - found[-1].end < _SILENT:
@@ -130,5 +140,5 @@ def _together(who: Speaker, words: Iterable[Word]) -> list[Complaint]:
 
 
 def kind_of(words: str) -> str:
-    """What words say apart from the figures and legs in them."""
+    """Return a text without its numbers and legs."""
     return _LEGS.sub("leg", _FIGURE.sub("#", words))

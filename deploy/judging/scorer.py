@@ -1,7 +1,8 @@
-"""Judges a run by the truth: ends it, and says afterwards how good it was.
+"""Evaluate a run against ground truth: detect its end, and compute its report.
 
-Per message it keeps what comes and looks only for the end (a fall, the goal, the time limit); once a second it compares the
-newest map. All else is computed once, in `result`, over whole arrays. Frame: {start}, as in `sextant.deploy.judging.course`.
+For each message, the scorer stores the data and checks only for the end: a fall, the goal or the time limit. Once a second it
+compares the newest map. `result` computes everything else once, over whole arrays. Frame: {start}, as in
+`sextant.deploy.judging.course`.
 """
 
 from collections import deque
@@ -28,19 +29,19 @@ from sextant.shared.wire.messages import GroundTruth, Message, TerrainMap
 
 FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
-_CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall
-_REST_NS = 500_000_000  # [ns] at rest once the body has kept still for so long
-_REST_MOTION = 0.003  # [m] stillness
-_LOST_NS = 2_000_000_000  # [ns] a run goes on after a servo has shut down: a latched error stays
+_CLEARANCE = 0.005  # [m] a body underside closer to the ground than this counts as a fall
+_REST_NS = 500_000_000  # [ns] the body is at rest after it has not moved for this time
+_REST_MOTION = 0.003  # [m] motion below which the body counts as not moving
+_LOST_NS = 2_000_000_000  # [ns] a run continues for this time after a servo shutdown: a latched error persists
 _MAP_PERIOD_NS = 1_000_000_000  # [ns]
-_COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
-_PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
-_ROUTE_MARGIN = 2.0  # [m] likewise, where the planner finds the way
-_RESOLUTIONS, _FAR = (0.001, 1.0), 1e4  # [m] cells and places of maps that make sense
+_COURSE_MARGIN = 1.2  # [m] of map kept around the course
+_PATH_MARGIN = 0.5  # [m] around the straight path: the area of the ground grid used to detect falls
+_ROUTE_MARGIN = 2.0  # [m] the same margin for scenarios in which the planner chooses the route
+_RESOLUTIONS, _FAR = (0.001, 1.0), 1e4  # [m] valid cell sizes of a map, and the largest valid origin
 
 
 class Scorer:
-    """Judge of one run; reads the truth, writes nothing."""
+    """Evaluator of one run; it reads the ground truth and publishes nothing."""
 
     name = "scorer"
     paced_by = topics.TRUTH
@@ -67,10 +68,10 @@ class Scorer:
 
         Args:
             profile: The robot.
-            scenario: What it is to do.
-            seed: The run's.
+            scenario: The scenario of the run.
+            seed: Seed of the run.
             terrain: The ground, in place of the scenario's.
-            passable: Whether there is a way at all, where the seed decides; None for who has not looked: it looks itself.
+            passable: Whether a way across exists, where the seed decides; None to let the scorer search for one.
         """
         self.stages = Stages()
         self.finished = self._looked = False
@@ -82,7 +83,7 @@ class Scorer:
         self._stood = False  # a robot that starts on its belly has not fallen
         self._fall = ""
         self._shutdown_ns: int | None = None
-        self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have, even if they are back
+        self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have shut down at any time, even if they work again
         self._end = ""
         self._x = 0.0
         self._maps: MapJudge | None = None
@@ -91,10 +92,10 @@ class Scorer:
         self._walk: Walk | None = None
         self._trace: Trace | None = None
 
-    # -- while it runs
+    # -- during the run
 
     def step(self, truth: GroundTruth, inbox: Inbox) -> Iterable[Message]:
-        """Take in one message of truth and what the services have said."""
+        """Process one message of ground truth and the newly received service messages."""
         heard = self._heard
         stood = heard.first_step_ns is None
         heard.take_in(truth, inbox)
@@ -115,24 +116,27 @@ class Scorer:
         return ()
 
     def doing(self) -> str:
-        """How far it is, by the truth."""
+        """Return the progress by ground truth, or the reason for the end."""
         return self._end or f"judging: truly {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
 
     @property
     def reason(self) -> str:
-        """Why the run is over, in words; empty while it is not."""
+        """Reason for the end of the run as text; empty while it goes on."""
         return self._end
 
     def _lay_start(self, T: Array) -> None:
-        """Lay {start} under a pose (4, 4) of the body in the simulator's world."""
+        """Place {start} under a body pose (4, 4) in the simulator's world."""
         self._course.lay(T, float(self._heard.truth[-1].feet[:, 2].min()) - self._profile.foot.radius)
-        self._maps = None  # what was laid over the old frame
+        self._maps = None  # the old maps used the previous {start}
         self._rows = self._course.T_start_sim[:3].tolist()
         margin = _ROUTE_MARGIN if self._scenario.goal.route else _PATH_MARGIN
         self._ground = GroundHeights(self._course.around(margin), self._course.T_start_sim, self._course.height_at)
 
     def _anchor(self) -> None:
-        """Lay {start} anew where the robot stands before its first step, so that truth and estimate agree there."""
+        """Place {start} again where the robot stands before its first step.
+
+        There, truth and estimate then agree.
+        """
         heard = self._heard
         newest = heard.poses[-1].stamp_ns if heard.poses else 0
         poses = [p for p in heard.poses if p.stamp_ns > newest - _REST_NS and heard.begin_ns <= p.stamp_ns]
@@ -145,7 +149,7 @@ class Scorer:
         self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]))
 
     def _mistaken(self, truth: GroundTruth) -> str:
-        """Why this is not the run that is to be judged, in words; empty where it is."""
+        """Return why this is not the expected run, or an empty string."""
         wanted = (self._scenario.name, self._seed, self._profile.name)
         found = (truth.scenario, truth.seed, truth.robot)
         words = "{} with seed {} and robot {}"
@@ -173,7 +177,7 @@ class Scorer:
         self.finished = bool(self._end)
 
     def _falling(self, truth: GroundTruth, z: float) -> str:
-        """How the robot is falling, its body at a height [m] {start}, in words; empty while it is not."""
+        """Return how the robot is falling, or ""; `z` is the body's height [m] {start}."""
         T = truth.T_world_body
         on_ground = z - self._ground.under(float(T[0, 3]), float(T[1, 3])) < self._lowest
         self._stood |= not on_ground
@@ -183,7 +187,10 @@ class Scorer:
         return "the body touched the ground" if on_ground and self._stood else ""
 
     def _ending(self, now: int, x: float, y: float) -> str:
-        """Why the run is over now [ns], the body at a place [m] {start}, in words; empty while it is not."""
+        """Return why the run ends at `now` [ns], or an empty string.
+
+        The body is at (x, y) [m] {start}.
+        """
         goal, at_rest = self._scenario.goal, self._rests(now, x, y)
         if self._fall:
             return self._fall
@@ -200,7 +207,7 @@ class Scorer:
         return ""
 
     def _rests(self, now: int, x: float, y: float) -> bool:
-        """Whether the body has kept still for a while."""
+        """Return whether the body has not moved for `_REST_NS`."""
         recent = self._recent
         recent.append((now, x, y))
         while now - recent[0][0] > _REST_NS:
@@ -216,24 +223,24 @@ class Scorer:
     def _look_at(self, terrain: TerrainMap) -> None:
         low, high = _RESOLUTIONS
         if not low <= terrain.resolution <= high or np.abs(terrain.origin).max() > _FAR or not terrain.elevation.size:
-            return  # no map of anything, which the planner says; it must not end the judging
+            return  # an invalid map, which the planner reports; it must not end the evaluation
         if self._maps is None or not self._maps.grid.fits(terrain):
             grid = Grid.of(self._course.around(_COURSE_MARGIN), terrain)
             self._maps = MapJudge(grid, self._course.height_at)
         self._maps.add(terrain, self._heard.poses[-1].T_world_body, compare=self._heard.first_step_ns is not None)
 
-    # -- when it is over
+    # -- after the run
 
     @property
     def walk(self) -> Walk:
-        """The walk sample by sample, empty where nothing came."""
+        """The walk, one row per sample; empty without ground truth."""
         if self._walk is None:
             self._walk = Walk(self._heard, self._course, self._profile)
         return self._walk
 
     @property
     def trace(self) -> Trace:
-        """The run as arrays, empty where nothing came."""
+        """The run as arrays; empty without ground truth."""
         if self._trace is None:
             mosaic = self._maps.mosaic() if self._maps is not None else None
             self._trace = trace_of(self.walk, self._heard, self._course, self._scenario, self._profile, mosaic)
@@ -246,14 +253,14 @@ class Scorer:
         stages_ms: Mapping[str, StageTime] | None = None,
         in_a_hurry: bool = False,
     ) -> Report:
-        """Judge the run as far as it has come.
+        """Evaluate the run so far.
 
         Args:
-            reason: Why the run was ended, where the scorer did not end it (what the operator or the launcher says).
+            reason: Why the run was ended if the scorer did not end it (by the operator or the launcher).
             real_time_factor: Simulated over elapsed time.
-            stages_ms: How long the services' stages took.
-            in_a_hurry: Leave out the map of the whole course, whose judge takes a second or two to get going, and whether there
-                is a way at all, which may take a minute.
+            stages_ms: Durations of the services' stages.
+            in_a_hurry: Skip the map of the whole course, which takes one or two seconds to start, and the search for a way
+                across, which may take a minute.
         """
         scenario, profile = self._scenario, self._profile
         if not in_a_hurry and len(self._heard.truth) > 1:
@@ -285,10 +292,10 @@ class Scorer:
         return self._measured(report, in_a_hurry)
 
     def _look_for_a_way(self) -> None:
-        """Find out whether there is a way at all, once, where the seed decides and nobody has looked."""
+        """Search once for a way across, if the seed decides and the result was not given."""
         if self._looked or self._passable is not None:
             return
-        from sextant.deploy.judging.passage_truth import (  # the planner, which not every scorer has beside it
+        from sextant.deploy.judging.passage_truth import (  # imports the planner, which is not installed everywhere
             decided_by_seed,
             way_exists,
         )
@@ -298,7 +305,10 @@ class Scorer:
             self._passable = way_exists(self._profile, self._scenario, self._course)
 
     def _did_right(self) -> bool:
-        """Whether the robot arrived, or stood and said why, whichever is right here; who turns back on a pillar is wrong."""
+        """Return whether the robot did what is right here: arrive, or stop and report why.
+
+        Refusing after a step onto a pillar is wrong.
+        """
         expect, arrived = self._scenario.goal.expect, self._goal_ns is not None
         refused = bool(self._heard.refusal) and not arrived
         if expect == "either":
@@ -338,7 +348,7 @@ class Scorer:
         return replace(report, passage=passage_figures(self.walk, self._heard, trace, self._course, self._passable))
 
     def _speed(self) -> tuple[float, float]:
-        """Mean speed [m/s] from the first step to the goal, or to the end, and the time [s] that took."""
+        """Return the mean speed [m/s] and duration [s] from the first step to goal or end."""
         heard = self._heard
         if heard.first_step_ns is None:
             return 0.0, 0.0
@@ -360,5 +370,5 @@ class Scorer:
 
 
 def _flat(T: Array) -> Array:
-    """Place and heading of a pose (4, 4): the part that lies in the plane."""
+    """Return the planar part of a pose (4, 4): position x, y and yaw."""
     return transform(rotation_z(yaw_of(T)), np.array([T[0, 3], T[1, 3], 0.0]))

@@ -1,4 +1,4 @@
-"""The times that services took, as reports have them."""
+"""Stage durations of services, in the format of reports."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from sextant.shared.runtime.service import Service
 
 
 def stages_ms(*services: Service) -> dict[str, dict[str, float]]:
-    """Stage -> 50th and 99th percentile [ms], named as in report.json."""
+    """Return stage -> 50th and 99th percentile [ms], named as in report.json."""
     found: dict[str, Any] = {}
     for service in services:
         for stage, (p50, p99) in service.stages.percentiles().items():
@@ -17,5 +17,5 @@ def stages_ms(*services: Service) -> dict[str, dict[str, float]]:
 
 
 def rounded(value: float) -> float:
-    """To as many digits as anybody reads."""
+    """Round to six digits."""
     return round(float(value), 6)

@@ -1,4 +1,4 @@
-"""Where feet came down, which of them the planner had moved, and which stand on what is no foothold."""
+"""Touchdowns: which ones the planner moved, and which ones are missteps."""
 
 from dataclasses import dataclass
 
@@ -13,24 +13,27 @@ from sextant.shared.geometry import Array, apply, inverse
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import StepPlan
 
-_MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
+_MOVED = 0.008  # [m] minimum deviation of a moved touchdown from the pattern of the others
 
 
 @dataclass(frozen=True, slots=True)
 class Touchdowns:
-    """Where feet came down, in order of time."""
+    """Touchdowns in order of time."""
 
     t: Array  # (k,) [s]
     leg: NDArray[np.intp]  # (k,)
     p: Array  # (k, 3) [m] {start} foot centres
-    chosen: Array  # (k, 3) [m] {start} where the planner wanted them, NaN where nobody heard
-    moved: NDArray[np.bool_]  # (k,) placed elsewhere than nominal
+    chosen: Array  # (k, 3) [m] {start} the planner's foothold, NaN where unknown
+    moved: NDArray[np.bool_]  # (k,) not at the nominal place
     raised: NDArray[np.bool_]  # (k,)
     misstep: NDArray[np.bool_]  # (k,)
 
 
 def find_touchdowns(walk: Walk, heard: Heard, course: Course, profile: RobotProfile) -> Touchdowns:
-    """The touchdowns of a walk; a misstep is one where the true ground carries no foot, or gives way under it."""
+    """Return the touchdowns of a walk.
+
+    In a misstep, the true ground does not support a foot, or yields under it.
+    """
     found = touchdowns(walk.contact, walk.swing)
     wanted = np.full((len(found), 3), np.nan)
     sample = np.minimum(found[:, 0] + DEBOUNCE, len(walk.t_ns) - 1)  # the foot has settled
@@ -55,14 +58,15 @@ def find_touchdowns(walk: Walk, heard: Heard, course: Course, profile: RobotProf
 
 
 def moved_legs(plan: StepPlan | None, count: int | None, profile: RobotProfile) -> NDArray[np.bool_]:
-    """Legs (6,) whose touchdown the planner moved.
+    """Return the legs (6,) whose touchdown the planner moved.
 
-    It says how many; which ones shows in their pattern: nominal touchdowns lie alike to their resting places.
+    The planner reports only their number. They are found by their pattern: nominal touchdowns have the same offset from their
+    resting places.
 
     Args:
-        plan: Of the step, None where it was not heard.
-        count: How many the planner says it moved, None where it did not say.
-        profile: Whose resting places.
+        plan: The step's plan, None if it was not received.
+        count: The number of moved touchdowns reported by the planner, None if unknown.
+        profile: The robot, with its resting places.
     """
     moved = np.zeros(6, dtype=bool)
     if plan is None or not plan.swing.any():

@@ -1,4 +1,4 @@
-"""A run as arrays, for the picture and for whoever looks closer."""
+"""A run as arrays, for plots and detailed analysis."""
 
 from dataclasses import dataclass
 
@@ -20,69 +20,72 @@ from sextant.shared.wire.messages import PassageMap, PassagePlan, StepPlan
 
 @dataclass(frozen=True, slots=True)
 class PlannedSection:
-    """What was planned at one stop of a passage, on what map, and how the robot stood there."""
+    """The plan of one stop of a passage, its map, and the robot's true stance."""
 
     plan: PassagePlan
-    map: PassageMap | None  # None where none was heard
+    map: PassageMap | None  # None if no map was received
     feet: Array  # (6, 3) [m] {start} true foot centres
     p: Array  # (3,) [m] {start} true body
 
 
 @dataclass(frozen=True, slots=True)
 class Touches:
-    """Where feet looked for ground and felt none, in order of time."""
+    """Touches of feet that found no ground, in order of time."""
 
     t: Array  # (k,) [s]
     leg: NDArray[np.intp]  # (k,)
-    p: Array  # (k, 3) [m] {start} the deepest that they looked
+    p: Array  # (k, 3) [m] {start} the lowest point reached
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A run as arrays. Times count from the first message of truth; {start} as in `sextant.deploy.judging.course`."""
+    """A run as arrays.
+
+    Times count from the first message of truth. Frame: {start}, as in `sextant.deploy.judging.course`.
+    """
 
     t: Array  # (n,) [s]
     walking: NDArray[np.bool_]  # (n,)
     p_true: Array  # (n, 3) [m] {start} body
-    height_reference: Array  # (n,) [m] {start} commanded height of the body, NaN before the actuator spoke
-    tilt: Array  # (n,) [rad] against the commanded attitude
+    height_reference: Array  # (n,) [m] {start} commanded body height, NaN before the first actuator state
+    tilt: Array  # (n,) [rad] from the commanded attitude
     attitude: Array  # (n, 2) [rad] {start} true roll and pitch of the body
-    attitude_reference: Array  # (n, 2) [rad] and those commanded
+    attitude_reference: Array  # (n, 2) [rad] commanded roll and pitch
     feet: Array  # (n, 6, 3) [m] {start} true foot centres
-    ground: Array  # (n, 6) [m] {start} true height of what is seen under them
+    ground: Array  # (n, 6) [m] {start} true height of the visible ground under the feet
     T: Array  # (n, 4, 4) {start} true body
-    torque: Array  # (n, 6, 3) [N m] size of the motors' torques
+    torque: Array  # (n, 6, 3) [N m] absolute motor torques
     shutdown: NDArray[np.bool_]  # (n, 6, 3) servos that have latched an error
-    margin: Array  # (n,) [m] of the body's centre to the edge of what supports it, negative outside, NaN where nothing is known
-    carrying: NDArray[np.bool_]  # (n, 6) legs that support it
-    in_the_way: NDArray[np.bool_]  # (n, 7) feet, and last the body, that have walked into something
+    margin: Array  # (n,) [m] from the centre of mass to the edge of the support polygon, negative outside, NaN if unknown
+    carrying: NDArray[np.bool_]  # (n, 6) supporting legs
+    in_the_way: NDArray[np.bool_]  # (n, 7) feet, then the body, in collision
     t_estimate: Array  # (m,) [s]
-    p_estimate: Array  # (m, 3) [m] {start} body as perception has it
-    pose_error: Array  # (m,) [m] of that position, NaN before the first step
+    p_estimate: Array  # (m, 3) [m] {start} body position estimated by perception
+    pose_error: Array  # (m,) [m] error of that position, NaN before the first step
     touchdowns: Touchdowns
     no_ground: Touches
     spells: tuple[Spell, ...]
     complaints: tuple[Complaint, ...]
-    plans: tuple[tuple[float, StepPlan], ...]  # the newest revision of each step, with when it was made [s]; {world}
+    plans: tuple[tuple[float, StepPlan], ...]  # newest revision of each step and its time [s]; {world}
     mosaic: Mosaic | None
     sections: tuple[PlannedSection, ...]  # of passages
-    routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the ways to a goal that the planner took, each from the robot on
+    routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the planner's routes to the goal, each starting at the robot
     blocks: Array  # (b, 4, 2) [m] {start} corners of the boxes of the true terrain
-    weak: NDArray[np.intp]  # which of them give way under a foot
+    weak: NDArray[np.intp]  # indices of the boxes that yield under a foot
     goal_distance: float  # [m]
     corridor: float  # [m]
     profile: RobotProfile
 
     @property
     def torque_worst(self) -> Array:
-        """(n,) [N m] highest of all joints."""
+        """Highest torque (n,) [N m] of all joints."""
         return np.asarray(self.torque.reshape(-1, 18).max(axis=1))
 
 
 def trace_of(
     walk: Walk, heard: Heard, course: Course, scenario: Scenario, profile: RobotProfile, mosaic: Mosaic | None
 ) -> Trace:
-    """The run as it has been heard so far, with its maps laid over each other."""
+    """Return the run as arrays, from the messages received so far and the mosaic."""
     t_estimate = np.array([pose.stamp_ns - heard.begin_ns for pose in heard.poses]) * 1e-9
     p_estimate = np.array([pose.T_world_body[:3, 3] for pose in heard.poses]).reshape(-1, 3)
     return Trace(
@@ -129,7 +132,10 @@ def _sections(walk: Walk, heard: Heard) -> tuple[PlannedSection, ...]:
 
 
 def _pose_error(walk: Walk, t: Array, p: Array) -> Array:
-    """How far (m,) [m] estimates (m, 3) at times (m,) [s] are off the truth, from the first step on."""
+    """Return the position error (m,) [m] of estimates (m, 3) at times (m,) [s].
+
+    NaN before the first step.
+    """
     error = np.full(len(t), np.nan)
     if not walk.walking.any():
         return error
@@ -141,7 +147,7 @@ def _pose_error(walk: Walk, t: Array, p: Array) -> Array:
 
 
 def _no_ground(heard: Heard) -> Touches:
-    """The touches that found nothing to stand on, each once."""
+    """Return the touches that found no ground, each once."""
     found: dict[tuple[int, int], Array] = {}
     for state in heard.states:
         for leg in np.flatnonzero(~state.touch_carries & (state.touch_ns >= heard.begin_ns)):
@@ -155,5 +161,5 @@ def _no_ground(heard: Heard) -> Touches:
 
 
 def _lean(up: Array) -> Array:
-    """Roll and pitch (n, 2) [rad] of bodies that have the vertical at (n, 3) {body}."""
+    """Return roll and pitch (n, 2) [rad] of bodies with the vertical (n, 3) {body}."""
     return np.stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))], axis=1)

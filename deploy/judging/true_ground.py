@@ -1,6 +1,6 @@
-"""The true ground under a map's cells: heights, where its edges are, and how far off the map puts them.
+"""The true ground under a map's cells: heights, edges, and errors of mapped edges.
 
-Frame: whatever the heights are given in.
+Frame: that of the given heights.
 """
 
 from collections.abc import Callable
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 
-EDGE = 0.03  # [m] jump in height that is an edge to be found
-INTERIOR = 0.02  # [m] from an edge
-_STEEP = 0.01  # [m] jump over half a cell of a centimetre that makes cells beside it no part of an even surface
-_HALF_CELL = 0.005  # [m] over which that jump is
-_BESIDE = 3  # cells on either side of a true edge, in which both sides must be known for it to be found
-_LOST = 0.05  # [m] an edge that is further off was not found
+EDGE = 0.03  # [m] minimum height difference of an edge
+INTERIOR = 0.02  # [m] minimum distance from an edge of interior cells
+_STEEP = 0.01  # [m] minimum jump over `_HALF_CELL` at which a surface does not count as even
+_HALF_CELL = 0.005  # [m] distance for that jump
+_BESIDE = 3  # cells on either side of a true edge that must be known for a comparison
+_LOST = 0.05  # [m] an edge further off counts as not found
 
 
 class TrueGround:
@@ -28,7 +28,7 @@ class TrueGround:
         Args:
             fine: (2 nx - 1, 2 ny - 1) [m] heights at the cells' centres and midway between them; not finite: no ground.
             resolution: [m] of the map's cells.
-            edge: [m] jump in height that is an edge to be found.
+            edge: [m] minimum height difference of an edge.
         """
         fine = np.where(np.isfinite(fine), fine, np.nan)
         self.resolution = resolution
@@ -54,13 +54,18 @@ class TrueGround:
         resolution: float,
         edge: float = EDGE,
     ) -> "TrueGround":
-        """The ground under nx x ny cells, the first centred at an origin (2,) [m]; height_at takes (n, 2) to (n,) [m]."""
+        """Sample the ground under nx x ny cells.
+
+        The centre of the first cell is at the origin (2,) [m]; `height_at` maps (n, 2) to (n,) [m].
+        """
         x, y = (origin[k] + resolution / 2 * np.arange(2 * shape[k] - 1) for k in (0, 1))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         return cls(height_at(points).reshape(len(x), len(y)), resolution, edge)
 
     def edge_error(self, elevation: NDArray[np.floating]) -> float:
-        """Median distance [m] from true edges, where both sides are mapped, to the nearest mapped one; NaN without edges.
+        """Return the median distance [m] from true edges to the nearest mapped edge.
+
+        Only edges whose two sides are mapped count. NaN without edges.
 
         Args:
             elevation: (nx, ny) [m] the map, NaN where unknown.
@@ -74,7 +79,7 @@ class TrueGround:
         edges = self.edges[whole[cells[:, 0], cells[:, 1]] > 0]
         if not len(edges) or not len(mapped):
             return float("nan") if not len(edges) else _LOST
-        # On a grid twice as fine again, on which midpoints of cells and of half cells both fall on whole numbers.
+        # use a grid twice as fine, on which midpoints of cells and half cells have integer indices
         canvas = np.ones((4 * elevation.shape[0], 4 * elevation.shape[1]), dtype=np.uint8)
         i, j = (2 * mapped).astype(int).T
         canvas[i, j] = 0
@@ -84,7 +89,10 @@ class TrueGround:
 
 
 def edge_points(z: Array, jump: float) -> Array:
-    """Points (k, 2), in grid steps, midway between neighbours whose heights differ by more than a jump [m]."""
+    """Return the points (k, 2), in grid steps, between neighbours of different height.
+
+    Their heights differ by more than `jump` [m].
+    """
     found = []
     for axis in (0, 1):
         at = np.argwhere(np.abs(np.diff(z, axis=axis)) > jump).astype(np.float64)
@@ -94,5 +102,5 @@ def edge_points(z: Array, jump: float) -> Array:
 
 
 def rms(values: Array) -> float:
-    """Root mean square, NaN of nothing."""
+    """Return the root mean square, NaN for an empty array."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

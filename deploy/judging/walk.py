@@ -1,6 +1,7 @@
-"""A walk as arrays, a row per sample of the truth: what was heard of a run, brought together.
+"""A walk as arrays: ground truth combined with the received messages.
 
-Frame: {start}, as in `sextant.deploy.judging.course`. Times count from the first message of truth.
+There is one row per sample of truth. Times count from the first message of truth.
+Frame: {start}, as in `sextant.deploy.judging.course`.
 """
 
 from functools import cached_property
@@ -22,13 +23,13 @@ Flags = NDArray[np.bool_]
 
 DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
-_GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
-_EVERY = 5  # samples of truth, of which one is looked at for what was walked into
-_HANGING = 0.003  # [m] a foot so far over its ground catches the body after a degree of tilt
+_GROUNDED = 0.2  # [1] share of the phase at both ends of a swing in which a foot in contact counts as supporting
+_EVERY = 5  # sampling interval of the collision check, in samples of truth
+_HANGING = 0.003  # [m] a foot this close above its ground supports the body after a tilt of one degree
 
 
 class Walk:
-    """What the truth shows of a walk, beside what the actuator said and was told to do."""
+    """Ground truth of a walk, aligned with the actuator's states and commands."""
 
     def __init__(self, heard: Heard, course: Course, profile: RobotProfile):
         self._heard, self._course, self._profile = heard, course, profile
@@ -46,7 +47,7 @@ class Walk:
 
     @cached_property
     def ground(self) -> Array:
-        """True height (n, 6) [m] {start} of what is seen under the feet."""
+        """True height (n, 6) [m] {start} of the visible ground under the feet."""
         return self._course.height_at(self.feet[..., :2].reshape(-1, 2)).reshape(-1, 6)
 
     @cached_property
@@ -60,10 +61,9 @@ class Walk:
 
     @cached_property
     def carrying(self) -> Flags:
-        """Legs (n, 6) that carry, or would as soon as the body leaned on them.
+        """Legs (n, 6) that support the body, or would after a slight tilt.
 
-        They bear load or their feet are no more than a little over their ground, and are in stance by plan, about to leave or
-        just landed.
+        They bear load or hang just above their ground. By plan, they are in stance, about to lift off or just landed.
         """
         if not self._heard.states:
             return self.bears
@@ -74,7 +74,10 @@ class Walk:
 
     @cached_property
     def margin(self) -> Array:
-        """Distance (n,) [m] of the centre of mass to the edge of what supports it, negative outside; NaN where nothing does."""
+        """Distance (n,) [m] of the centre of mass to the edge of the support polygon.
+
+        It is negative outside, and NaN without a supporting leg.
+        """
         if not self._heard.states:
             return np.full(len(self.t_ns), np.nan)
         q = np.array([m.q for m in self._heard.truth]).reshape(-1, 6, 3)
@@ -83,7 +86,10 @@ class Walk:
 
     @cached_property
     def in_the_way(self) -> Flags:
-        """Feet, and last the body, (n, 7) that have walked into something; every few samples, and False between."""
+        """Feet, then the body, (n, 7) in collision.
+
+        Only every `_EVERY`-th sample is checked; the others are False.
+        """
         flags = np.zeros((len(self.t_ns), 7), dtype=bool)
         some = self._heard.truth[::_EVERY]
         if some:
@@ -94,17 +100,20 @@ class Walk:
 
     @property
     def collisions(self) -> int:
-        """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
+        """Number of collisions.
+
+        A foot or the body hits an obstacle higher than a step, or a foot hangs in a hole.
+        """
         return len(runs(np.asarray(self.in_the_way[::_EVERY].any(axis=1))))
 
     def _align(self) -> None:
-        """For each sample of truth the actuator's word that held then."""
+        """Assign to each sample of truth the actuator state that held at its time."""
         states, n = self._heard.states, len(self.t_ns)
-        self.height_reference: Array = np.full(n, np.nan)  # (n,) [m] {start} of the body; NaN before the actuator spoke
+        self.height_reference: Array = np.full(n, np.nan)  # (n,) [m] {start} of the body; NaN before the first actuator state
         self.up_reference: Array = np.tile([0.0, 0.0, 1.0], (n, 1))  # (n, 3) the vertical in the commanded body
         self.walking: Flags = np.zeros(n, dtype=bool)  # (n,)
         self.swing: Flags = np.zeros((n, 6), dtype=bool)  # (n, 6) by plan
-        self.step: NDArray[np.int64] = np.zeros(n, dtype=np.int64)  # (n,) number of the step that is walked
+        self.step: NDArray[np.int64] = np.zeros(n, dtype=np.int64)  # (n,) number of the current step
         if not states:
             return
         t = np.array([s.stamp_ns - self._heard.begin_ns for s in states], dtype=np.float64)
@@ -119,9 +128,9 @@ class Walk:
         self.up_reference = up[self._state_of]
 
     def _references(self) -> tuple[Array, Array]:
-        """Commanded height (m,) [m] {start} and the vertical in the commanded body (m, 3), for each word of the actuator.
+        """Return commanded body heights (m,) [m] {start} and verticals (m, 3) {body}.
 
-        A reference is {odom}'s; the plan of its step ties it to {world}.
+        There is one row per actuator state. A reference is in {odom}; the plan of its step gives T_world_odom.
         """
         plans, states = self._heard.plans, self._heard.states
         numbers = np.array(sorted(plans) or [0])

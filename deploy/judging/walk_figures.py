@@ -1,4 +1,4 @@
-"""The figures of a report, from a walk as arrays."""
+"""Compute the metrics of a report from a walk as arrays."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from sextant.shared.geometry import Array
 
 
 def walk_figures(report: Report, walk: Walk, trace: Trace, course: Course) -> Report:
-    """A report with what a walk that took steps is judged by."""
+    """Return the report with the metrics of a walk that took steps."""
     walking, downs = walk.walking, trace.touchdowns
     height = walk.p[walking, 2]
     error = (walk.p[:, 2] - walk.height_reference)[walking]
@@ -36,7 +36,10 @@ def walk_figures(report: Report, walk: Walk, trace: Trace, course: Course) -> Re
 
 
 def pose_error(trace: Trace) -> PoseError:
-    """How far off the estimate was, from the first step on: before that both are one by construction."""
+    """Return the error of the estimate from the first step on.
+
+    Before that, both poses agree by construction.
+    """
     error = trace.pose_error[np.isfinite(trace.pose_error)]
     return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1])) if len(error) else PoseError()
 

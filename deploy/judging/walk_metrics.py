@@ -1,4 +1,7 @@
-"""What recorded truth says about a walk: touchdowns, slip, stability, footholds. Arrays in, arrays out, a row per sample."""
+"""Metrics of a walk from ground truth: touchdowns, slip, stability, footholds.
+
+Functions take and return arrays with one row per sample.
+"""
 
 from collections.abc import Callable
 
@@ -10,24 +13,24 @@ from sextant.shared.geometry import Array
 Flags = NDArray[np.bool_]
 HeightAt = Callable[[Array], Array]  # (n, 2) [m] -> (n,) [m]
 
-_DISC_RADIUS = 0.010  # [m] what a foot may come to stand on around its centre
-_DISC_RANGE = 0.008  # [m] heights within that disc may differ by this
-_PLANE_MISFIT = 0.002  # [m] or more, when they lie on a plane this closely
-_HIGHER = 0.065  # [m] over a foot's underside, from which ground beside it is no step but a wall
-_TOUCHING = 0.003  # [m] between a foot and what it runs into
-_LOWER = 0.08  # [m] under the other feet, from which a foot hangs in a hole,
-_DEEP = 0.20  # [m] where the ground is that far under them: of stairs, three feet may stand lower than that
-_MAX_SLOPE = np.tan(np.radians(35.0))  # that is no steeper than this
+_DISC_RADIUS = 0.010  # [m] radius around the foot's centre in which it may come to stand
+_DISC_RANGE = 0.008  # [m] maximum height range in that disc
+_PLANE_MISFIT = 0.002  # [m] or the maximum distance of its heights from a plane,
+_HIGHER = 0.065  # [m] above a foot's underside: higher ground next to it is an obstacle and not a step
+_TOUCHING = 0.003  # [m] distance between a foot and an obstacle at which they touch
+_LOWER = 0.08  # [m] below the other feet, a foot hangs in a hole,
+_DEEP = 0.20  # [m] if the ground is also this far below them: on stairs, three feet may be lower than _LOWER
+_MAX_SLOPE = np.tan(np.radians(35.0))  # which is no steeper than this
 
 
 def runs(flags: Flags) -> NDArray[np.intp]:
-    """First and one past the last sample (k, 2) of each run of True in (n,) flags."""
+    """Return first and one past the last sample (k, 2) of each run of True (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return edges.reshape(-1, 2)
 
 
 def debounced(contact: Flags, samples: int) -> Flags:
-    """Contact (n, k) with gaps, then with touches, of at most so many samples taken out."""
+    """Remove gaps, then touches, of at most `samples` samples from contact (n, k)."""
     out = contact.copy()
     for column in out.T:
         for begin, end in runs(~column):
@@ -40,10 +43,10 @@ def debounced(contact: Flags, samples: int) -> Flags:
 
 
 def touchdowns(contact: Flags, swing: Flags) -> NDArray[np.intp]:
-    """Where swinging feet come to stand: (k, 2) sample and leg, by sample.
+    """Return sample and leg (k, 2) of each touchdown, in order of time.
 
-    A swing has one touchdown: where the contact begins that outlasts its planned end. A foot that touched on the way is not
-    down yet, and one that never left the ground does not land.
+    A swing has one touchdown: the start of the contact that lasts beyond the swing's planned end. A foot that touches during
+    the swing has not landed yet, and one that never lifted off does not land.
 
     Args:
         contact: (n, legs) debounced contact.
@@ -62,13 +65,14 @@ def touchdowns(contact: Flags, swing: Flags) -> NDArray[np.intp]:
 
 
 def stability_margin(feet: Array, carrying: Flags, centre: Array) -> Array:
-    """Distance (n,) [m] of the projected centre of mass to the nearest edge of the support polygon, negative outside.
+    """Return the stability margin (n,) [m], negative outside the support polygon.
 
-    With two feet it is less the distance to the line through them, with one to that foot; NaN with none.
+    It is the distance of the projected centre of mass to the nearest edge of the polygon. With two feet it is minus the
+    distance to the line through them, with one foot minus the distance to it; NaN without feet.
 
     Args:
         feet: (n, legs, 2) [m] foot centres on the ground plane.
-        carrying: (n, legs) which of them span the polygon.
+        carrying: (n, legs) feet that span the polygon.
         centre: (n, 2) [m] centre of mass on the same plane.
     """
     legs = feet.shape[1]
@@ -78,7 +82,7 @@ def stability_margin(feet: Array, carrying: Flags, centre: Array) -> Array:
     normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) / np.maximum(length, 1e-12)[..., None]  # to the left
     of_body = np.einsum("npk,npk->np", normal, centre[:, None] - feet[:, first])
     is_edge = carrying[:, first] & carrying[:, second] & (length > 1e-9)
-    for leg in range(legs):  # an edge of the hull has all carrying feet on its left
+    for leg in range(legs):  # all carrying feet are to the left of an edge of the hull
         of_foot = np.einsum("npk,npk->np", normal, feet[:, None, leg] - feet[:, first])
         is_edge &= ~carrying[:, None, leg] | (of_foot > -1e-9)
     margin = np.where(is_edge, of_body, np.inf).min(axis=1)
@@ -88,26 +92,30 @@ def stability_margin(feet: Array, carrying: Flags, centre: Array) -> Array:
 
 
 def rubbing(feet: Array, shanks: Array, radius: float) -> Array:
-    """The path (n, legs, 2) [m] of spherical feet less what they roll: standing feet that only roll stay where they are.
+    """Return the path (n, legs, 2) [m] of spherical feet without their rolling.
+
+    Standing feet that only roll stay in place.
 
     Args:
         feet: (n, legs, 2) [m] centres of the feet.
-        shanks: (n, legs, 3) unit vectors from there up the shanks, which turn little from one sample to the next.
+        shanks: (n, legs, 3) unit vectors from there up the shanks, which turn little between samples.
         radius: [m] of the feet.
     """
     before, after = shanks[:-1], shanks[1:]
-    # The cross product is the rotation vector of a small turn, without the spin about the shank; turn x up is the way.
+    # The cross product is the rotation vector of a small turn, without spin about the shank; turn x up is the displacement.
     rolled = radius * (before[..., 2:] * after[..., :2] - before[..., :2] * after[..., 2:])
     return np.asarray(feet - np.concatenate([np.zeros_like(feet[:1]), np.cumsum(rolled, axis=0)]))
 
 
 def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array:
-    """How far each foot moved over the ground while planted, a value (m,) [m] per leg and step it was planted in.
+    """Return how far (m,) [m] feet moved over the ground while planted.
+
+    There is one value for each leg and step in which it was planted.
 
     Args:
-        feet: (n, legs, 2) [m] foot centres, less what they rolled.
+        feet: (n, legs, 2) [m] foot centres, without their rolling.
         planted: (n, legs) in contact and in stance by plan.
-        step: (n,) number of the step being walked.
+        step: (n,) number of the current step.
     """
     if len(feet) < 2:
         return np.zeros(0)
@@ -122,15 +130,18 @@ def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array
 
 
 def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> int:
-    """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole: runs of samples.
+    """Return the number of collisions: runs of samples with a collision.
 
-    Arguments are those of `in_the_way`.
+    The arguments are those of `in_the_way`.
     """
     return len(runs(np.asarray(in_the_way(height_at, feet, bodies, radius, size).any(axis=1))))
 
 
 def in_the_way(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> Flags:
-    """Feet that are beside what is higher than a step or hang in a hole, and the body where it is in the ground: (n, 7).
+    """Return the feet, then the body, (n, 7) in collision.
+
+    A foot collides with an obstacle higher than a step next to it, or hangs in a hole. The body collides where it
+    intersects the ground.
 
     Args:
         height_at: The true ground.
@@ -156,12 +167,12 @@ def in_the_way(height_at: HeightAt, feet: Array, bodies: Array, radius: float, s
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Angle (n,) [rad] between unit vectors (n, 3)."""
+    """Return the angle (n,) [rad] between unit vectors (n, 3)."""
     return np.asarray(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2.0, 0.0, 1.0)))
 
 
 def is_foothold(height_at: HeightAt, xy: Array) -> Flags:
-    """Whether the true ground carries a foot at each of (n, 2) [m]: (n,).
+    """Return whether the true ground supports a foot at each of (n, 2) [m]: (n,).
 
     The heights within 1 cm differ by at most 8 mm, or lie on a plane no steeper than 35 deg.
     """
@@ -171,14 +182,14 @@ def is_foothold(height_at: HeightAt, xy: Array) -> Flags:
     ground = np.asarray(np.isfinite(z).all(axis=1))
     z = np.where(ground[:, None], z, 0.0)
     z = z - z.mean(axis=1, keepdims=True)
-    slope = z @ np.linalg.pinv(disc).T  # the disc's mean is zero, so heights fit without a constant
+    slope = z @ np.linalg.pinv(disc).T  # the disc's mean is zero, so the fit needs no constant
     misfit = np.abs(z - slope @ disc.T).max(axis=1)
     planar = (misfit <= _PLANE_MISFIT) & (np.hypot(slope[:, 0], slope[:, 1]) <= _MAX_SLOPE)
     return np.asarray(ground & ((np.ptp(z, axis=1) <= _DISC_RANGE) | planar))
 
 
 def _disc() -> Array:
-    """Points (25, 2) [m] that cover the disc evenly: its centre and three rings."""
+    """Return points (25, 2) [m] that cover the disc: its centre and three rings."""
     rings = [(0.0, 1), (1.0 / 3.0, 4), (2.0 / 3.0, 8), (1.0, 12)]
     polar = [(r * _DISC_RADIUS, 2.0 * np.pi * k / n) for r, n in rings for k in range(n)]
     return np.array([(r * np.cos(a), r * np.sin(a)) for r, a in polar])

@@ -1,1 +1,1 @@
-"""Who meets whom at which router, and who is let in."""
+"""Router hosting, access control, and discovery of the machines of a robot."""

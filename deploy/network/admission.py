@@ -1,8 +1,10 @@
-"""Which connections a listener drops before their certificate is verified. Pure: times and addresses come in.
+"""Decide which connections a listener drops before it verifies their certificate.
 
-A stranger costs nothing but a socket until it has sent a byte, and a handshake is computed for it a limited number of times a
-second for each address. Addresses from which a certificate was verified are not limited. The number of pending connections is
-bounded: for a new one, the address with the most of them loses one, the oldest that has sent nothing first.
+This module is pure: its inputs are times and addresses.
+
+A connection occupies only a socket until it sends a byte. For each address, the number of handshakes per second is limited.
+Addresses from which a certificate was verified are not limited. The number of pending connections is bounded. When it is
+exceeded, the address with the most of them loses one: the oldest silent connection first.
 """
 
 import ipaddress
@@ -16,18 +18,24 @@ C = TypeVar("C", bound=Hashable)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds for connections, without a verified certificate but for the last one."""
+    """Limits for connections.
 
-    handshakes_hz: float = 20.0  # of one address, on average
-    handshakes_burst: int = 50  # of one address, at once
-    pending: int = 1024  # connections
+    All but `verified` are for connections without a verified certificate.
+    """
+
+    handshakes_hz: float = 20.0  # average rate for one address
+    handshakes_burst: int = 50  # maximum burst for one address
+    pending: int = 1024  # maximum number of connections
     timeout_s: float = 3.0  # [s] from accepting a connection to its verified certificate
-    addresses: int = 4096  # remembered, of each kind
-    verified: int = 64  # connections of one role, whose certificates are verified
+    addresses: int = 4096  # maximum number of remembered addresses of each kind
+    verified: int = 64  # maximum number of verified connections for one role
 
 
 def source_of(host: str) -> str:
-    """Return the address by which a host is counted: its IPv4 address, or the /64 network of an IPv6 address."""
+    """Return the address under which a host is counted.
+
+    That is its IPv4 address, or the /64 network of an IPv6 address.
+    """
     address = ipaddress.ip_address(host.partition("%")[0])
     if isinstance(address, ipaddress.IPv6Address):
         if address.ipv4_mapped is not None:
@@ -37,7 +45,7 @@ def source_of(host: str) -> str:
 
 
 class HandshakeLimit:
-    """A token bucket for each address; a verified address is not limited."""
+    """Token bucket for each address; a verified address is not limited."""
 
     def __init__(self, limits: Limits):
         self._limits = limits
@@ -45,7 +53,7 @@ class HandshakeLimit:
         self._verified: OrderedDict[str, None] = OrderedDict()
 
     def allows(self, source: str, now_s: float) -> bool:
-        """Take a token of an address, if it has one."""
+        """Take a token of an address; return False if it has none."""
         if source in self._verified:
             return True
         most = float(self._limits.handshakes_burst)
@@ -57,11 +65,11 @@ class HandshakeLimit:
         return allowed
 
     def is_verified(self, source: str) -> bool:
-        """Whether a certificate was verified from an address."""
+        """Return whether a certificate was verified from an address."""
         return source in self._verified
 
     def verify(self, source: str) -> None:
-        """Limit an address no longer."""
+        """Exempt an address from the limit."""
         self._verified.pop(source, None)
         self._verified[source] = None
         self._buckets.pop(source, None)
@@ -69,7 +77,7 @@ class HandshakeLimit:
 
 
 class Pending(Generic[C]):
-    """Connections that have no verified certificate yet, in order of arrival."""
+    """Connections without a verified certificate, in order of arrival."""
 
     def __init__(self, limits: Limits):
         self._limits = limits
@@ -81,7 +89,7 @@ class Pending(Generic[C]):
         return len(self._since)
 
     def add(self, connection: C, source: str, now_s: float) -> C | None:
-        """Add a new connection; return the one to drop for it, or None."""
+        """Add a connection; return the connection to drop in exchange, or None."""
         self._since[connection] = (now_s, source)
         self._of.setdefault(source, OrderedDict())[connection] = None
         self._silent.setdefault(source, OrderedDict())[connection] = None
@@ -93,12 +101,12 @@ class Pending(Generic[C]):
         return dropped
 
     def speaks(self, connection: C) -> None:
-        """Note that a connection has sent something."""
+        """Mark a connection as one that has sent something."""
         _, source = self._since[connection]
         self._forget(self._silent, source, connection)
 
     def remove(self, connection: C) -> None:
-        """Forget a connection, if it is known."""
+        """Remove a connection, if it is known."""
         _, source = self._since.pop(connection, (0.0, ""))
         self._forget(self._of, source, connection)
         self._forget(self._silent, source, connection)

@@ -1,4 +1,7 @@
-"""Makes the certificates of a robot: an authority of its own, and one certificate for each role that it signs."""
+"""Create the certificates of a robot.
+
+They are a certificate authority, and one certificate for each role, signed by it.
+"""
 
 import ipaddress
 import shutil
@@ -18,15 +21,15 @@ from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import FileError, read_bytes
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
 
-OF_AUTHORITY = "ca"  # folder of the authority, which stays where it was made
-_BEFORE = timedelta(minutes=10)  # by which clocks of two machines may differ
+OF_AUTHORITY = "ca"  # folder of the authority; it stays on the machine that created it
+_BEFORE = timedelta(minutes=10)  # tolerance for clock differences between machines
 HERE = ("localhost", "127.0.0.1")
 _MAX_PEM_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """One certificate of a folder of keys."""
+    """One certificate in a folder of keys."""
 
     role: str
     ends: datetime
@@ -34,14 +37,14 @@ class Held:
 
 
 class Authority:
-    """Signs certificates; its private key is in memory alone until `write`."""
+    """Certificate authority; its private key is only in memory until `write`."""
 
     def __init__(self, days: float, now: datetime | None = None):
-        """Make one that is good for so many days from `now`."""
+        """Create an authority that is valid for `days` from `now`."""
         self._from = (now or datetime.now(UTC)) - _BEFORE
         self.ends = (now or datetime.now(UTC)) + timedelta(days=days)
         self._key = ec.generate_private_key(ec.SECP256R1())
-        # Each has a name of its own, so that a certificate of another one is called that and not a bad signature.
+        # Each authority has a unique name, so that its certificates are reported as foreign and not as a bad signature.
         name = _name(f"Sextant {x509.random_serial_number():040x}"[:24])
         usage = x509.KeyUsage(
             digital_signature=False,
@@ -64,7 +67,7 @@ class Authority:
 
     @classmethod
     def load(cls, folder: Path) -> "Authority":
-        """The authority that `write` has written to a folder."""
+        """Load the authority that `write` has written to a folder."""
         made = cls.__new__(cls)
         made.certificate = _certificate(folder / AUTHORITY)
         pem = _read(folder / KEY)
@@ -84,13 +87,13 @@ class Authority:
         _write_private(folder / KEY, _pem_of(self._key))
 
     def issue(self, folder: Path, role: str, addresses: Sequence[str] = HERE, ends: datetime | None = None) -> None:
-        """Write a folder with a new certificate of a role.
+        """Write a folder with a new certificate for a role.
 
         Args:
-            folder: To make.
-            role: Becomes its common name.
-            addresses: Names and IP addresses at which its holder listens.
-            ends: When it ends; at the authority's own end by default.
+            folder: The folder to create.
+            role: The role; it becomes the common name.
+            addresses: Names and IP addresses at which the holder listens.
+            ends: Expiry; by default that of the authority.
         """
         folder.mkdir(parents=True, mode=0o700)
         ends = ends or self.ends
@@ -123,16 +126,16 @@ class Authority:
 
 
 def new(folder: Path, addresses: Mapping[str, Sequence[str]] | None = None, days: float = 365.0) -> tuple[Held, ...]:
-    """Make an authority, and a folder of keys for each role.
+    """Create an authority, and a folder of keys for each role.
 
     Args:
-        folder: To make them in.
-        addresses: Role -> names and IP addresses at which others reach its machine, beside its own loopback.
-        days: For which they are good.
+        folder: The parent folder.
+        addresses: Role -> names and IP addresses at which other machines reach this role's machine, in addition to loopback.
+        days: Validity.
 
     Raises:
         AccessError: There are keys already.
-        WriteError: They cannot be written; none is left behind.
+        WriteError: They cannot be written; then no files are left behind.
     """
     there = [name for name in (OF_AUTHORITY, *(role.name for role in ROLES)) if (folder / name).exists()]
     if there:
@@ -144,14 +147,14 @@ def new(folder: Path, addresses: Mapping[str, Sequence[str]] | None = None, days
             for role in ROLES:
                 authority.issue(folder / role.name, role.name, (*HERE, *(addresses or {}).get(role.name, ())))
     except whole_files.WriteError:
-        for name in (OF_AUTHORITY, *(role.name for role in ROLES)):  # half a set of keys would keep the next from being made
+        for name in (OF_AUTHORITY, *(role.name for role in ROLES)):  # an incomplete set of keys would prevent the next attempt
             shutil.rmtree(folder / name, ignore_errors=True)
         raise
     return tuple(held(folder))
 
 
 def held(folder: Path) -> Iterator[Held]:
-    """The certificates of a folder that `new` has made, or of the folder of one role.
+    """Yield the certificates in a folder that `new` has made, or in a role's folder.
 
     Raises:
         AccessError: There are none.
@@ -171,7 +174,7 @@ def _certificate(path: Path) -> x509.Certificate:
     pem = _read(path)
     try:
         certificate = x509.load_pem_x509_certificate(pem)
-        _ = certificate.subject, certificate.not_valid_after_utc  # which are parsed only now
+        _ = certificate.subject, certificate.not_valid_after_utc  # parsed lazily, only on access
     except (ValueError, x509.InvalidVersion):
         raise AccessError(f"{path}: a certificate in PEM expected, found none or a damaged one") from None
     return certificate
@@ -196,9 +199,9 @@ def _address(text: str) -> x509.GeneralName:
 
 
 def _write_proxy_keys(folder: Path, days: float) -> None:
-    """Write the certificates between the TLS proxy and the router of one machine (`sextant.deploy.network.tls_proxy`).
+    """Write the certificates for the link between TLS proxy and router of one machine.
 
-    Their authority signs nothing else, and its private key is never written.
+    See `sextant.deploy.network.tls_proxy`. Their authority signs nothing else, and its private key is never written.
     """
     folder.mkdir(mode=0o700)
     authority = Authority(days)
@@ -213,5 +216,5 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write_private(file: Path, pem: bytes) -> None:
-    """Write a file that its owner alone may read, from the first byte on."""
+    """Write a file that is readable only for its owner from the start."""
     whole_files.write_bytes(file, pem, durable=True, mode=0o600)

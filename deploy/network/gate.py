@@ -1,4 +1,4 @@
-"""What a router is started with, by how it is to be met: on loopback alone, by certificates, or by anybody."""
+"""Access policy of a router: loopback only, with certificates, or open to all."""
 
 import re
 import socket
@@ -18,7 +18,8 @@ WARNING = (
     "your own, or make certificates with `sextant keys new` and give --keys in place of --open"
 )
 
-PUBLISHED_BY: Mapping[str, topics.Topic[Any]] = {  # a topic that only the process publishes, of those read on other machines
+# For each process, a topic that it alone publishes, of those read on other machines.
+PUBLISHED_BY: Mapping[str, topics.Topic[Any]] = {
     "actuator": topics.ACTUATOR_STATE,
     "perception": topics.BODY_POSE,
     "mapper": topics.TERRAIN,
@@ -29,13 +30,13 @@ PUBLISHED_BY: Mapping[str, topics.Topic[Any]] = {  # a topic that only the proce
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Where a router listens and whom it lets in."""
+    """The endpoints of a router, and its access policy."""
 
     listen: tuple[str, ...]
     namespace: str = "sextant"
-    keys: Path | None = None  # of this machine, for endpoints of tls
-    open: bool = False  # whether anybody is let in, through endpoints beyond loopback
-    upstream: tuple[str, ...] = ()  # endpoints of other machines' routers that this one is chained to
+    keys: Path | None = None  # folder of this machine's keys, for tls endpoints
+    open: bool = False  # whether any client is accepted at endpoints beyond loopback
+    upstream: tuple[str, ...] = ()  # endpoints of other machines' routers to which this one connects
 
     def __post_init__(self) -> None:
         if wrong := fault((*self.listen, *self.upstream)):
@@ -65,16 +66,18 @@ class Gate:
 
     @property
     def guarded(self) -> bool:
-        """Whether somebody may be refused here."""
+        """Whether this router may refuse clients."""
         return self.open or self.keys is not None
 
     @property
     def secure(self) -> tuple[str, ...]:
-        """Where other machines meet it, by certificates."""
+        """Endpoints for other machines with certificates."""
         return tuple(endpoint for endpoint in self.listen if endpoint.startswith("tls/"))
 
     def behind_proxy(self, port: int) -> tuple[str, ...]:
-        """Return the endpoints of the router, those of tls replaced by one of loopback for the TLS proxy alone.
+        """Return the router's endpoints, with one loopback endpoint for the TLS proxy.
+
+        It replaces the tls endpoints.
 
         Raises:
             AccessError: The keys have no certificates for it.
@@ -86,39 +89,45 @@ class Gate:
 
     @property
     def own(self) -> str:
-        """Where processes of this machine meet it."""
+        """Endpoint for processes of this machine."""
         return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", self.listen[0])
 
     @property
     def name(self) -> str:
-        """Of the router, among the services of all machines."""
+        """Service name of the router, unique among all machines."""
         return f"{access.ROUTER_OF}{Keys.load(self.keys).role.name}" if self.keys is not None else "router"
 
     def role(self, offboard: bool) -> str:
-        """Role of this machine: that of its certificate, or without one the robot's or, `offboard`, that of a base."""
+        """Return the role of this machine.
+
+        That is the role of its certificate. Without one, it is the robot, or a base station if `offboard`.
+        """
         return Keys.load(self.keys).role.name if self.keys is not None else "base" if offboard else "robot"
 
     def configuration(self) -> Mapping[str, Any]:
-        """Zenoh configuration of who is let in.
+        """Return the Zenoh configuration of access control.
 
         Raises:
             AccessError: The keys are wrong.
         """
         if self.keys is not None:
-            self.behind_proxy(0)  # which may lack its certificates
+            self.behind_proxy(0)  # raises if its certificates are missing
             return Keys.load(self.keys).hosting(self.namespace, limited=bool(self.secure))
         if self.open:
             return access.opened(self.namespace, [name for _, name in socket.if_nameindex() if name != "lo"])
         return {}
 
     def knock(self) -> str:
-        """Why another machine's router does not let this one in, in words, or nothing."""
+        """Return why another machine's router does not accept this one, or ""."""
         keys = Keys.load(self.keys) if self.keys is not None else None
         refused = (refusal(one, keys) if keys and one.startswith("tls/") else obstacle(one) for one in self.upstream)
         return "; ".join(filter(None, refused))
 
     def misplaced(self, processes: Sequence[str]) -> str:
-        """That what is started here will not be heard by the machine that this one is chained to, in words, or nothing."""
+        """Return which processes cannot publish to the upstream machine and why, or "".
+
+        Their messages are refused there because of this machine's role.
+        """
         if self.keys is None or not self.upstream:
             return ""
         keys = Keys.load(self.keys)
@@ -127,11 +136,11 @@ class Gate:
         return f"{', '.join(barred)} would not be heard: {refused}; or leave out with --without" if refused else ""
 
     def warning(self) -> str:
-        """What must be said for as long as it is open, or nothing."""
+        """Return the warning for an open router, or an empty string."""
         return WARNING.format(endpoints=", ".join(access.plain_elsewhere(self.listen + self.upstream))) if self.open else ""
 
     def words(self) -> tuple[str, ...]:
-        """As arguments of the router's process."""
+        """Return the arguments of the router's process."""
         listen = [word for endpoint in self.listen for word in ("--listen", endpoint)]
         listen += [word for endpoint in self.upstream for word in ("--connect", endpoint)]
         keys = ["--keys", str(self.keys.resolve())] if self.keys is not None else []
@@ -141,14 +150,14 @@ class Gate:
 def of_arguments(
     listen: Sequence[str], keys: str | None, open_: bool, namespace: str, plain: str, upstream: tuple[str, ...] = ()
 ) -> Gate:
-    """A gate as it is asked for.
+    """Build a gate from command-line arguments.
 
     Args:
-        listen: Endpoints; with keys and nothing else said, one of tls for other machines, unless it is chained to one.
-        keys: Folder of this machine's.
-        open_: Whether anybody may come in.
+        listen: Endpoints. With keys but without a tls endpoint or `upstream`, the default tls endpoint is added.
+        keys: Folder of this machine's keys.
+        open_: Whether any client is accepted.
         namespace: Prefix of every key.
-        plain: Endpoint on loopback for this machine's own processes, where none is among `listen`.
+        plain: Endpoint on loopback for this machine's own processes, if `listen` has none.
         upstream: Endpoints of other machines' routers.
     """
     secure = [endpoint for endpoint in listen if endpoint.startswith("tls/")]

@@ -1,4 +1,7 @@
-"""Says on the console whom the router of this process refuses: counted, as the word of a service `router`."""
+"""Access log of this process's router.
+
+Refusals are counted and published as the health of a service `router`.
+"""
 
 import os
 import sys
@@ -15,15 +18,15 @@ from sextant.shared.wire.messages import Health
 from sextant.shared.wire.transport import Endpoints, ZenohLink, without_source
 
 _PERIOD_NS = 1_000_000_000
-_SOON_NS = 200_000_000  # between two words where there is news
-_ROOM = 1 << 20  # [B] of the log after which it begins anew
-_MOST = 4 << 20  # [B] that are read at once; of a flood the rest is passed over
+_SOON_NS = 200_000_000  # minimum time between two messages if there is a new refusal
+_ROOM = 1 << 20  # [B] size of the log after which the file is truncated
+_MOST = 4 << 20  # [B] maximum read at once; the rest of a flood is skipped
 
 
 class CaughtOutput:
-    """What this process writes to its standard output from now on, in memory: whoever writes there is never held up.
+    """Capture this process's standard output in memory, so that writers never block.
 
-    Zenoh's log goes there, from the threads that receive, and a pipe that nobody empties in time would stop them.
+    Zenoh's receive threads write their log there. A pipe that is not emptied in time would block them.
     """
 
     def __init__(self) -> None:
@@ -45,19 +48,19 @@ class CaughtOutput:
         os.close(self._file)
 
     def take(self) -> str:
-        """What has been written since, whole lines."""
+        """Return the complete lines written since the last call."""
         size = os.fstat(self._file).st_size
         data = os.pread(self._file, min(size - self._read, _MOST), self._read)
         whole = data.rfind(b"\n") + 1
         self._read += whole
         if size - self._read > _MOST or (self._read == size and size > _ROOM):
-            os.ftruncate(self._file, 0)  # who appends goes on at the beginning
+            os.ftruncate(self._file, 0)  # later appends start at the beginning
             self._read = 0
         return data[:whole].decode(errors="replace")
 
 
 class Gatekeeper:
-    """Looks at the log now and then, and says once a second, and at once when there is news, what was refused."""
+    """Reader of the router's log; it publishes refusals once a second and on news."""
 
     def __init__(
         self,
@@ -69,26 +72,29 @@ class Gatekeeper:
         out: TextIO,
         refused: Callable[[], Mapping[str, int]] = dict,
     ):
-        """Begin.
+        """Initialise without publishing.
 
         Args:
-            take: What was logged since it was last asked.
-            send: Publishes.
-            name: Of the router, among the services.
+            take: Returns the log since its last call.
+            send: Publishes the health message.
+            name: Service name of the router.
             namespace: Prefix of every key.
-            doing: What the router does, in words.
-            out: Where what is no refusal goes, as it is.
-            refused: Returns how many connections were refused since its last call, by kind.
+            doing: Status text of the router.
+            out: Receives the log lines that are no refusals.
+            refused: Returns the number of connections refused since its last call, by kind.
         """
         self.refusals = Refusals(namespace)
         self._take, self._send, self._name, self._doing, self._out = take, send, name, doing, out
         self._refused = refused
         self._said_ns = -_PERIOD_NS
-        self._told: set[str] = set()  # kinds that the terminal knows
+        self._told: set[str] = set()  # kinds already shown on the terminal
         self._known = 0
 
     def look(self, now_ns: int) -> str:
-        """See what was refused; a line for the terminal where it is of a new kind, or nothing."""
+        """Process new refusals.
+
+        Return a line for the terminal if there is a new kind, or an empty string.
+        """
         for line in self.refusals.read(self._take()):
             self._out.write(without_source(line) + "\n")
         for kind, number in self._refused().items():
@@ -99,7 +105,7 @@ class Gatekeeper:
             self._said_ns = now_ns
             self._send(self._health(now_ns))
         new = [kind for kind in self.refusals.count if kind not in self._told]
-        self._told.update(new)  # kinds are bounded in number (`sextant.deploy.network.refusals`)
+        self._told.update(new)  # the number of kinds is bounded (`sextant.deploy.network.refusals`)
         return f"refused: {', '.join(new)}" if new else ""
 
     def _health(self, now_ns: int) -> Health:
@@ -111,12 +117,12 @@ class Gatekeeper:
 
 
 def publish(link: ZenohLink, role: str) -> Callable[[Health], None]:
-    """What publishes the health of a router by a link, as that of a machine of a role."""
+    """Return a function that publishes the router's health for a role's machine."""
     return lambda health: link.send(
         topics.HEALTH_OF[role], codec.encode(health, codec.Timing(health.stamp_ns, time.monotonic_ns()))
     )
 
 
 def link_to(endpoint: str, namespace: str) -> ZenohLink:
-    """A link of this process to its own router."""
+    """Open a link from this process to its own router."""
     return ZenohLink(Endpoints((endpoint,), namespace=namespace))

@@ -1,4 +1,7 @@
-"""Hosts a router between its TLS proxies: other machines meet it through one, it meets others through the other."""
+"""Host a router between its TLS proxies.
+
+Other machines connect to it through one of them; it connects to other routers through the other.
+"""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -10,16 +13,16 @@ from sextant.deploy.network.tls_proxy import TlsProxy
 from sextant.shared.wire.access import Keys
 from sextant.shared.wire.transport import Router, merged
 
-_DIALLED_MS = 30_000  # [ms] that the router waits for a dialer, which ends each attempt long before
+_DIALLED_MS = 30_000  # [ms] the router's timeout for a dialer, which ends each attempt long before
 
 
 @contextlib.contextmanager
 def hosted(gated: Gate, refuse: Callable[[str], object] = lambda _kind: None) -> Iterator[Router]:
-    """Host a router; other machines meet it through a TLS proxy.
+    """Host a router; other machines connect to it through a TLS proxy.
 
     Args:
-        gated: Where it listens, and whom it lets in.
-        refuse: Is called with the kind of each refusal of the proxy, from another thread.
+        gated: Its endpoints and access policy.
+        refuse: Called with the kind of each refusal of the proxy, from another thread.
 
     Raises:
         TransportError: An endpoint cannot be listened on.
@@ -39,7 +42,10 @@ def hosted(gated: Gate, refuse: Callable[[str], object] = lambda _kind: None) ->
 
 
 def _dialled(stack: contextlib.ExitStack, endpoint: str, keys: Keys) -> str:
-    """Return where the router connects to another's: at a dialer of this machine, where the other asks for certificates."""
+    """Return the endpoint at which the router connects to another machine's router.
+
+    If the other one asks for certificates, this is a dialer on this machine.
+    """
     if not endpoint.startswith("tls/"):
         return endpoint
     return keys.to_dialer(stack.enter_context(TlsDialer(endpoint, keys)).port)

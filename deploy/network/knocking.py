@@ -1,4 +1,7 @@
-"""Why a router is not let in by another machine's: Zenoh tries again and again in silence, so it is found out beside it."""
+"""Find out why another machine's router does not accept this one.
+
+Zenoh retries without reporting the reason.
+"""
 
 import threading
 from collections.abc import Callable
@@ -9,7 +12,7 @@ _PAUSE_S = 3.0
 
 
 class Knocking:
-    """Asks now and then, while there is no connection, and tells each answer once; a context manager with a thread."""
+    """Periodic check while there is no connection; a context manager with a thread."""
 
     def __init__(
         self, ask: Callable[[], str], connected: Callable[[], bool], tell: Callable[[str], None], pause_s: float = _PAUSE_S
@@ -17,10 +20,10 @@ class Knocking:
         """Prepare.
 
         Args:
-            ask: Why nobody lets us in, in words, or nothing; may take seconds.
-            connected: Whether somebody has.
-            tell: Is told why, from the thread.
-            pause_s: [s] between two times.
+            ask: Returns why the connection is refused, or an empty string; may take seconds.
+            connected: Returns whether there is a connection.
+            tell: Called with each new reason, from the thread.
+            pause_s: [s] between two checks.
         """
         self._ask, self._connected, self._tell, self._pause_s = ask, connected, tell, pause_s
         self._end = threading.Event()
@@ -32,10 +35,10 @@ class Knocking:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._end.set()  # not waited for: it may be asking a machine that does not answer
+        self._end.set()  # the thread is not joined: it may be waiting for a machine that does not answer
 
     def look(self) -> None:
-        """Ask once, and tell what is new."""
+        """Check once, and report a new reason."""
         why = "" if self._connected() else self._ask()
         if why and why != self._told:
             self._tell(why)

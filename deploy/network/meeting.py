@@ -1,8 +1,9 @@
-"""The machines of one robot meet: each publishes which version it runs and which services it has started.
+"""Discovery of the machines of one robot.
 
-What another machine publishes is a claim. It never ends anything that runs: a misfit is reported, and shown in `health`. Only
-a machine that has not started its services yet refuses to start them. A machine's presence has the key of the role of its
-certificate, and counts only for services that this role may run.
+Each machine publishes its version and the services that it has started. Such a message from another machine is only a claim. It
+never ends a running service: a conflict is reported, and shown in `health`. Only a machine that has not started its services
+yet refuses to start them. The key of a machine's presence contains the role of its certificate. The presence counts only for
+services that this role may run.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,33 +19,33 @@ from sextant.shared.wire.access import ROLE_NAMED
 from sextant.shared.wire.messages import Health, Presence
 
 PERIOD_NS = 1_000_000_000
-SILENT_NS = 5_000_000_000  # after which another machine counts as away
-FORGOTTEN_NS = 60_000_000_000  # after which it is forgotten
-MOST_MACHINES = 8  # of a role; more are refused until one is forgotten
-_MEET_NS = 1_250_000_000  # from the first presence to the start of services: each machine has published once by then
-_ALONE_NS = 3_000_000_000  # after which a machine starts though no presence has come
-_FEW = 4  # keys that are named
-_NAME_LENGTH = 64  # [characters] of another machine's name, version and services, as they are shown
-_REPORTED = 64  # reports that are remembered, so that each is made once
+SILENT_NS = 5_000_000_000  # [ns] without a message after which another machine counts as away
+FORGOTTEN_NS = 60_000_000_000  # [ns] after which it is forgotten
+MOST_MACHINES = 8  # for each role; further machines are refused until one is forgotten
+_MEET_NS = 1_250_000_000  # from the first presence to the start of services: by then, each machine has published once
+_ALONE_NS = 3_000_000_000  # after which a machine starts without any presence from others
+_FEW = 4  # maximum number of keys in a report
+_NAME_LENGTH = 64  # [characters] shown of another machine's name, version and services
+_REPORTED = 64  # number of reports remembered, to report each only once
 
 
 @dataclass(frozen=True, slots=True)
 class Objection:
-    """Why two machines do not fit."""
+    """A conflict between two machines."""
 
     words: str
-    bars_start: bool  # whether this machine does not start for it
+    bars_start: bool  # whether it prevents the start of this machine
 
 
 def presence(machine: str, role: str, version: str, services: Iterable[str], up_s: float, now_ns: int) -> Presence:
-    """What a machine publishes of itself.
+    """Return the presence message of this machine.
 
     Args:
-        machine: Name of this start, unlike any other.
-        role: That was started.
-        version: Of Sextant.
-        services: That it has started.
-        up_s: [s] for how long.
+        machine: Unique name of this start.
+        role: Role that was started.
+        version: Version of Sextant.
+        services: Services that it has started.
+        up_s: [s] since the start.
         now_ns: [ns] by its own clock.
     """
     keys = tuple(topic.key for topic in topics.TOPICS)
@@ -53,12 +54,12 @@ def presence(machine: str, role: str, version: str, services: Iterable[str], up_
 
 
 def objection(own: Presence, other: Presence, other_role: str) -> Objection | None:
-    """Why a machine does not fit with another, or None.
+    """Return the conflict between this machine and another one, or None.
 
     Args:
         own: Presence of this machine.
-        other: Presence of the other.
-        other_role: Role of the other's certificate, by the key that its presence came under.
+        other: Presence of the other machine.
+        other_role: Role of the other's certificate, from the key of its presence.
     """
     theirs = dict(zip(other.keys, other.schemas, strict=False))
     misread = [key for key, schema in zip(own.keys, own.schemas, strict=True) if theirs.get(key, schema) != schema]
@@ -78,7 +79,10 @@ def objection(own: Presence, other: Presence, other_role: str) -> Objection | No
 
 
 def may_run(role: str, service: str) -> bool:
-    """Whether a machine whose certificate has a role may run a service; the robot may run them all."""
+    """Return whether a machine with a role's certificate may run a service.
+
+    The robot may run all of them.
+    """
     topic = PUBLISHED_BY.get(service)
     return role == "robot" or (service not in ON_ROBOT and (topic is None or topic in ROLE_NAMED[role].puts))
 
@@ -95,12 +99,12 @@ def _short(name: str) -> str:
 class _Machine:
     role: str  # of its certificate
     presence: Presence
-    at_ns: int  # when that came
+    at_ns: int  # when the presence was received
     away: bool = False
 
 
 class Meeting:
-    """Publishes once a second that this machine is here, and watches which others are."""
+    """Publishes this machine's presence once a second, and tracks other machines."""
 
     def __init__(
         self,
@@ -113,23 +117,23 @@ class Meeting:
         say: Callable[[str], object],
         certificate_role: str = "robot",
     ):
-        """Subscribe.
+        """Subscribe to the other machines.
 
         Args:
-            link: To the others.
-            machine: Name of this start, unlike any other.
-            role: That is started.
-            version: Of Sextant.
-            services: That are started.
+            link: Connection to the other machines.
+            machine: Unique name of this start.
+            role: Role that is started.
+            version: Version of Sextant.
+            services: Services that are started.
             clock: [ns] this machine's monotonic clock.
-            say: Takes a report of each machine that comes or goes, and of each that does not fit.
-            certificate_role: Of this machine's certificate.
+            say: Called with a report of each machine that appears or disappears, and of each conflict.
+            certificate_role: Role of this machine's certificate.
         """
         self._link, self._clock, self._say = link, clock, say
         self._about = (machine, role, version, tuple(services))
         self._presence_topic, self._health_topic = topics.PRESENCE_OF[certificate_role], topics.HEALTH_OF[certificate_role]
         self._began_ns = self._due_ns = clock()
-        self._met_ns: int | None = None  # when the first presence of another machine came
+        self._met_ns: int | None = None  # time of the first presence of another machine
         self._come = [(name, link.collect(topic)) for name, topic in topics.PRESENCE_OF.items()]
         self._machines: dict[tuple[str, str], _Machine] = {}  # by role and name
         self._reported: dict[str, None] = {}
@@ -137,18 +141,24 @@ class Meeting:
 
     @property
     def met(self) -> bool:
-        """Whether services may be started: the machines that are there have published, or none has for a while."""
+        """Whether services may be started.
+
+        They may after the other machines have published, or after a while without any.
+        """
         now_ns = self._clock()
         return (self._met_ns is not None and now_ns - self._met_ns >= _MEET_NS) or now_ns - self._began_ns >= _ALONE_NS
 
     @property
     def start_refusal(self) -> str:
-        """Why this machine must not start its services now, or empty; it says nothing of services that run."""
+        """Reason why this machine must not start its services now, or empty.
+
+        It does not apply to running services.
+        """
         found = self._objections(self._own(self._clock()))
         return next((one.words for one in found if one.bars_start), "")
 
     def beat(self) -> None:
-        """Take in what has come, and publish when that is due."""
+        """Process received messages, and publish if it is time."""
         now_ns = self._clock()
         own = self._own(now_ns)
         for role, come in self._come:

@@ -1,8 +1,8 @@
-"""Counts of what a router refuses, by kind. Pure: lines of Zenoh's log and refused connections come in.
+"""Count what a router refuses, by kind.
 
-A refused connection is named by its certificate's fault (`sextant.deploy.network.tls_proxy`), a refused message by the role
-of its sender's certificate and its key: that is read from Zenoh's log, the only place where Zenoh reports it. A line of the log
-about anything else is passed on as it is.
+This module is pure: its inputs are lines of Zenoh's log and refused connections. A refused connection is named by the fault of
+its certificate (`sextant.deploy.network.tls_proxy`). A refused message is named by the role of its sender's certificate and by
+its key. Both are read from Zenoh's log, because Zenoh reports them only there. Other lines of the log are passed on unchanged.
 """
 
 import re
@@ -10,13 +10,13 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 
-LEVELS = (  # of Zenoh's log, as RUST_LOG has them
+LEVELS = (  # Zenoh's log levels, in the format of RUST_LOG
     "warn,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::authorization=error,"
     "zenoh::net::runtime::orchestrator=error,zenoh::net::routing::hat=off"
 )
-_KINDS = 64  # that are told apart: who puts to a thousand keys is told of in one line
-_CLIENTS = 256  # whose certificates are remembered
-_BURST = 100  # messages a second that may come too soon behind another: a stream that stalled comes all at once
+_KINDS = 64  # maximum number of kinds: all further ones share one
+_CLIENTS = 256  # maximum number of clients whose certificates are remembered
+_BURST = 100  # messages per second above the limit that are tolerated: a stalled stream arrives in a burst
 _OTHERS = "more than can be named"
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
 _SECOND = re.compile(r"^(\S+)\.\d+Z? ")
@@ -27,24 +27,24 @@ _THINNED = re.compile(r"Message dropped by the downsampling interceptor: Push\((
 _TOO_OFTEN = re.compile(r" comes too often from ")
 _INTERCEPTED = "Msg intercepted!"
 _FULL = re.compile(r"[Dd]efragmentation")
-_WORDS = {  # what a client did, as the log has it
+_WORDS = {  # verb for each operation in the log
     "Put": "put",
     "Delete": "delete",
     "Declare Subscriber": "read",
     "Query": "ask for",
 }
-_QUIET = ("machine/presence/", "health/")  # that a machine's own processes publish: a router that keeps them back is no news
+_QUIET = ("machine/presence/", "health/")  # published by a machine's own processes: their refusal is not reported
 
 
 class RefusedConnections:
-    """Counts refused connections from any thread until they are fetched."""
+    """Thread-safe counter of refused connections."""
 
     def __init__(self) -> None:
         self._count: Counter[str] = Counter()
         self._lock = threading.Lock()
 
     def add(self, kind: str) -> None:
-        """Count one."""
+        """Count one refusal."""
         with self._lock:
             self._count[kind] += 1
 
@@ -56,19 +56,19 @@ class RefusedConnections:
 
 
 class Refusals:
-    """What was refused so far."""
+    """Counts of all refusals."""
 
     def __init__(self, namespace: str):
-        """Nothing yet; `namespace` is left out where keys are named."""
+        """Start with empty counts; `namespace` is removed from reported keys."""
         self._prefix = f"{namespace}/"
-        self.count: Counter[str] = Counter()  # kind, in words -> how often
-        self.newest = ""  # kind
-        self._soon: dict[str, tuple[str, int]] = {}  # of a key and who put it: the second of the log, messages too soon in it
+        self.count: Counter[str] = Counter()  # kind as text -> count
+        self.newest = ""  # newest kind
+        self._soon: dict[str, tuple[str, int]] = {}  # kind -> second of the log, and number of messages above the limit in it
         self._before: dict[str, str] = {}  # thread -> its last line
-        self._who: dict[str, str] = {}  # id of a session -> by whose certificate
+        self._who: dict[str, str] = {}  # id of a session -> common name of its certificate
 
     def read(self, text: str) -> Iterator[str]:
-        """Take in some lines of the log; those that are about something else are passed on."""
+        """Process lines of the log; yield the lines that are not about refusals."""
         for line in text.splitlines():
             if not line.isascii() or "\x1b" in line:
                 line = _COLOR.sub("", line)
@@ -79,11 +79,14 @@ class Refusals:
                 self.add(kind, number)
 
     def words(self) -> str:
-        """What was refused how often, the most frequent first."""
+        """Return all kinds with their counts, the most frequent first."""
         return ", ".join(f"{kind}: {number} times" for kind, number in self.count.most_common())
 
     def _weight(self, kind: str, line: str) -> int:
-        """How many refusals a line stands for: none while what comes too often may be a burst, all of it once it is more."""
+        """Return how many refusals a line counts for.
+
+        Messages that are too frequent count 0 while they may be a burst. As soon as they are more, the whole burst counts.
+        """
         if not _TOO_OFTEN.search(kind):
             return 1
         stamp = _SECOND.match(line)
@@ -103,14 +106,20 @@ class Refusals:
         self.newest = kind
 
     def _kind(self, line: str) -> str | None:
-        """What a line tells, in words; empty for what is no refusal, None for what is something else altogether."""
+        """Return the kind of refusal in a line as text.
+
+        Return an empty string for a related line without a refusal, None for any other line.
+        """
         message = _MESSAGE.search(line)
         if message is not None:
             return self._of_message(message["thread"] or "", message["words"])
         return "a message that is larger than any may be" if _FULL.search(line) else None
 
     def _of_message(self, thread: str, words: str) -> str:
-        """Whether a message was kept back; why, the line before of the same thread says, which may be a look at the rules."""
+        """Return the kind of refusal of a message, or "" if it was not refused.
+
+        The reason is in the previous line of the same thread.
+        """
         if words == _INTERCEPTED:
             return self._why(self._before.pop(thread, ""))
         self._before[thread] = words

@@ -1,36 +1,37 @@
-"""How long connections of this process wait for a machine that no longer acknowledges anything.
+"""Limit how long this process's connections wait for acknowledgements.
 
-Zenoh closes a link that died with something unsent in a call that blocks until the other machine has taken it, for up to 10 s
-(SO_LINGER, not configurable in 1.10: eclipse-zenoh/zenoh#2547), and lets nobody in meanwhile: a robot whose radio was back
-walked again after up to 4.5 s. The kernel gives such a connection up after TCP_USER_TIMEOUT; then closing it blocks no more.
+If a link died with unsent data, Zenoh closes it in a call that blocks until the other machine has received the data. The call
+blocks for up to 10 s (SO_LINGER, not configurable in 1.10: eclipse-zenoh/zenoh#2547). Meanwhile, it accepts no connection: a
+robot took up to 4.5 s to walk again after its radio was back. The kernel drops such a connection after TCP_USER_TIMEOUT; then
+closing it does not block any more.
 """
 
 import errno
 import socket
 from pathlib import Path
 
-_DESCRIPTORS = Path("/proc/self/fd")  # of Linux; elsewhere nothing is limited
+_DESCRIPTORS = Path("/proc/self/fd")  # Linux only; elsewhere, nothing is limited
 _INTERNET = (socket.AF_INET, socket.AF_INET6)
-_GONE = (errno.EBADF, errno.ENOTSOCK)  # of a descriptor that was closed, and perhaps is a file by now
+_GONE = (errno.EBADF, errno.ENOTSOCK)  # for a descriptor that was closed, and may be a file by now
 
 
 class SilenceLimit:
-    """Gives up TCP connections of this process on which nothing sent was acknowledged for a while, whoever opened them.
+    """Closes this process's TCP connections after a time without acknowledgement.
 
-    Those that a listening socket accepts have its limit from the beginning; those that are opened get it at the next look.
+    Sockets accepted by a listening socket inherit its limit. Sockets of outgoing connections get it at the next `look`.
     """
 
     def __init__(self, limit_s: float):
-        """Limit nothing before the first look.
+        """Initialise; no limit applies before the first `look`.
 
         Args:
-            limit_s: [s] without acknowledgement of something that was sent.
+            limit_s: [s] without acknowledgement of sent data.
         """
         self._limit_ms = round(1e3 * limit_s)
-        self._known: dict[str, str] = {}  # socket by file descriptor
+        self._known: dict[str, str] = {}  # file descriptor -> name of the socket
 
     def look(self) -> None:
-        """Limit what has been opened since the last look."""
+        """Limit the sockets opened since the last call."""
         found = _open_sockets()
         for number, name in found.items():
             if self._known.get(number) != name:
@@ -39,7 +40,7 @@ class SilenceLimit:
 
 
 def _open_sockets() -> dict[str, str]:
-    """Names of this process' sockets by file descriptor."""
+    """Return the names of this process's sockets by file descriptor."""
     found: dict[str, str] = {}
     for descriptor in _DESCRIPTORS.iterdir() if _DESCRIPTORS.is_dir() else ():
         try:
@@ -52,7 +53,7 @@ def _open_sockets() -> dict[str, str]:
 
 
 def _limit(number: int, limit_ms: int) -> None:
-    """Limit one socket, if it is still there and one of TCP."""
+    """Limit one socket, if it still exists and uses TCP."""
     try:
         borrowed = socket.socket(fileno=number)
     except OSError as error:
@@ -66,4 +67,4 @@ def _limit(number: int, limit_ms: int) -> None:
         if error.errno not in _GONE:
             raise
     finally:
-        borrowed.detach()  # it is its owner who closes it
+        borrowed.detach()  # the owner closes the descriptor

@@ -1,6 +1,7 @@
-"""Whether a stranger is refused, tried from outside: without a certificate, with a foreign or an expired one, by ear.
+"""Security check from outside: try to connect without a valid certificate.
 
-Nothing is put where it could move a robot: who is let in is found out by the handshake, and by what can be overheard.
+Clients have no certificate, a foreign one or an expired one, or only listen. Nothing is published that could move a robot: the
+handshake and received messages show whether a client is accepted.
 """
 
 import ssl
@@ -17,20 +18,20 @@ from sextant.shared.wire.handshake import verdict
 from sextant.shared.wire.transport import TransportError, overhear, scout
 
 _LISTEN_S = 2.0
-_VERDICT_S = 3.0  # for a refusal: a robot that is slow to refuse is not to be taken for one that is open
+_VERDICT_S = 3.0  # [s] for a refusal: a robot that refuses slowly must not count as open
 _ADVICE = "start the robot with --keys DIR and without --open (docs/access.md)"
 
 
 def examine(
     endpoint: str, keys: Path | None = None, find: Callable[[float], list[str]] = scout, listen_s: float = _LISTEN_S
 ) -> list[Check]:
-    """Try to get in.
+    """Try to connect.
 
     Args:
-        endpoint: Of the robot, e.g. tls/hexapod.local:7448.
-        keys: Folder of `sextant keys new` with its authority, to sign a certificate that has expired.
-        find: Looks for [s] who answers to scouting; their endpoints.
-        listen_s: [s] for which is listened, where somebody lets us in.
+        endpoint: Endpoint of the robot, e.g. tls/hexapod.local:7448.
+        keys: Folder made by `sextant keys new` with its authority, to sign an expired certificate.
+        find: Scouts for a time [s], and returns the endpoints found.
+        listen_s: [s] to listen if a client is accepted.
     """
     checks = [_plain(endpoint, listen_s)]
     if endpoint.startswith("tls/"):
@@ -43,7 +44,7 @@ def examine(
 
 
 def _plain(endpoint: str, listen_s: float) -> Check:
-    """Somebody who speaks Zenoh without TLS."""
+    """Check a client that uses Zenoh without TLS."""
     name, (host, port) = "stranger without TLS", place(endpoint)
     try:
         heard = overhear(f"tcp/{host}:{port}", listen_s)
@@ -54,7 +55,10 @@ def _plain(endpoint: str, listen_s: float) -> Check:
 
 
 def _shown(endpoint: str, name: str, folder: Path | None) -> Check:
-    """Somebody who takes the robot for whom it says it is, and shows a certificate, or none."""
+    """Check a client with the given certificate, or without one.
+
+    It does not verify the robot's certificate.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if folder is not None:
@@ -77,7 +81,7 @@ def _expired(endpoint: str, keys: Path | None, folder: Path) -> Check:
 
 
 def _scouting(endpoint: str, find: Callable[[float], list[str]]) -> Check:
-    """Somebody who asks by multicast who is there."""
+    """Check a client that scouts by multicast."""
     name, (host, _) = "stranger that scouts", place(endpoint)
     found = find(1.0)
     if not found:

@@ -1,10 +1,11 @@
-"""A proxy that dials another machine's TLS endpoint for the router of this one, so that the router never cancels an attempt.
+"""Proxy that connects to another machine's TLS endpoint for this machine's router.
 
-Zenoh 1.10 gives up opening a session after `open_timeout`, which has to be short for a router behind a radio to be back soon
-after a cut. Where that happens in the moment in which the session is registered, a session is left that sends and never
-receives, and its link keeps the place of another: the routers never meet again (1 of 25 cuts of a link of 20 ms). Here the
-router connects on loopback, waits for as long as it takes, and is only ever told by a closed connection. The far end is dialled
-again and again, and answered for under its own role (`sextant.deploy.network.tls_proxy`).
+With it, the router never cancels an attempt. Zenoh 1.10 stops opening a session after `open_timeout`. This timeout must be
+short for a router behind a radio, which has to reconnect soon after an outage. If it expires just when the session is
+registered, a session remains that sends and never receives. Its link occupies the place of another one, and the routers never
+reconnect (1 of 25 outages of a link of 20 ms). Here, the router connects to loopback, waits for as long as necessary, and a
+failure only closes its connection. The proxy retries the other machine, and answers under that machine's role
+(`sextant.deploy.network.tls_proxy`).
 """
 
 import socket
@@ -19,22 +20,22 @@ from sextant.shared.wire.endpoint import place, resolved
 from sextant.shared.wire.transport import LEASE_MS
 
 _HERE = "127.0.0.1"
-_ATTEMPT_S = 0.5  # [s] of connecting and handshake
-PATIENCE_S = 5.0  # [s] after which the router is told that the other machine cannot be reached
+_ATTEMPT_S = 0.5  # [s] for connection and handshake
+PATIENCE_S = 5.0  # [s] after which the router's connection is closed because the other machine is unreachable
 _LOOK_S = 0.1
 _END_S = 1.0
 _BUFFER = 1 << 16  # [bytes]
 
 
 class TlsDialer:
-    """Dials from entering to leaving; a context manager."""
+    """Proxy for outgoing connections; a context manager."""
 
     def __init__(self, endpoint: str, keys: Keys):
-        """Prepare.
+        """Load the certificates.
 
         Args:
-            endpoint: Of tls, of the other machine.
-            keys: Of this machine.
+            endpoint: TLS endpoint of the other machine.
+            keys: Keys of this machine.
 
         Raises:
             AccessError: The folder of keys has no certificates for it.
@@ -58,13 +59,13 @@ class TlsDialer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._ended.set()
-        self._thread.join(_END_S)  # it may be asking for the address of a host, which takes its time
+        self._thread.join(_END_S)  # name resolution may block the thread
         self._listener.close()
         self._relay.__exit__(kind, error, trace)
 
     @property
     def port(self) -> int:
-        """The port of 127.0.0.1 on which the router connects to it."""
+        """Port of 127.0.0.1 to which the router connects."""
         return int(self._listener.getsockname()[1])
 
     def _run(self) -> None:
@@ -77,7 +78,7 @@ class TlsDialer:
             near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             try:
                 family, address = resolved(self._endpoint)
-            except socket.gaierror:  # `sextant.deploy.network.knocking` says so
+            except socket.gaierror:  # reported by `sextant.deploy.network.knocking`
                 near.close()
                 continue
             if self._ended.is_set():
@@ -87,7 +88,7 @@ class TlsDialer:
             self._relay.carry(near, target, self._answer)
 
     def _answer(self, role: str) -> ssl.SSLContext:
-        """How the router is answered for a machine of a role.
+        """Return the TLS context for the router's connection to a machine of a role.
 
         Raises:
             OSError: There is no such role.
@@ -100,7 +101,7 @@ class TlsDialer:
 def _server(keys: Keys, role: str) -> ssl.SSLContext:
     file = keys.proxy_file(role)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.verify_mode = ssl.CERT_REQUIRED  # another user's program of this machine has none
+    context.verify_mode = ssl.CERT_REQUIRED  # programs of other users have no certificate
     context.load_verify_locations(file.with_name(AUTHORITY))
     context.load_cert_chain(file)
     return context

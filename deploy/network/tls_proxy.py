@@ -1,10 +1,10 @@
-"""A proxy that ends the TLS connections of other machines before the router, so that strangers keep no client out.
+"""Proxy that terminates other machines' TLS connections in front of the router.
 
-Zenoh's own TLS listener stops accepting for 0.1 s after each failed handshake (`TLS_ACCEPT_THROTTLE_TIME`, fixed when it is
-compiled), so 15 refused handshakes a second are enough to keep every client out. Here one thread accepts and verifies
-certificates of all connections at the same time, as `sextant.deploy.network.admission` allows. Only verified connections
-reach the router: another thread carries their bytes to it over TLS on loopback, under a certificate of the same role, by which
-the router applies its access rules. These certificates are valid on that one connection alone.
+Zenoh's own TLS listener stops accepting for 0.1 s after each failed handshake (`TLS_ACCEPT_THROTTLE_TIME`, a compile-time
+constant). So 15 refused handshakes per second would keep every client out. Here, one thread accepts all connections and
+verifies their certificates concurrently, within the limits of `sextant.deploy.network.admission`. Only verified connections
+reach the router. Another thread forwards their bytes over TLS on loopback, under a certificate of the same role; the router
+applies its access rules to that role. These certificates are valid only for that one connection.
 """
 
 import contextlib
@@ -28,17 +28,17 @@ from sextant.shared.wire.endpoint import cannot_listen, listener
 from sextant.shared.wire.transport import TransportError
 
 _HERE = "127.0.0.1"
-_ROUTER_S = 3.0  # [s] in which the router has to take a connection
-_BACKLOG = 4096  # connections that the kernel completes before they are accepted
-_ACCEPTS = 256  # connections accepted before the others are looked at
-_TURN_S = 0.01  # of handshakes, before the next connections are accepted
-_LOOK_S = 0.1  # between two looks at what is overdue
+_ROUTER_S = 3.0  # [s] timeout of the router for accepting a connection
+_BACKLOG = 4096  # size of the kernel's queue of connections to be accepted
+_ACCEPTS = 256  # maximum number of connections accepted in a row
+_TURN_S = 0.01  # [s] of handshakes before new connections are accepted again
+_LOOK_S = 0.1  # [s] between two checks for timeouts
 _NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_ROOM_S = 0.01
 _RECORD = b"\x16\x03"  # first bytes of a TLS handshake
-_DRAIN_BYTES = 4096  # read at once of a refused client, so that closing does not destroy the alert on its way
+_DRAIN_BYTES = 4096  # [bytes] read at once from a refused client: closing with unread data would discard the alert
 
-_REFUSALS = (  # part of OpenSSL's error, and what it means
+_REFUSALS = (  # part of OpenSSL's error, and its meaning
     ("certificate has expired", "an expired certificate"),
     ("certificate is not yet valid", "a certificate that is not valid yet; do the clocks agree?"),
     ("PEER_DID_NOT_RETURN_A_CERTIFICATE", "a client without a certificate"),
@@ -57,28 +57,28 @@ UNKNOWN_ROLE = "a certificate of no known role"
 
 @dataclass(slots=True, eq=False)
 class _Client:
-    """A connection that has no verified certificate yet."""
+    """A connection without a verified certificate."""
 
-    socket: socket.socket  # of TLS once it has begun its handshake
-    source: str  # address by which it is counted
-    number: int  # of all that came
-    refused: bool = False  # and kept open until it has read why
+    socket: socket.socket  # a TLS socket after the handshake has begun
+    source: str  # address under which it is counted
+    number: int  # serial number of the connection
+    refused: bool = False  # refused, but open until the client has read the alert
 
 
 class TlsProxy:
-    """Accepts connections from entering to leaving; a context manager."""
+    """Proxy for incoming connections; a context manager."""
 
     def __init__(
         self, listen: Sequence[str], keys: Keys, port: int, refuse: Callable[[str], object], limits: Limits | None = None
     ):
-        """Prepare.
+        """Load the certificates.
 
         Args:
-            listen: Endpoints of tls for other machines.
-            keys: Of this machine.
-            port: Of 127.0.0.1, on which the router listens for this proxy (`Keys.behind_proxy`).
-            refuse: Is called with the kind of each refusal, from a thread of the proxy.
-            limits: Bounds for connections without a verified certificate.
+            listen: TLS endpoints for other machines.
+            keys: Keys of this machine.
+            port: Port of 127.0.0.1 on which the router listens for this proxy (`Keys.behind_proxy`).
+            refuse: Called with the kind of each refusal, from a thread of the proxy.
+            limits: Limits for connections without a verified certificate.
 
         Raises:
             AccessError: The folder of keys has no certificates for it.
@@ -89,7 +89,7 @@ class TlsProxy:
         self._context.verify_mode = ssl.CERT_REQUIRED
         self._context.load_verify_locations(keys.folder / AUTHORITY)
         self._context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
-        self._context.num_tickets = 0  # no session is resumed
+        self._context.num_tickets = 0  # no session resumption
         self._relay, self._to_router = TlsRelay("tls relay"), {role: _target(keys, role, port) for role in ROLE_NAMED}
         self._limit, self._pending = HandshakeLimit(limits), Pending[_Client](limits)
         self._draining = Pending[_Client](limits)
@@ -98,7 +98,7 @@ class TlsProxy:
         self._thread = threading.Thread(target=self._run, name="tls proxy", daemon=True)
 
     def __enter__(self) -> Self:
-        """Listen.
+        """Start listening.
 
         Raises:
             TransportError: An address cannot be listened on.
@@ -129,9 +129,9 @@ class TlsProxy:
             now_s = time.monotonic()
             ready.sort(key=self._urgency, reverse=True)
             for client in ready:
-                if client.socket.fileno() >= 0:  # not dropped in this turn
+                if client.socket.fileno() >= 0:  # not dropped in this iteration
                     self._advance(client)
-                if time.monotonic() - now_s > _TURN_S:  # the others are still ready in the next turn
+                if time.monotonic() - now_s > _TURN_S:  # the others are still ready in the next iteration
                     break
             for client in self._pending.overdue(now_s):
                 self._drop(client, TOO_SLOW)
@@ -141,9 +141,10 @@ class TlsProxy:
             self._close(client)
 
     def _urgency(self, client: _Client) -> tuple[bool, bool, int]:
-        """Order in which clients are served when there are more than can be.
+        """Return the sort key by which clients are served under load.
 
-        Those of verified addresses go first, then those in a handshake, then the newest: who waits in vain tries again.
+        Clients of verified addresses are first, then those in a handshake, then the newest, because a client that timed out
+        retries.
         """
         return self._limit.is_verified(client.source), isinstance(client.socket, ssl.SSLSocket), client.number
 
@@ -155,9 +156,9 @@ class TlsProxy:
                 return
             except OSError as error:
                 if error.errno in _NO_ROOM:
-                    time.sleep(_NO_ROOM_S)  # there is room when others have gone
+                    time.sleep(_NO_ROOM_S)  # descriptors become free when other connections close
                     return
-                continue  # it has gone already
+                continue  # the connection has closed already
             connection.setblocking(False)
             self._accepted += 1
             client = _Client(connection, source_of(address[0]), self._accepted)
@@ -166,7 +167,7 @@ class TlsProxy:
                 self._drop(crowded, CROWDED)
 
     def _advance(self, client: _Client) -> None:
-        """Take the next step with a client that is ready."""
+        """Continue with a client that is ready."""
         if client.refused:
             self._drain(client)
         elif isinstance(client.socket, ssl.SSLSocket):
@@ -175,7 +176,7 @@ class TlsProxy:
             self._begin(client)
 
     def _begin(self, client: _Client) -> None:
-        """Start the handshake of a client whose first bytes are those of one."""
+        """Start the handshake of a client whose first bytes begin one."""
         try:
             first = client.socket.recv(len(_RECORD), socket.MSG_PEEK)
         except BlockingIOError:
@@ -222,7 +223,10 @@ class TlsProxy:
         self._relay.carry(secured, target, ends_s=ssl.cert_time_to_seconds(str(certificate["notAfter"])))
 
     def _refuse_kindly(self, client: _Client, why: str) -> None:
-        """Refuse a client, and close when it has read the alert: closing with unread bytes would destroy that."""
+        """Refuse a client, and close when it has read the alert.
+
+        Closing with unread data would discard the alert.
+        """
         self._pending.remove(client)
         self._refuse(why)
         client.refused = True
@@ -233,7 +237,7 @@ class TlsProxy:
             self._close(crowded)
 
     def _drain(self, client: _Client) -> None:
-        """Read what a refused client had sent on, and close when it has closed."""
+        """Read the rest of a refused client's data, and close when the client has closed."""
         try:
             if socket.socket.recv(client.socket, _DRAIN_BYTES):
                 return
@@ -247,7 +251,7 @@ class TlsProxy:
     def _drop(self, client: _Client, why: str) -> None:
         self._pending.remove(client)
         self._refuse(why)
-        with contextlib.suppress(OSError):  # closes at once, and leaves nothing behind in the kernel
+        with contextlib.suppress(OSError):  # close at once, without TIME_WAIT
             client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self._close(client)
 
@@ -268,7 +272,7 @@ def _listener(endpoint: str) -> socket.socket:
         raise TransportError(cannot_listen(endpoint, error)) from None
     try:
         bound.listen(_BACKLOG)
-    except OSError as error:  # another program was quicker
+    except OSError as error:  # another program has taken the address in the meantime
         bound.close()
         raise TransportError(cannot_listen(endpoint, error)) from None
     bound.setblocking(False)
@@ -276,7 +280,7 @@ def _listener(endpoint: str) -> socket.socket:
 
 
 def _target(keys: Keys, role: str, port: int) -> Target:
-    """How the router is met for the holder of a role."""
+    """Return the router's address and TLS context for clients of a role."""
     file = keys.proxy_file(role)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.load_verify_locations(file.with_name(AUTHORITY))
@@ -285,6 +289,6 @@ def _target(keys: Keys, role: str, port: int) -> Target:
 
 
 def _kind(error: ssl.SSLError) -> str:
-    """The kind of refusal that an error of the handshake stands for."""
+    """Return the kind of refusal for a handshake error."""
     text = str(error)
     return next((words for sign, words in _REFUSALS if sign in text), NOT_TLS)

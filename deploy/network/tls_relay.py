@@ -1,4 +1,7 @@
-"""Carries bytes between pairs of connections, in a thread of its own: the near ends are given, the far ends are dialled."""
+"""Forward bytes between pairs of connections, in a separate thread.
+
+The near ends are given; the relay connects to the far ends.
+"""
 
 import contextlib
 import errno
@@ -15,34 +18,34 @@ from types import TracebackType
 from typing import Any, Self
 
 _LOOK_S = 0.05
-_READ = 1 << 16  # [bytes] at once
-_ROOM = 1 << 16  # [bytes] that wait for one end, beyond which the other is not read: what waits is late already
+_READ = 1 << 16  # [bytes] maximum read at once
+_ROOM = 1 << 16  # [bytes] maximum queue for one end, above which the other is not read: queued data is late already
 _REDIAL_S = 0.1
 _WANTS = (ssl.SSLWantReadError, ssl.SSLWantWriteError, BlockingIOError)
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """How a far end is met."""
+    """How to connect to a far end."""
 
     address: Any  # as `socket.connect` takes it
     family: socket.AddressFamily
-    host: str  # name that its certificate must have
+    host: str  # host name that its certificate must have
     context: ssl.SSLContext
-    attempt_s: float  # [s] for connecting and handshake, after which it is dialled again
-    patience_s: float  # [s] after which it is given up
-    silence_s: float | None = None  # [s] after which a far end that says nothing is given up
+    attempt_s: float  # [s] timeout of one connection attempt with its handshake
+    patience_s: float  # [s] after which no further attempt is made
+    silence_s: float | None = None  # [s] without data after which the far end is closed
 
 
 @dataclass(slots=True, eq=False)
 class _End:
-    """One end of a carried connection."""
+    """One end of a forwarded connection."""
 
     socket: socket.socket
-    waiting: bytearray = field(default_factory=bytearray)  # to be sent here
-    events: int = 0  # that the selector watches for
-    ready: bool = False  # its handshake is done
-    wants: int = selectors.EVENT_READ  # of its handshake
+    waiting: bytearray = field(default_factory=bytearray)  # data to be sent here
+    events: int = 0  # events registered with the selector
+    ready: bool = False  # whether its handshake is finished
+    wants: int = selectors.EVENT_READ  # event that its handshake waits for
 
 
 @dataclass(slots=True, eq=False)
@@ -51,19 +54,19 @@ class _Carried:
     far: _End
     target: Target
     answer: Callable[[str], ssl.SSLContext] | None
-    ends_s: float  # [s] of the wall clock
-    until_s: float  # when the far end is given up
-    redial_s: float  # when it is dialled again, unless it is ready
-    heard_s: float  # when it last said something
+    ends_s: float  # [s] wall-clock time of its end
+    until_s: float  # time after which no further attempt is made
+    redial_s: float  # time of the next attempt, unless it is ready
+    heard_s: float  # time of the last data from the far end
     dialling: bool = False
     over: bool = False
 
 
 class TlsRelay:
-    """Carries from entering to leaving; a context manager."""
+    """Forwards connections in a thread; a context manager."""
 
     def __init__(self, name: str):
-        """Prepare; `name` is that of the thread."""
+        """Prepare the thread; `name` is its name."""
         self._carried: dict[_Carried, None] = {}
         self._new: deque[_Carried] = deque()
         self._ended = threading.Event()
@@ -96,14 +99,14 @@ class TlsRelay:
         answer: Callable[[str], ssl.SSLContext] | None = None,
         ends_s: float = float("inf"),
     ) -> None:
-        """Carry a connection from now on; from any thread.
+        """Start forwarding a connection; thread-safe.
 
         Args:
-            near: Its near end, not blocking.
-            target: How its far end is met.
-            answer: Returns how a near end that waits for its handshake is answered, by the far end's common name; None where
-                the near end has had its handshake.
-            ends_s: [s] of the wall clock, when it ends at the latest.
+            near: Near end, non-blocking.
+            target: Far end.
+            answer: Returns the near end's TLS context for the far end's common name, if the near end still needs its handshake;
+                None if it had its handshake.
+            ends_s: [s] wall-clock time at which the connection ends at the latest.
         """
         now_s = time.monotonic()
         far = _End(socket.socket(target.family))
@@ -112,11 +115,11 @@ class TlsRelay:
         self._wake()
 
     def count(self, target: Target) -> int:
-        """Return how many connections to a target are carried; from any thread."""
+        """Return the number of connections to a target; thread-safe."""
         return sum(one.target is target for one in (*self._carried, *self._new))
 
     def _wake(self) -> None:
-        with contextlib.suppress(BlockingIOError):  # enough of them are on their way
+        with contextlib.suppress(BlockingIOError):  # enough wake-ups are pending
             self._waking.send(b"w")
 
     def _run(self) -> None:
@@ -139,7 +142,7 @@ class TlsRelay:
                     self._look(carried, now_s)
 
     def _dial(self, carried: _Carried) -> None:
-        """Begin to connect to the far end."""
+        """Start connecting to the far end."""
         target = carried.target
         self._forget(carried.far)
         plain = socket.socket(target.family)
@@ -149,11 +152,11 @@ class TlsRelay:
         plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         carried.far = _End(plain, wants=selectors.EVENT_WRITE)
         carried.dialling, carried.redial_s = True, time.monotonic() + target.attempt_s
-        plain.connect_ex(target.address)  # where that fails, the selector reports it
+        plain.connect_ex(target.address)  # the selector reports failures
         self._watch(carried)
 
     def _look(self, carried: _Carried, now_s: float) -> None:
-        """Dial again, or end what is overdue."""
+        """Connect again, or close a connection after its timeouts."""
         silence_s = carried.target.silence_s
         silent = carried.far.ready and silence_s is not None and now_s - carried.heard_s > silence_s
         given_up = not carried.far.ready and now_s > carried.until_s
@@ -163,7 +166,7 @@ class TlsRelay:
             self._dial(carried)
 
     def _advance(self, carried: _Carried, end: _End, events: int) -> None:
-        """Do what can be done after something has happened at one end."""
+        """Process events at one end."""
         if carried.over or end.socket.fileno() < 0:
             return
         try:
@@ -173,7 +176,7 @@ class TlsRelay:
                 self._meet(carried)
             else:
                 _shake_hands(end)
-        except OSError:  # also of TLS; or the end has closed
+        except OSError:  # includes TLS errors and a closed end
             if end is carried.far and not end.ready:
                 self._fail(carried)
             else:
@@ -182,10 +185,10 @@ class TlsRelay:
             self._watch(carried)
 
     def _meet(self, carried: _Carried) -> None:
-        """Go on with the handshake with the far end, and answer the near one when it is done.
+        """Continue the handshake with the far end; when finished, start the near end's.
 
         Raises:
-            OSError: The far end does not take the connection.
+            OSError: The far end does not accept the connection.
         """
         far, target = carried.far, carried.target
         if not isinstance(far.socket, ssl.SSLSocket):
@@ -216,19 +219,19 @@ class TlsRelay:
                 carried.heard_s = time.monotonic()
 
     def _fail(self, carried: _Carried) -> None:
-        """The far end cannot be met now."""
+        """Schedule another attempt after the far end could not be reached."""
         self._forget(carried.far)
         carried.redial_s = time.monotonic() + _REDIAL_S
 
     def _watch(self, carried: _Carried) -> None:
-        """Have the selector watch for what can be done next."""
+        """Register both ends with the selector for the next possible events."""
         for end, other in ((carried.near, carried.far), (carried.far, carried.near)):
             if end.socket.fileno() < 0:
                 continue
             if end.ready:
                 reads = other.ready and len(other.waiting) < _ROOM
                 wanted = (selectors.EVENT_READ if reads else 0) | (selectors.EVENT_WRITE if end.waiting else 0)
-            else:  # the near end waits for the far one
+            else:  # the near end waits for the far end
                 wanted = end.wants if end is carried.far or other.ready else 0
             if wanted != end.events:
                 number = end.socket.fileno()
@@ -253,18 +256,18 @@ class TlsRelay:
         for end in (carried.near, carried.far):
             if end.ready:
                 with contextlib.suppress(OSError):
-                    _flush(end)  # the last words of the other end
+                    _flush(end)  # the other end's last data
             self._forget(end)
 
 
 def common_name(link: ssl.SSLSocket) -> str:
-    """Return the common name of the other side's verified certificate, empty where it has none."""
+    """Return the common name of the peer's verified certificate, or an empty string."""
     subject: Any = (link.getpeercert() or {}).get("subject", ())
     return str(next((value for pairs in subject for key, value in pairs if key == "commonName"), ""))
 
 
 def _shake_hands(end: _End) -> None:
-    """Go on with a handshake.
+    """Continue a handshake.
 
     Raises:
         OSError: It failed.
@@ -281,7 +284,7 @@ def _shake_hands(end: _End) -> None:
 
 
 def _transfer(source: _End, target: _End) -> None:
-    """Move bytes until there are none, or the target takes no more.
+    """Move bytes until there are none left, or the target accepts no more.
 
     Raises:
         OSError: One of them has closed.
@@ -298,7 +301,7 @@ def _transfer(source: _End, target: _End) -> None:
 
 
 def _flush(end: _End) -> None:
-    """Send what waits, as far as it is taken.
+    """Send queued data, as far as the socket accepts it.
 
     Raises:
         OSError: The end has closed.
