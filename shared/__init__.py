@@ -1,1 +1,4 @@
-"""The language the services speak: messages, topics, transport, robot model. Imports no service."""
+"""Shared library of the services: messages, topics, transport and robot model.
+
+It imports no service.
+"""

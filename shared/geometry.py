@@ -1,7 +1,7 @@
-"""Rotations and rigid transforms as plain arrays, all batched over leading axes.
+"""Rotations and rigid transforms as plain arrays, batched over leading axes.
 
-`T_world_body` is a (4, 4) matrix that takes body coordinates to world coordinates, so neighbouring names cancel:
-`T_world_body @ T_body_camera`. A twist is (6,): linear part first, then angular.
+`T_world_body` is a (4, 4) matrix that transforms body coordinates to world coordinates, so adjacent names cancel:
+`T_world_body @ T_body_camera`. A twist is (6,): linear part first, then angular part.
 """
 
 import math
@@ -12,12 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 _IDENTITY = np.eye(4)
-_FEW = 64  # points, up to which one loop over rows costs less than three over columns
-_SMALL_ANGLE = 1e-8  # [rad] below it the series replaces sin(x)/x
+_FEW = 64  # points up to which one loop over rows is faster than three over columns
+_SMALL_ANGLE = 1e-8  # [rad] below this angle a series replaces sin(x)/x
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the (..., 3, 3) matrix whose product with w is the cross product v x w, for (..., 3) v."""
+    """Return the matrix (..., 3, 3) of the cross product with v (..., 3).
+
+    Its product with w is v x w.
+    """
     v = np.asarray(v, dtype=np.float64)
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -27,7 +30,7 @@ def skew(v: ArrayLike) -> Array:
 
 
 def rotation_z(angle: ArrayLike) -> Array:
-    """Rotation by a finite angle [rad] about z: (...,) -> (..., 3, 3)."""
+    """Return the rotation (..., 3, 3) by a finite angle (...,) [rad] about z."""
     if isinstance(angle, float):
         return rotation_from_rpy((0.0, 0.0, angle))
     angle = np.asarray(angle, dtype=np.float64)
@@ -40,9 +43,12 @@ def rotation_z(angle: ArrayLike) -> Array:
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
-    """Rotation R = Rz(yaw) Ry(pitch) Rx(roll): (..., 3) [rad] roll, pitch, yaw -> (..., 3, 3)."""
+    """Return the rotation (..., 3, 3) of roll, pitch, yaw (..., 3) [rad].
+
+    It is Rz(yaw) Ry(pitch) Rx(roll).
+    """
     rpy = np.asarray(rpy, dtype=np.float64)
-    if rpy.ndim == 1:  # the control loop makes one at a time; there arrays of one element would cost the most
+    if rpy.ndim == 1:  # fast path for the control loop, where arrays of one element would dominate the cost
         angles = rpy.tolist()
         (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
         return np.array(
@@ -63,7 +69,10 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
 
 
 def rpy_from_rotation(R: Array) -> Array:
-    """Roll, pitch, yaw (..., 3) [rad] of (..., 3, 3) rotations; pitch in [-pi/2, pi/2]."""
+    """Return roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3).
+
+    The pitch is in [-pi/2, pi/2].
+    """
     if R.ndim == 2:
         (ax, _, _), (ay, _, _), (az, bz, cz) = R.tolist()
         return np.array([math.atan2(bz, cz), -math.asin(min(max(az, -1.0), 1.0)), math.atan2(ay, ax)])
@@ -74,7 +83,7 @@ def rpy_from_rotation(R: Array) -> Array:
 
 
 def exp_so3(rotvec: ArrayLike) -> Array:
-    """Rotation of a rotation vector (Rodrigues): (..., 3) [rad] -> (..., 3, 3)."""
+    """Return the rotation (..., 3, 3) of a rotation vector (..., 3) [rad] (Rodrigues)."""
     rotvec = np.asarray(rotvec, dtype=np.float64)
     if rotvec.ndim == 1:
         return _exp_of_one(*rotvec.tolist())
@@ -88,7 +97,10 @@ def exp_so3(rotvec: ArrayLike) -> Array:
 
 
 def log_so3(R: Array) -> Array:
-    """Rotation vector (..., 3) [rad] of (..., 3, 3) rotations, of length at most pi."""
+    """Return the rotation vector (..., 3) [rad] of rotations (..., 3, 3).
+
+    Its length is at most pi.
+    """
     if R.ndim == 2:
         rows = R.tolist()
         if rows[0][0] + rows[1][1] + rows[2][2] > 0.0:  # turned by less than 120 deg
@@ -102,9 +114,9 @@ def log_so3(R: Array) -> Array:
 
 
 def _exp_of_one(x: float, y: float, z: float) -> Array:
-    """`exp_so3` of one vector by plain numbers: for one, the overhead of arrays is most of the time."""
+    """Compute `exp_so3` of one vector with plain numbers, without array overhead."""
     angle = math.sqrt(x * x + y * y + z * z)
-    # With the half angle, so that small ones keep their digits.
+    # The half angle keeps the precision of small angles.
     a = math.sin(angle) / angle if angle > 0.0 else 1.0
     b = 2.0 * (math.sin(angle / 2.0) / angle) ** 2 if angle > 0.0 else 0.5
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -112,7 +124,7 @@ def _exp_of_one(x: float, y: float, z: float) -> Array:
 
 
 def _log_of_one(rows: list[list[float]]) -> Array:
-    """`log_so3` of one rotation by less than 120 deg, by its rows."""
+    """Compute `log_so3` of the rows of one rotation by less than 120 deg."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     x, y, z = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine = math.sqrt(x * x + y * y + z * z)
@@ -122,7 +134,10 @@ def _log_of_one(rows: list[list[float]]) -> Array:
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
-    """Rotation of a quaternion, scalar first and of any length but zero: (..., 4) -> (..., 3, 3)."""
+    """Return the rotation (..., 3, 3) of a quaternion (..., 4), scalar first.
+
+    The quaternion may have any length except zero.
+    """
     q = np.asarray(wxyz, dtype=np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     K = skew(q[..., 1:])
@@ -130,9 +145,12 @@ def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
 
 
 def quaternion_from_rotation(R: Array) -> Array:
-    """Unit quaternion (..., 4), scalar first and not negative, of (..., 3, 3) rotations."""
+    """Return the unit quaternion (..., 4) of rotations (..., 3, 3).
+
+    The scalar is first and not negative.
+    """
     trace = np.trace(R, axis1=-2, axis2=-1)
-    # K's dominant eigenvector would do; the four closed forms are cheaper, and the largest pivot is always well scaled.
+    # The four closed forms are cheaper than an eigenvector, and the one with the largest pivot is always well scaled.
     squares = np.stack([trace, R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
     pivot = np.argmax(squares, axis=-1)
     m = R
@@ -175,7 +193,10 @@ def quaternion_from_rotation(R: Array) -> Array:
 
 
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
-    """Rigid transform (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3) [m]."""
+    """Return the rigid transform (..., 4, 4) of a rotation and a translation.
+
+    The rotation is (..., 3, 3), the translation (..., 3) [m].
+    """
     R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
     if R.ndim == 2 and p.ndim == 1:
         one = _IDENTITY.copy()
@@ -189,12 +210,12 @@ def transform(R: ArrayLike, p: ArrayLike) -> Array:
 
 
 def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
-    """Rigid transform of a position [m] and roll, pitch, yaw [rad]."""
+    """Return the rigid transform of a position [m] and roll, pitch, yaw [rad]."""
     return transform(rotation_from_rpy(rpy), xyz)
 
 
 def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
-    """Whether (4, 4) is a rotation and a translation."""
+    """Return whether a (4, 4) matrix is a rigid transform."""
     R = T[:3, :3]
     if not np.abs(R).max() <= 1.0 + tolerance:
         return False
@@ -203,7 +224,7 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 
 
 def inverse(T: Array) -> Array:
-    """Inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
+    """Return the inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
     if T.ndim == 2:
         Rt = T[:3, :3].T
         return transform(Rt, -(Rt @ T[:3, 3]))
@@ -212,23 +233,29 @@ def inverse(T: Array) -> Array:
 
 
 def apply(T: Array, points: ArrayLike) -> Array:
-    """Points (n, 3) [m] of one frame in the frame that a (4, 4) transform leads to; any shape (..., 3) is kept."""
+    """Transform points (..., 3) [m] with a (4, 4) transform."""
     return _offset(np.asarray(points, dtype=np.float64) @ T[:3, :3].T, T[:3, 3])
 
 
 def from_millimetres(points_mm: NDArray[np.integer], origin: Array) -> Array:
-    """Points (n, 3) [m] of whole millimetres from an origin (3,) [m]."""
+    """Convert integer millimetres (n, 3) from an origin (3,) [m] to points (n, 3) [m]."""
     points: Array = np.multiply(points_mm, 1e-3, dtype=np.float64)
     return _offset(points, origin)
 
 
 def to_millimetres(points: Array, origin: Array) -> NDArray[np.int16]:
-    """Whole millimetres (n, 3) from an origin (3,) [m] to points (n, 3) [m], at most 32.767 m away along each axis."""
+    """Convert points (n, 3) [m] to integer millimetres (n, 3) from an origin (3,) [m].
+
+    The values are clipped to 32.767 m per axis.
+    """
     return np.clip(np.rint(1e3 * _offset(points.copy(), -origin)), -32767, 32767).astype(np.int16)
 
 
 def _offset(points: Array, by: Array) -> Array:
-    """Points (..., 3), moved in place: column by column, since NumPy's loops over rows of three are too short for vectors."""
+    """Translate points (..., 3) in place.
+
+    It works column by column, because NumPy's loops over rows of three are too short for vector instructions.
+    """
     if points.size <= 3 * _FEW:
         points += by
         return points
@@ -238,40 +265,48 @@ def _offset(points: Array, by: Array) -> Array:
 
 
 def exp_se3(twist: ArrayLike) -> Array:
-    """Rigid transform of a twist (..., 6): translation [m] and rotation vector [rad] of one screw motion."""
+    """Return the rigid transform (..., 4, 4) of a twist (..., 6).
+
+    The twist has the linear part [m] and the rotation vector [rad] of a screw motion.
+    """
     twist = np.asarray(twist, dtype=np.float64)
     return transform(exp_so3(twist[..., 3:]), (_left_jacobian(twist[..., 3:]) @ twist[..., :3, None])[..., 0])
 
 
 def log_se3(T: Array) -> Array:
-    """Twist (..., 6) whose exponential is the transform (..., 4, 4)."""
+    """Return the twist (..., 6) whose exponential is the transform (..., 4, 4)."""
     rotvec = log_so3(T[..., :3, :3])
     v = np.linalg.solve(_left_jacobian(rotvec), T[..., :3, 3, None])[..., 0]
     return np.concatenate([v, rotvec], axis=-1)
 
 
 def interpolate(T0: Array, T1: Array, s: float) -> Array:
-    """Transform at the fraction s in [0, 1] from T0 to T1: straight in position, shortest in rotation."""
+    """Interpolate between transforms, from T0 (s = 0) to T1 (s = 1).
+
+    The position is linear, and the rotation takes the shortest path.
+    """
     R0, R1 = T0[:3, :3], T1[:3, :3]
     return transform(R0 @ exp_so3(s * log_so3(R0.T @ R1)), (1.0 - s) * T0[:3, 3] + s * T1[:3, 3])
 
 
 def yaw_of(T: Array) -> float:
-    """Heading [rad] of a (4, 4) transform."""
+    """Return the heading [rad] of a (4, 4) transform."""
     return math.atan2(T[1, 0], T[0, 0])
 
 
 def orthonormal(T: Array) -> Array:
-    """The rigid transform nearest to a (4, 4) matrix that has drifted by rounding."""
+    """Return the nearest rigid transform to a (4, 4) matrix with rounding errors."""
     u, _, vt = np.linalg.svd(T[:3, :3])
     return transform(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, T[:3, 3])
 
 
 def align_rigid(source: Array, target: Array, weights: Array | None = None) -> Array:
-    """The rigid transform that takes (n, 3) source points nearest to (n, 3) target points (Kabsch, weighted).
+    """Compute the rigid transform from source points (n, 3) to target points (n, 3).
+
+    It minimizes the weighted squared distances (Kabsch).
 
     Raises:
-        ValueError: Fewer than three points, or shapes that differ.
+        ValueError: There are fewer than three points, or the shapes differ.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise ValueError(f"two (n, 3) point sets with n >= 3 expected, found {source.shape} and {target.shape}")
@@ -279,13 +314,13 @@ def align_rigid(source: Array, target: Array, weights: Array | None = None) -> A
     source_mean, target_mean = w @ source, w @ target
     u, _, vt = np.linalg.svd((source - source_mean).T @ (w[:, None] * (target - target_mean)))
     R = vt.T @ u.T
-    if _is_reflection(R):  # turn the direction that matters least
+    if _is_reflection(R):  # flip the direction with the smallest singular value
         R = (vt.T * [1.0, 1.0, -1.0]) @ u.T
     return transform(R, target_mean - R @ source_mean)
 
 
 def _is_reflection(R: Array) -> bool:
-    """Whether an orthogonal matrix (3, 3) mirrors."""
+    """Return whether an orthogonal matrix (3, 3) is a reflection."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0)
 
@@ -293,7 +328,7 @@ def _is_reflection(R: Array) -> bool:
 def _left_jacobian(rotvec: Array) -> Array:
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     K = skew(rotvec)
-    small = angle < 1e-4  # the closed form loses digits long before it divides by zero
+    small = angle < 1e-4  # the closed form loses precision long before it divides by zero
     safe = np.where(small, 1.0, angle)
     b = np.where(small, 0.5 - angle**2 / 24, (1.0 - np.cos(safe)) / safe**2)
     c = np.where(small, 1.0 / 6.0 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)

@@ -1,23 +1,26 @@
-"""Suggest the known name that a mistyped one is nearest to."""
+"""Suggestions for mistyped names."""
 
 import difflib
 from collections.abc import Iterable
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """The known name that a word resembles most, whatever its case; empty where it resembles none."""
+    """Return the known name most similar to a word, or an empty text.
+
+    The case is ignored.
+    """
     names = {name.lower(): name for name in reversed(list(known))}
     near = difflib.get_close_matches(word.lower(), names, n=1)
     return names[near[0]] if near else ""
 
 
 def hint(word: str, known: Iterable[str], which: str = "known") -> str:
-    """What to write in place of an unknown name: the nearest one, or else one of all.
+    """Return a hint for an unknown name: the most similar name, or all names.
 
     Args:
-        word: As it was written.
-        known: All names.
-        which: What they are called, as in "known keys".
+        word: The unknown name.
+        known: All known names.
+        which: Label of the list, such as "known keys".
     """
     names = list(known)
     near = nearest(word, names)

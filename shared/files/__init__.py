@@ -1,1 +1,1 @@
-"""Read and write files: whole or not at all, of bounded size, with one clear error."""
+"""Read and write files: atomic writes, bounded size, and clear errors."""

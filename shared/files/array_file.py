@@ -1,4 +1,7 @@
-"""Read .npy arrays that others have written: numbers only, and nothing is allocated for what the header alone claims."""
+"""Reader of untrusted .npy files with numbers.
+
+The size in the header is checked before any allocation.
+"""
 
 import re
 from pathlib import Path
@@ -18,15 +21,17 @@ _OTHER_TYPE = re.compile(rb"'descr':\s*('[^']{1,20}'|\[)")
 
 
 def read_numbers(path: Path) -> Array:
-    """The array of a .npy file as floats; pickled objects, records and complex numbers are refused.
+    """Read the array of a .npy file as floats.
+
+    Pickled objects, records and complex numbers are refused.
 
     Raises:
-        FileError: It cannot be read, is cut off, or holds something else.
+        FileError: The file cannot be read, is truncated, or contains something else.
     """
     data = read_bytes(path, 8 * _MAX_CELLS + 65536)
     if len(data) < 10 or not data.startswith(_MAGIC):
         raise FileError(path, "a .npy array expected, found something else")
-    size = 2 if data[6] == 1 else 4  # of the header's length
+    size = 2 if data[6] == 1 else 4  # [bytes] of the header length field
     begin = 8 + size + int.from_bytes(data[8 : 8 + size], "little")
     header = _HEADER.fullmatch(data[8 + size : begin])
     if header is None:
@@ -38,7 +43,7 @@ def read_numbers(path: Path) -> Array:
 
 
 def _filled(path: Path, data: bytes, descr: str, shape: list[int], fortran: bool) -> Array:
-    """The array that a header describes, of the bytes behind it."""
+    """Return the array that a header describes, from the bytes after it."""
     count, kind = 1, np.dtype(descr)
     for length in shape:
         count *= length

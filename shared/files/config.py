@@ -1,8 +1,8 @@
-"""TOML -> frozen dataclasses: every key known, every type right, and all that is wrong said at once.
+"""Conversion of TOML to frozen dataclasses, with all errors reported at once.
 
-A dataclass is its own schema: field types say what is expected, defaults say what may be left out, its `checks` what must hold
-of the values, `__post_init__` refuses what is left of nonsense. Nothing is repaired. A union of dataclasses is told apart by
-the key `kind`, a Literal of each member.
+A dataclass is its own schema. The field types define the expected types, fields with defaults are optional, `checks` define
+conditions of the values, and `__post_init__` refuses other invalid combinations. Unknown keys are errors, and nothing is
+repaired. In a union of dataclasses the key `kind`, a Literal in each member, selects the member.
 """
 
 import dataclasses
@@ -18,11 +18,11 @@ from sextant.shared.files import input_file
 from sextant.shared.spelling import hint, nearest
 
 T = TypeVar("T")
-_MOST_SHOWN = 30  # problems of one configuration
+_MOST_SHOWN = 30  # problems shown per configuration
 
 
 class ConfigError(ValueError):
-    """What is wrong in a configuration, one line each, with the place, what was expected and what was found."""
+    """Errors in a configuration, one per line, with place, expected and found value."""
 
     def __init__(self, source: str, problems: list[str]):
         self.problems = tuple(problems)
@@ -34,27 +34,30 @@ class ConfigError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """A value that is not as it must be."""
+    """Invalid value in a configuration."""
 
-    place: str  # key below the table that is checked, as in "limits[1]"
-    expected: str  # in words
-    found: str  # in words
+    place: str  # key relative to the checked table, such as "limits[1]"
+    expected: str  # description of the expected value
+    found: str  # description of the found value
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What must hold of some of a table's values.
+    """Condition on some values of a table.
 
-    All checks of a schema are tried on what could be read, so that every mistake is told at once; one that needs a value which
-    could not be read, or which another check has found wrong already, is left out.
+    All checks of a schema run on the values that could be read, so that all errors are reported at once. A check is skipped if
+    one of its values could not be read, or failed an earlier check.
     """
 
     keys: tuple[str, ...]
-    finds: Callable[..., Iterable[Misfit]]  # takes the values of the keys
+    finds: Callable[..., Iterable[Misfit]]  # called with the values of the keys
 
 
 def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check, ...]:
-    """Checks of the value of one key or, with spaces between, of several, and of every entry where a value is a list."""
+    """Return one check per key in `keys`, which are separated by spaces.
+
+    A list is checked entry by entry.
+    """
 
     def of(key: str) -> Check:
         def finds(value: Any) -> Iterator[Misfit]:
@@ -69,7 +72,10 @@ def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check,
 
 
 def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
-    """A check of what the values of some keys, with spaces between, have to do with each other; told at the first."""
+    """Return a check on several values together; `keys` are separated by spaces.
+
+    Errors name the first key.
+    """
     names = keys.split()
 
     def finds(*values: Any) -> Iterator[Misfit]:
@@ -81,10 +87,10 @@ def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
 
 
 def verify(made: Any) -> None:
-    """Refuse a dataclass whose `checks` do not hold, for its `__post_init__`.
+    """Run the `checks` of a dataclass; its `__post_init__` calls this.
 
     Raises:
-        ValueError: All that is wrong.
+        ValueError: A check failed; the text lists all errors.
     """
     values = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
     misfits = _misfits(type(made).checks, values)
@@ -93,7 +99,7 @@ def verify(made: Any) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The table of plain values that a TOML file holds; raises ConfigError when there is none."""
+    """Read a TOML file as a table of plain values; raises ConfigError if that fails."""
     try:
         return input_file.read_toml(path)
     except input_file.FileError as error:
@@ -104,15 +110,22 @@ def load(path: Path, schema: type[T]) -> T:
     """Read a TOML file as a frozen dataclass.
 
     Raises:
-        ConfigError: The file is missing, is not TOML, or does not fit the schema; all misfits are listed.
+        ConfigError: The file is missing, is not TOML, or does not match the schema; the text lists all errors.
     """
     return build(read(path), schema, str(path))
 
 
 def build(table: dict[str, Any], schema: type[T], source: str = "configuration", also: tuple[Check, ...] = ()) -> T:
-    """Make a frozen dataclass from a table of plain values; raises ConfigError that lists every misfit.
+    """Make a frozen dataclass from a table of plain values.
 
-    `also` are further checks of the top level.
+    Args:
+        table: Plain values, as from TOML.
+        schema: Dataclass to make.
+        source: Name of the table in errors.
+        also: Additional checks of the top level.
+
+    Raises:
+        ConfigError: The table does not match the schema; the text lists all errors.
     """
     problems: list[str] = []
     value = _build_dataclass(table, schema, "", problems, also)
@@ -122,7 +135,10 @@ def build(table: dict[str, Any], schema: type[T], source: str = "configuration",
 
 
 def as_table(value: object) -> Any:
-    """The plain table that `build` would make the value from: tuples become lists, None fields are left out."""
+    """Return the plain table from which `build` makes the value.
+
+    Tuples become lists, and None fields are omitted.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         pairs = ((f.name, getattr(value, f.name)) for f in dataclasses.fields(value))
         return {name: as_table(item) for name, item in pairs if item is not None}
@@ -137,7 +153,7 @@ _INVALID = object()
 
 
 class _Partial:
-    """What is right of a table that is not right as a whole."""
+    """Valid values of a table that has errors."""
 
     def __init__(self, values: dict[str, object]):
         self._values = values
@@ -150,20 +166,23 @@ class _Partial:
 
 
 def _known(value: object) -> bool:
-    """Whether a value could be read as a whole."""
+    """Return whether a value is valid, including all its entries."""
     if isinstance(value, tuple):
         return all(map(_known, value))
     return value is not _INVALID and not isinstance(value, _Partial)
 
 
 def _misfits(checks: Iterable[Check], values: dict[str, object]) -> list[Misfit]:
-    """What the checks find in the values that are there; those found wrong are taken out of them."""
+    """Run checks on the known values and return the errors.
+
+    Failed values are marked as invalid.
+    """
     found: list[Misfit] = []
     for check in checks:
         if all(values.get(key, _INVALID) is not _INVALID for key in check.keys):
             misfits = list(check.finds(*(values[key] for key in check.keys)))
             for misfit in misfits:
-                if "." not in misfit.place:  # else what is wrong lies within a table that is right as such
+                if "." not in misfit.place:  # otherwise the error is inside a table whose other values are valid
                     values[misfit.place.split("[")[0]] = _INVALID
             found += misfits
     return found
@@ -260,7 +279,7 @@ def _join(where: str, name: str) -> str:
 
 
 def _wanted(hint: Any, name: str) -> str:
-    """What a missing key asks for, in words."""
+    """Return the expected value of a missing key as text."""
     if dataclasses.is_dataclass(hint):
         return f"a table [{name}]"
     if get_origin(hint) is tuple and any(dataclasses.is_dataclass(member) for member in _members(hint)):
@@ -269,7 +288,7 @@ def _wanted(hint: Any, name: str) -> str:
 
 
 def _members(hint: Any) -> tuple[Any, ...]:
-    """What the entries of a tuple's hint may be."""
+    """Return the possible entry types of a tuple's type hint."""
     return tuple(member for entry in get_args(hint) for member in (get_args(entry) or (entry,)))
 
 

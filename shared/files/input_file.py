@@ -1,7 +1,7 @@
-"""Read files that others have written: text, TOML and JSON of bounded size, and one error that names file and cause.
+"""Reader of untrusted text, TOML and JSON files of bounded size.
 
-Only `FileError` leaves these functions, whatever the path is and whatever the bytes are. Reading never blocks: a pipe or a
-device is refused before it is opened.
+These functions raise only `FileError`, for any path and any content. Reading never blocks: a pipe or a device is refused
+before it is opened.
 """
 
 import json
@@ -16,16 +16,16 @@ from typing import Any, NoReturn
 _MAX_TEXT_BYTES = 16 << 20
 _MAX_TOML_BYTES = 2 << 20
 _PIECE_BYTES = 1 << 20
-_MAX_DEPTH = 32  # tables and lists within each other
+_MAX_DEPTH = 32  # nesting depth of tables and lists
 _INT64 = range(-(2**63), 2**63)
-# One name more than may be joined by dots: tomllib takes time and memory by the square of their number.
+# Matches one dotted name more than allowed, because tomllib needs quadratic time and memory in their number.
 _NAME = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DOTTED = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 class FileError(ValueError):
-    """What is wrong with a file: its path, the line where that is known, and the cause in one sentence."""
+    """A file cannot be used; the text gives path, line (if known) and cause."""
 
     def __init__(self, path: Path, cause: str, line: int | None = None):
         self.path, self.cause, self.line = path, cause, line
@@ -34,17 +34,17 @@ class FileError(ValueError):
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """All bytes of a regular file of at most `most` bytes.
+    """Read a regular file of at most `most` bytes.
 
     Raises:
-        FileError: There is no such file, it is not a regular file, it cannot be read, or it is larger.
+        FileError: The file does not exist, is not a regular file, cannot be read, or is larger.
     """
     try:
         _check_regular(path, path.stat())
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             _check_regular(path, os.fstat(file.fileno()))
             data = bytearray()
-            while len(data) <= most and (piece := file.read(_PIECE_BYTES)):  # the size that a file states may be wrong
+            while len(data) <= most and (piece := file.read(_PIECE_BYTES)):  # the reported size of a file may be wrong
                 data += piece
     except OSError as error:
         raise FileError(path, os_cause(error)) from None
@@ -58,19 +58,19 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int = _MAX_TEXT_BYTES) -> str:
-    """The text of a UTF-8 file, with or without a byte-order mark.
+    """Read a UTF-8 text file, with or without a byte-order mark.
 
     Raises:
-        FileError: As of `read_bytes`, or it is not UTF-8.
+        FileError: As in `read_bytes`, or the file is not UTF-8.
     """
     return decode_text(path, read_bytes(path, most))
 
 
 def decode_text(path: Path, data: bytes) -> str:
-    """Text of the UTF-8 bytes that a file holds.
+    """Decode the bytes of a UTF-8 file.
 
     Raises:
-        FileError: They are not UTF-8.
+        FileError: The bytes are not UTF-8.
     """
     if data.startswith(_UTF16_MARKS) or b"\0" in data:
         found = "UTF-16" if data.startswith(_UTF16_MARKS) or _every_second_is_zero(data) else "zero bytes"
@@ -84,16 +84,18 @@ def decode_text(path: Path, data: bytes) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The table that a TOML file holds; whole numbers fit 64 bits, tables and lists are at most 32 deep.
+    """Read a TOML file.
+
+    Integers have at most 64 bits, and tables and lists are at most 32 deep.
 
     Raises:
-        FileError: As of `read_text`, or it is not such a file.
+        FileError: As in `read_text`, or the file is not such a TOML file.
     """
     return parse_toml(path, read_bytes(path, _MAX_TOML_BYTES))
 
 
 def parse_toml(path: Path, data: bytes) -> dict[str, Any]:
-    """The table that the bytes of a TOML file hold; see `read_toml`."""
+    """Parse the bytes of a TOML file; see `read_toml`."""
     text = decode_text(path, data)
     dotted = _DOTTED.search(text)
     if dotted is not None:
@@ -105,22 +107,24 @@ def parse_toml(path: Path, data: bytes) -> dict[str, Any]:
         raise FileError(path, f"TOML expected, found {_uncapitalized(str(error))}") from None
     except RecursionError:
         raise FileError(path, f"TOML expected, found lists or tables more than {_MAX_DEPTH} deep") from None
-    except ValueError:  # by the limit on the digits of a number
+    except ValueError:  # from Python's limit on the digits of an integer
         raise FileError(path, "whole numbers of at most 64 bits expected, found one of thousands of digits") from None
     _check_plain(path, table, None)
     return table
 
 
 def read_json(path: Path, most: int = _MAX_TEXT_BYTES) -> Any:
-    """The value that a JSON file holds; see `parse_json`."""
+    """Read a JSON file; see `parse_json`."""
     return parse_json(path, read_bytes(path, most))
 
 
 def parse_json(path: Path, data: bytes, line: int | None = None) -> Any:
-    """The value that the bytes of a JSON file, or of one line of it, hold; NaN and infinity are refused.
+    """Parse the bytes of a JSON file, or of one line of it.
+
+    NaN and infinity are refused.
 
     Raises:
-        FileError: They are not such JSON.
+        FileError: The bytes are not valid JSON.
     """
     text = decode_text(path, data)
     try:
@@ -154,7 +158,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _check_plain(path: Path, value: Any, line: int | None) -> None:
-    """Refuse values nested too deeply, whole numbers beyond 64 bits, and texts that are not Unicode."""
+    """Refuse deep nesting, integers of more than 64 bits, and invalid Unicode."""
     level = [("", value)]
     for _ in range(_MAX_DEPTH + 1):
         if not level:
@@ -181,7 +185,7 @@ def _children(where: str, entry: Any) -> Iterator[tuple[str, Any]]:
 
 
 class _ConstantError(ValueError):
-    """A constant that JSON does not have."""
+    """The text contains a constant that JSON does not have."""
 
 
 def _refuse(constant: str) -> NoReturn:

@@ -1,4 +1,7 @@
-"""Read PNG and JPEG pictures that others have written; size and kind are checked before anything is decoded."""
+"""Reader of untrusted PNG and JPEG images.
+
+Size and format are checked before decoding.
+"""
 
 import struct
 import zlib
@@ -16,31 +19,31 @@ _MAX_FILE_BYTES = 256 << 20
 _MAX_PIXELS = 1 << 24
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_KINDS = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
-_PNG_DECODED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")  # the other chunks are texts, profiles, and further pictures
+_PNG_DECODED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")  # other chunks are texts, profiles and additional images
 _JPEG = b"\xff\xd8\xff"
-_JPEG_NO_FRAMES = (0xC4, 0xC8, 0xCC)  # among the markers of frames, 0xC0 to 0xCF
+_JPEG_NO_FRAMES = (0xC4, 0xC8, 0xCC)  # markers from 0xC0 to 0xCF that do not start a frame
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What the head of a picture says."""
+    """Header of an image."""
 
     width: int  # [px]
     height: int  # [px]
-    bits: int  # of a channel
+    bits: int  # per channel
     kind: str
 
 
 def read_grey(path: Path, bits: tuple[int, ...], size: tuple[int, int] | None = None) -> NDArray[np.uint8 | np.uint16]:
-    """A grey PNG (h, w), its values as they are stored.
+    """Read a grey PNG image (h, w) with its stored values.
 
     Args:
         path: The file.
-        bits: Of a pixel, those that are accepted: 8, 16 or both.
-        size: Width and height [px] that are expected; None for any up to 16 million pixels.
+        bits: Accepted bits per pixel: 8, 16 or both.
+        size: Expected width and height [px]; None for any size up to 16 million pixels.
 
     Raises:
-        FileError: It cannot be read, is cut off or damaged, or is another picture.
+        FileError: The file cannot be read, is truncated or damaged, or has another format.
     """
     data = read_bytes(path, _MAX_FILE_BYTES)
     if not data.startswith(_PNG):
@@ -54,14 +57,14 @@ def read_grey(path: Path, bits: tuple[int, ...], size: tuple[int, int] | None = 
 
 
 def read_color(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A PNG or JPEG picture (h, w, 3), R, G, B.
+    """Read a PNG or JPEG image as R, G, B (h, w, 3).
 
     Args:
         path: The file.
-        size: Width and height [px] that are expected.
+        size: Expected width and height [px].
 
     Raises:
-        FileError: As of `read_grey`.
+        FileError: As in `read_grey`.
     """
     data = read_bytes(path, _MAX_FILE_BYTES)
     if data.startswith(_PNG):
@@ -94,7 +97,7 @@ def _decoded(path: Path, data: bytes, flags: int, shape: tuple[int, ...]) -> NDA
 
 
 def _png(path: Path, data: bytes) -> tuple[_Header, bytes]:
-    """The header of a PNG and its bytes without what is not decoded."""
+    """Return the header of a PNG, and its bytes without unused chunks."""
     chunks = list(_png_chunks(path, data))
     if len(chunks[0]) != len(b"IHDR") + 13 or not chunks[0].startswith(b"IHDR"):
         raise FileError(path, "a PNG picture expected, found one without its header")
@@ -105,7 +108,7 @@ def _png(path: Path, data: bytes) -> tuple[_Header, bytes]:
 
 
 def _png_chunks(path: Path, data: bytes) -> Iterator[bytes]:
-    """Name and contents of each chunk, the last of which is IEND."""
+    """Yield name and contents of each chunk, up to IEND."""
     at, name = len(_PNG), b""
     while name != b"IEND":
         length = int.from_bytes(data[at : at + 4], "big")

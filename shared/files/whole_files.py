@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all.
+"""Atomic writing of files.
 
-A file is written under a temporary name in its own folder and renamed when it is whole, so that nobody ever reads half of it
-and a crash leaves the old one. What keeps a file from being written is said in one sentence, as a WriteError.
+A file is written under a temporary name in its own folder, and renamed when it is complete. A reader therefore never sees an
+incomplete file, and a crash leaves the old file. Errors of writing are raised as WriteError, with one sentence.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import BinaryIO
 
-_USUAL_MODE = 0o666  # less the user's mask
+_USUAL_MODE = 0o666  # before the user's umask
 _CAUSES = {
     errno.ENOSPC: "the disk is full; make room",
     errno.EDQUOT: "this user's share of the disk is full; make room",
@@ -31,7 +31,7 @@ OUT_OF_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS))
 
 
 class WriteError(OSError):
-    """A file that cannot be written: which, why, and what to do."""
+    """A file cannot be written; the text gives the file, the cause and what to do."""
 
     def __init__(self, path: Path, error: OSError, kept: str = ""):
         self._of = path, OSError(error.errno, error.strerror or str(error)), kept
@@ -46,13 +46,13 @@ class WriteError(OSError):
 
 
 def cause(error: OSError) -> str:
-    """Why something cannot be written, and what to do."""
+    """Return why a file cannot be written, and what to do."""
     return _CAUSES.get(error.errno or 0) or error.strerror or str(error)
 
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Have what keeps a file from being written raised as a WriteError."""
+    """Convert an OSError in the block to a WriteError."""
     try:
         yield
     except WriteError:
@@ -63,7 +63,10 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reported(tell: Callable[[str], object]) -> Iterator[None]:
-    """Have a WriteError told as a warning, where work goes on without the file."""
+    """Report a WriteError in the block as a warning.
+
+    Use it where work can continue without the file.
+    """
     try:
         yield
     except WriteError as error:
@@ -72,15 +75,17 @@ def reported(tell: Callable[[str], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(path: Path, durable: bool = False, mode: int = _USUAL_MODE) -> Iterator[BinaryIO]:
-    """Open a file to be written; it takes its place when the block ends, and is removed if the block fails.
+    """Open a temporary file that replaces `path` when the block ends.
+
+    If the block fails, the temporary file is removed.
 
     Args:
-        path: Of the file; its folder exists.
-        durable: Wait until it is on the disk, so that a power cut does not lose it: for evidence and settings.
-        mode: Permissions that a new file gets, less the user's mask.
+        path: Path of the file; its folder exists.
+        durable: Wait until the file is on the disk, so that a power cut does not lose it: for evidence and settings.
+        mode: Permissions of a new file, before the user's umask.
 
     Raises:
-        WriteError: It cannot be written, or another process is writing it.
+        WriteError: The file cannot be written, or another process is writing it.
     """
     part = partial(path)
     with explained(path), _locked(part, mode) as file:
@@ -98,29 +103,33 @@ def replacing(path: Path, durable: bool = False, mode: int = _USUAL_MODE) -> Ite
 
 
 def write_bytes(path: Path, data: bytes, durable: bool = False, mode: int = _USUAL_MODE) -> None:
-    """Write a file whole or not at all.
+    """Write a file atomically.
 
     Raises:
-        WriteError: It cannot be written.
+        WriteError: The file cannot be written.
     """
     with replacing(path, durable, mode) as file:
         file.write(data)
 
 
 def write_text(path: Path, text: str, durable: bool = False, mode: int = _USUAL_MODE) -> None:
-    """Write a text in UTF-8 whole or not at all.
+    """Write a UTF-8 text file atomically.
 
     Raises:
-        WriteError: It cannot be written.
+        WriteError: The file cannot be written.
     """
     write_bytes(path, text.encode(), durable, mode)
 
 
 def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
-    """Have a library write a file by its name, under another one that has the same suffix, and rename it when it is whole.
+    """Write a file atomically with a library function that takes a path.
+
+    The temporary name has the same suffix.
+
+    The file is renamed when it is complete.
 
     Raises:
-        WriteError: It cannot be written.
+        WriteError: The file cannot be written.
     """
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     with explained(path):
@@ -132,20 +141,22 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those it is in, where it is missing.
+    """Make a folder and its parents if they are missing.
 
     Raises:
-        WriteError: It cannot be made.
+        WriteError: The folder cannot be made.
     """
     with explained(path):
         path.mkdir(parents=True, exist_ok=True)
 
 
 def append_text(path: Path, text: str, durable: bool = False) -> None:
-    """Append a text in UTF-8 to a file, made where it is missing; the file stays as it was where that fails.
+    """Append UTF-8 text to a file.
+
+    A missing file is made, and an error leaves the file unchanged.
 
     Raises:
-        WriteError: It cannot be written.
+        WriteError: The file cannot be written.
     """
     with explained(path), path.open("ab", buffering=0) as file:
         before = file.seek(0, os.SEEK_END)
@@ -162,12 +173,12 @@ def append_text(path: Path, text: str, durable: bool = False) -> None:
 
 
 def partial(path: Path) -> Path:
-    """The name of a file while it is written."""
+    """Return the temporary name of a file."""
     return path.with_name(f".{path.name}.part")
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names of a folder's files are on the disk."""
+    """Wait until the directory entries of a folder are on the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -177,7 +188,10 @@ def sync_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _locked(part: Path, mode: int) -> Iterator[BufferedWriter]:
-    """A partial file, empty and this process's own; one that a killed process left is taken over."""
+    """Open an empty partial file and lock it for this process.
+
+    A file left by a killed process is reused.
+    """
     while True:
         descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, mode)
         with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
@@ -186,16 +200,16 @@ def _locked(part: Path, mode: int) -> Iterator[BufferedWriter]:
             except BlockingIOError:
                 raise OSError(errno.EBUSY, "another process is writing it; wait for it to end") from None
             if not _is(part, descriptor):
-                continue  # another process has just renamed or removed it
+                continue  # another process just renamed or removed it
             os.ftruncate(descriptor, 0)
             if mode != _USUAL_MODE:
-                os.fchmod(descriptor, mode)  # whoever made it
+                os.fchmod(descriptor, mode)  # also if a killed process made the file
             yield file
             return
 
 
 def _is(path: Path, descriptor: int) -> bool:
-    """Whether an open file still has a name."""
+    """Return whether a path still refers to an open file."""
     try:
         return os.path.samestat(path.stat(), os.fstat(descriptor))
     except FileNotFoundError:

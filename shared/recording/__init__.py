@@ -1,1 +1,1 @@
-"""Recordings: what the wire carried, in MCAP files that people's tools open too."""
+"""Record, read and recover runs, in MCAP files that other tools can open."""

@@ -1,4 +1,4 @@
-"""What is in a recording, told without decoding it."""
+"""Summary of a recording, without decoding its messages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,44 +26,44 @@ class Track:
 
     @property
     def rate_hz(self) -> float:
-        """Messages a second, from the first to the last."""
+        """Mean message rate [Hz], from the first message to the last."""
         span_s = (self.ended_ns - self.began_ns) * 1e-9
         return (self.messages - 1) / span_s if span_s > 0 else 0.0
 
 
 @dataclass(slots=True)
 class Contents:
-    """A recording, file by file and topic by topic."""
+    """Contents of a recording, by file and by topic."""
 
     about: dict[str, str] = field(default_factory=dict)
     files: dict[str, int] = field(default_factory=dict)  # name -> bytes
-    conditions: dict[str, Condition] = field(default_factory=dict)  # name -> what was found of the file
-    profiles: list[str] = field(default_factory=list)  # of MCAP, that files claim to follow
+    conditions: dict[str, Condition] = field(default_factory=dict)  # name -> condition of the file
+    profiles: list[str] = field(default_factory=list)  # MCAP profiles of the files
     metadata: list[str] = field(default_factory=list)  # names of further metadata
     attachments: dict[str, int] = field(default_factory=dict)  # name -> bytes
     tracks: dict[str, Track] = field(default_factory=dict)  # by topic
 
     @property
     def cut_off(self) -> list[str]:
-        """Names of files that are damaged or without an end, and not empty."""
+        """Names of files that are damaged or have no end, without empty files."""
         return [name for name, condition in self.conditions.items() if not (condition.whole or condition.empty)]
 
     @property
     def began_ns(self) -> int:
-        """[ns] of the first message, -1 where there is none."""
+        """Time [ns] of the first message, -1 without messages."""
         return min((t.began_ns for t in self.tracks.values() if t.messages), default=-1)
 
     @property
     def ended_ns(self) -> int:
-        """[ns] of the last message, likewise."""
+        """Time [ns] of the last message, -1 without messages."""
         return max((t.ended_ns for t in self.tracks.values()), default=-1)
 
 
 def contents(path: Path) -> Contents:
-    """Read a file, or the files of a folder, through.
+    """Read a file, or all files of a folder, and summarize the contents.
 
     Raises:
-        RecordingError: No such file, or not an MCAP file.
+        RecordingError: A file does not exist, or is not an MCAP file.
     """
     found = Contents()
     for file in Recording(path).files:
@@ -105,7 +105,7 @@ def _count(track: Track, entry: Entry) -> None:
 
 
 def as_table(found: Contents) -> Mapping[str, Any]:
-    """As a plain table, for scripts."""
+    """Return the contents as a plain table, for scripts."""
     return {
         "about": found.about,
         "files": found.files,
@@ -130,7 +130,7 @@ def as_table(found: Contents) -> Mapping[str, Any]:
 
 
 def in_words(found: Contents) -> str:
-    """For people."""
+    """Return the contents as text for the terminal."""
     size = sum(found.files.values())
     duration = max(found.ended_ns - found.began_ns, 0) * 1e-9
     lines = [f"{len(found.files)} file{'s' if len(found.files) > 1 else ''}, {size / 1e6:.1f} MB, {duration:.1f} s"]

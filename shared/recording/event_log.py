@@ -1,4 +1,7 @@
-"""The log: what has come about, in the words of those whom it has come about for. Pure: time comes in."""
+"""Event log of a run: changes of state that the services report.
+
+It has no clock; times are arguments.
+"""
 
 from collections import deque
 from collections.abc import Mapping
@@ -8,38 +11,38 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, H
 
 KEPT = 300  # entries
 _BAD = (Mode.FAULT, Mode.OFF)
-_SILENT_NS = 3_000_000_000  # [ns] without a word of a service, after which that is said
+_SILENT_NS = 3_000_000_000  # [ns] without health after which a service is logged as silent
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line."""
+    """One line of the log."""
 
     at_ns: int
     who: str
     words: str
-    bad: bool  # something is wrong
+    bad: bool  # whether it reports a problem
 
 
 class Diary:
-    """Follows what the services say, and notes what is new."""
+    """Event log; adds an entry when a message of a service reports something new."""
 
     def __init__(self) -> None:
         self.entries: deque[Entry] = deque(maxlen=KEPT)
-        self.count = 0  # of all that there ever were
-        self._told: dict[str, str] = {}  # what was last noted, by subject
+        self.count = 0  # of all entries so far
+        self._told: dict[str, str] = {}  # last logged text, by subject
         self._warnings: frozenset[str] = frozenset()
         self._silent: set[str] = set()
-        self._slow = False  # whether the computer was, when that was noted last
-        self._refusals: dict[str, str] = {}  # the last one noted, by service
+        self._slow = False  # last logged state of the computer
+        self._refusals: dict[str, str] = {}  # last logged refusal, by service
 
     def note(self, at_ns: int, who: str, words: str, bad: bool = False) -> None:
-        """Add a line."""
+        """Add an entry."""
         self.entries.append(Entry(at_ns, who, words, bad))
         self.count += 1
 
     def legs(self, now_ns: int, state: ActuatorState | None) -> None:
-        """See what the actuator says; None where it has said nothing for a while."""
+        """Log changes of the actuator's state; None if it has been silent for a while."""
         if state is None:
             self._if_new(now_ns, "actuator", "mode", "no word from the actuator", True, unless="")
             return
@@ -53,34 +56,43 @@ class Diary:
         self._warnings = warnings
 
     def planner(self, now_ns: int, status: PlannerStatus | None) -> None:
-        """See what the planner says; while it steps only that it does, its words change with every step."""
+        """Log changes of the planner's status.
+
+        The reason is omitted while the robot steps, because it changes with every step.
+        """
         if status is None:
             return
         words = status.state if status.state == "stepping" else f"{status.state}: {status.reason}"
         self._if_new(now_ns, "planner", "status", words, status.state == "blocked")
 
     def perception(self, now_ns: int, pose: BodyPose) -> None:
-        """See whether it is known where the robot is."""
+        """Log whether the pose of the robot is known."""
         known = "it is known where the robot is"
         self._if_new(now_ns, "perception", "pose", known if pose.ok else pose.reason, not pose.ok, unless=known)
 
     def camera(self, now_ns: int, state: CameraState | None) -> None:
-        """See how the camera fares."""
+        """Log changes of the camera's state."""
         if state is not None:
             self._if_new(now_ns, "camera", "state", "pictures come" if state.ok else state.reason, not state.ok)
 
     def computer(self, now_ns: int, too_slow: str) -> None:
-        """Note that the computer is too slow, or no longer is; the figures change all the time."""
+        """Log when the computer becomes too slow, or fast enough again.
+
+        Changing numbers are not logged.
+        """
         if bool(too_slow) != self._slow:
             self._slow = bool(too_slow)
             self.note(now_ns, "console", too_slow or "the services keep up again", self._slow)
 
     def passage(self, now_ns: int, plan: PassagePlan) -> None:
-        """A section of a passage was planned."""
+        """Log the plan of a section of a passage."""
         self.note(now_ns, "planner", f"passage, section {plan.section}: {plan.state}: {plan.reason}", plan.state == "no way")
 
     def services(self, now_ns: int, heard: Mapping[str, tuple[Health, int]]) -> None:
-        """Note services that have gone silent, are back, or refuse a message; forget those that are not in `heard`."""
+        """Log services that become silent, return, or refuse a message.
+
+        Services that are not in `heard` are forgotten.
+        """
         self._silent &= heard.keys()
         self._refusals = {name: words for name, words in self._refusals.items() if name in heard}
         for name, (word, at_ns) in heard.items():

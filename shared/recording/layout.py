@@ -1,4 +1,7 @@
-"""How frames of the wire lie in an MCAP file: as they are, a channel per topic, its fields' declarations as schema."""
+"""Layout of recordings: MCAP files with one channel per topic.
+
+The frames are unchanged, and the schema of a channel declares its message.
+"""
 
 import json
 from typing import Any, Literal
@@ -8,8 +11,8 @@ import numpy as np
 from sextant.shared.wire import codec, messages
 from sextant.shared.wire.messages import Message
 
-ENCODING = "sextant"  # of schemas and messages that are the wire's own
-METADATA = "run"  # name of what a file says about itself
+ENCODING = "sextant"  # of Sextant's own schemas and messages
+METADATA = "run"  # name of the metadata record about the run
 
 FRAME_LAYOUT = (
     "uint32 little-endian header length | header | padding to 8 bytes | arrays, each padded to 8 bytes. "
@@ -21,11 +24,17 @@ FRAME_LAYOUT = (
 
 
 class RecordingError(ValueError):
-    """A file that is not a recording, or not one that this version can read; says which and what to do."""
+    """A file is not a recording that this version can read.
+
+    The text gives the file and what to do.
+    """
 
 
 def describe(kind: type[Message]) -> str:
-    """A message's declaration as JSON text: its schema id, and name, type and shape of every field in their order."""
+    """Return a message's declaration as JSON text.
+
+    It has the schema id, and name, type and shape of each field in order.
+    """
     fields = [{"name": name, **_described(base, detail)} for name, base, detail in messages.schema(kind)]
     return json.dumps({"schema": codec.schema_id(kind), "doc": kind.__doc__, "fields": fields}, indent=1)
 

@@ -1,4 +1,4 @@
-"""Recording what a link hears, in a thread of its own that nothing else ever waits for."""
+"""Recording of a link's messages in a thread that never blocks the link."""
 
 import threading
 import time
@@ -12,18 +12,18 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.runtime.zenoh_runner import Link
 from sextant.shared.wire import topics
 
-_QUEUE_FRAMES = 2000  # that may wait for the disk
-_QUEUE_BYTES = 64 << 20  # of them together
-_WRITE_S = 0.05  # between two looks at what waits
-_FLUSH_S = 0.4  # after which what has come is handed to the system, which keeps it whatever becomes of this process
-_SYNC_S = 0.4  # between two times that the system is to bring it to the disk, for when the power goes
+_QUEUE_FRAMES = 2000  # maximum number of queued frames
+_QUEUE_BYTES = 64 << 20  # maximum total size of queued frames
+_WRITE_S = 0.05  # [s] between two writes of the queue
+_FLUSH_S = 0.4  # [s] between two flushes to the operating system, which keeps the data if this process dies
+_SYNC_S = 0.4  # [s] between two syncs to the disk, against power failures
 
 
 class Sink(Protocol):
-    """What is recorded into: a `Recorder`, a `Rotation` of them, or whoever else takes frames."""
+    """Protocol of a destination of frames, such as a `Recorder` or a `Rotation`."""
 
     @property
-    def target(self) -> str: ...  # noqa: D102 - as of those
+    def target(self) -> str: ...  # noqa: D102 - as in these classes
 
     @property
     def size(self) -> int: ...  # noqa: D102
@@ -43,31 +43,31 @@ class Sink(Protocol):
 
 
 class LiveRecorder:
-    """Records what a link hears, without ever holding the link up; a context manager.
+    """Records the messages of a link without blocking it; a context manager.
 
-    Frames wait in a bounded queue for a thread that writes. What finds the queue full is dropped and counted.
+    Frames wait in a bounded queue for the writing thread. Frames that arrive while the queue is full are dropped and counted.
     """
 
     def __init__(self, sink: Sink):
-        self.taken = 0  # frames that are written, or wait to be
-        self.dropped = 0  # frames that found the queue full
-        self.problem = ""  # why writing ended early, in words
+        self.taken = 0  # frames written or queued
+        self.dropped = 0  # frames dropped because the queue was full
+        self.problem = ""  # why writing ended early; empty if it did not
         self._sink = sink
         self._queue: deque[tuple[AnyTopic, bytes, int]] = deque()
         self._waiting_bytes = 0
         self._lock = threading.Lock()
         self._ended = threading.Event()
-        self._endings: list[Callable[[], None]] = []  # of what is listened to
+        self._endings: list[Callable[[], None]] = []  # functions that end the subscriptions
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._syncing = threading.Thread(target=self._sync, name="sync", daemon=True)
 
     @property
     def size(self) -> int:
-        """Written so far."""
+        """Bytes written so far."""
         return self._sink.size
 
     def take(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Have a frame written; from any thread, never blocking."""
+        """Queue a frame for writing, from any thread, without blocking."""
         if self.problem:
             return
         with self._lock:
@@ -79,7 +79,10 @@ class LiveRecorder:
             self.taken += 1
 
     def listen(self, link: Link, clock: Callable[[], int]) -> None:
-        """Record every topic of the table that is not left out; `clock` gives the time [ns]."""
+        """Subscribe to every topic that the sink does not skip.
+
+        `clock` gives the time [ns].
+        """
         for topic in topics.TOPICS:
             if topic not in self._sink.skipped:
                 self._endings.append(link.subscribe(topic, lambda heard, frame: self.take(heard, frame, clock())))
@@ -89,7 +92,7 @@ class LiveRecorder:
         return self
 
     def start(self) -> None:
-        """Let the thread write."""
+        """Start the threads."""
         self._thread.start()
         self._syncing.start()
 
@@ -98,19 +101,22 @@ class LiveRecorder:
         self.join()
 
     def end(self) -> None:
-        """Listen no longer, and let the thread write what waits and finish the file; `finished` says when."""
+        """End the subscriptions.
+
+        The thread then writes the queue and finishes the file (see `finished`).
+        """
         for ending in self._endings:
             ending()
         self._endings.clear()
         self._ended.set()
 
     def join(self) -> None:
-        """Wait for the thread to have finished the file, which `end` asked for."""
+        """Wait until the thread has finished the file; call `end` first."""
         self._thread.join()
 
     @property
     def finished(self) -> bool:
-        """Whether the last file is whole, or given up."""
+        """Whether the last file is complete, or was abandoned."""
         return not self._thread.is_alive()
 
     def _run(self) -> None:
@@ -123,7 +129,7 @@ class LiveRecorder:
                     self._sink.flush()
             self._write_what_waits()
         except NoRoomError as error:
-            self.problem = f"the recording ended early: {error}"  # and its last file is whole
+            self.problem = f"the recording ended early: {error}"  # the last file is complete
         except OSError as error:
             self.problem = f"the recording ended early: {error}"
             self._sink.abandon()
@@ -134,7 +140,7 @@ class LiveRecorder:
             self.problem = self.problem or f"the recording could not be finished: {error}"
 
     def _sync(self) -> None:
-        """The disk takes its time, in which the other thread goes on."""
+        """Sync the file in a separate thread, because the disk is slow."""
         while not self._ended.wait(_SYNC_S) and not self.problem:
             try:
                 self._sink.sync()

@@ -1,4 +1,4 @@
-"""Recordings, read from their beginning in the order in which they were written."""
+"""Reader of recordings, in the order in which they were written."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -14,25 +14,25 @@ from sextant.shared.wire.messages import Message
 
 _RECOVERED = ".recovered.mcap"
 _INSTEAD = "give the recording.mcap of a run's folder, or a folder of recordings"
-_LARGEST_JUMP_NS = 86_400_000_000_000  # a day, from one message to the next: what replays it lets that time pass
+_LARGEST_JUMP_NS = 86_400_000_000_000  # [ns] one day, between consecutive messages; a replay waits for that time
 
 
 class Recording:
-    """A recorded run: a file, or a folder whose files follow each other.
+    """Recorded run: a file, or a folder of consecutive files.
 
-    Only a RecordingError leaves it, whatever the bytes of its files: damaged records are passed over and counted.
+    It raises only RecordingError, for files with any content. Damaged records are skipped and counted.
     """
 
     def __init__(self, path: Path):
-        """Open it; nothing but the first bytes of its files is looked at.
+        """Open a recording; only the first bytes of its files are checked.
 
         Raises:
-            RecordingError: No such file, or not an MCAP file.
+            RecordingError: A file does not exist, or is not an MCAP file.
         """
         self.path = path
-        self.about: dict[str, str] = {}  # filled as `frames` comes across it: at the very beginning of the first file
-        self.conditions: dict[Path, Condition] = {}  # of the files that `frames` has come to
-        self.undeclared = 0  # messages of channels that no whole record declares
+        self.about: dict[str, str] = {}  # set when `frames` reads it, at the beginning of the first file
+        self.conditions: dict[Path, Condition] = {}  # of the files that `frames` has reached
+        self.undeclared = 0  # messages of channels without an intact declaration
         self.files = _newest_of_each(files_of(path))
         if not self.files:
             raise RecordingError(f"{path}: no recordings in this folder; {_INSTEAD}")
@@ -41,16 +41,16 @@ class Recording:
 
     @property
     def cut_off(self) -> list[Path]:
-        """Files that `frames` found to be damaged, or to end before their end."""
+        """Files that `frames` found damaged or truncated."""
         return [path for path, condition in self.conditions.items() if not condition.whole]
 
     @property
     def complete(self) -> bool:
-        """Whether `frames` has found whole every file that it has come to."""
+        """Whether all files that `frames` has reached are intact."""
         return not (self.cut_off or self.undeclared)
 
     def frames(self) -> Iterator[tuple[str, bytes, int]]:
-        """(topic key, frame, time [ns]) of all that was on the wire, as far as it is whole."""
+        """Yield (topic key, frame, time [ns]) of all intact frames."""
         self.undeclared = 0
         before_ns = -1
         for path in self.files:
@@ -63,7 +63,7 @@ class Recording:
 
     def _frames_of(self, path: Path) -> Iterator[tuple[str, bytes, int]]:
         keys: dict[int, str] = {}
-        foreign: set[int] = set()  # channels that say the same in other words
+        foreign: set[int] = set()  # channels with translations of the frames
         own = 0
         condition = self.conditions[path] = Condition()
         for record in read_records(path, condition):
@@ -84,10 +84,12 @@ class Recording:
             raise RecordingError(f"{path}: frames of {ENCODING!r} expected, found none; {_INSTEAD}")
 
     def messages(self, wanted: Iterable[AnyTopic] = topics.TOPICS) -> Iterator[tuple[AnyTopic, Message, int]]:
-        """(topic, message, time [ns]) of some topics. Frames of this version that are damaged are passed over and counted.
+        """Yield (topic, message, time [ns]) of some topics.
+
+        Damaged frames of this version are skipped and counted.
 
         Raises:
-            RecordingError: A frame of another version.
+            RecordingError: A frame has another version.
         """
         by_key = {topic.key: topic for topic in wanted}
         for key, frame, at_ns in self.frames():
@@ -107,7 +109,7 @@ class Recording:
         return next(reversed(self.conditions.values()))
 
     def counts(self) -> dict[str, int]:
-        """Topic key -> recorded frames."""
+        """Return topic key -> number of recorded frames."""
         found: dict[str, int] = {}
         for key, _, _ in self.frames():
             found[key] = found.get(key, 0) + 1
@@ -115,12 +117,12 @@ class Recording:
 
 
 def read(path: Path, wanted: Iterable[AnyTopic] = topics.TOPICS) -> Iterator[tuple[AnyTopic, Message, int]]:
-    """(topic, message, time [ns]) of some topics of a recording, in the order in which they were written."""
+    """Yield (topic, message, time [ns]) of some topics, in the order of writing."""
     return Recording(path).messages(wanted)
 
 
 def read_records(path: Path, condition: Condition) -> Iterator[McapRecord]:
-    """The whole records of a file; `condition` is filled while they are read.
+    """Yield the intact records of a file; `condition` is updated while they are read.
 
     Raises:
         RecordingError: The file cannot be read, or is not an MCAP file.
@@ -134,17 +136,17 @@ def read_records(path: Path, condition: Condition) -> Iterator[McapRecord]:
 
 
 def newest_ns(path: Path) -> int:
-    """Newest time [ns] of a message in a file, -1 where it holds none.
+    """Return the newest time [ns] of a message in a file, -1 without messages.
 
     Raises:
-        RecordingError: No such file, or not an MCAP file.
+        RecordingError: The file does not exist, or is not an MCAP file.
     """
     times = (record.log_time for record in read_records(path, Condition()) if isinstance(record, Entry))
     return max(times, default=-1)
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file has its end and nothing in it is damaged."""
+    """Return whether a file has its end, and no damage."""
     condition = Condition()
     try:
         for _ in read_records(path, condition):
@@ -155,22 +157,22 @@ def is_whole(path: Path) -> bool:
 
 
 def files_of(path: Path) -> list[Path]:
-    """A file, or the MCAP files of a folder in their order."""
+    """Return a file, or the MCAP files of a folder in order."""
     return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
 
 
 def recovered(path: Path) -> Path:
-    """Where a file goes when it is made whole."""
+    """Return the path of the recovered copy of a file."""
     return path.with_name(f"{path.stem}{_RECOVERED}")
 
 
 def is_recovered(path: Path, files: Iterable[Path]) -> bool:
-    """Whether a file was made whole from another one that is there."""
+    """Return whether a file is the recovered copy of another one in `files`."""
     return path in {recovered(other) for other in files}
 
 
 def _of_this_version(frame: bytes, topic: AnyTopic) -> bool:
-    """Whether a frame that cannot be decoded claims to be a message as this version declares it, or claims nothing."""
+    """Return whether an undecodable frame has this version's schema id, or no header."""
     try:
         return codec.label(frame).schema_id == codec.schema_id(topic.type)
     except codec.DecodeError:
@@ -178,13 +180,18 @@ def _of_this_version(frame: bytes, topic: AnyTopic) -> bool:
 
 
 def _newest_of_each(files: list[Path]) -> list[Path]:
-    """Each file once: the one that was made whole, or its source where that is missing or damaged itself."""
+    """Return each recording once.
+
+    The recovered copy is preferred, unless it is missing or damaged.
+    """
     whole = {path for path in files if is_recovered(path, files) and is_whole(path)}
     return [path for path in files if (path in whole if is_recovered(path, files) else recovered(path) not in whole)]
 
 
 def check_magic(path: Path) -> None:
-    """Check the first bytes of a file; a shorter file is an empty recording if it begins right.
+    """Check the first bytes of a file.
+
+    A shorter file with a correct beginning is an empty recording.
 
     Raises:
         RecordingError: The file cannot be read, or is not an MCAP file.

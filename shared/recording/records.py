@@ -1,6 +1,8 @@
-"""Records of an MCAP file, whatever its bytes: whole records are read, damaged ones are counted and passed over.
+"""Reader of MCAP records that skips and counts damaged ones.
 
-Memory is bounded: no record, and no chunk when unpacked, is taken into memory that is larger than `LARGEST_BYTES`.
+The file may have any content.
+
+Memory is bounded: records, and unpacked chunks, of more than `LARGEST_BYTES` are not loaded.
 """
 
 import re
@@ -22,39 +24,39 @@ from mcap.records import Message as Entry
 
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_BYTES = 64 << 20
-_LATEST_NS = (1 << 63) - 1  # times [ns] are signed here
-_HEAD = struct.Struct("<BQ")  # of a record: opcode, length of what follows
-_ENTRY = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time
-_TAIL = struct.Struct("<BQQQI8s")  # of a file: the footer and the closing magic
+_LATEST_NS = (1 << 63) - 1  # times [ns] are signed in Sextant
+_HEAD = struct.Struct("<BQ")  # head of a record: opcode, length of the contents
+_ENTRY = struct.Struct("<HIQQ")  # head of a message: channel, sequence, log time, publish time
+_TAIL = struct.Struct("<BQQQI8s")  # end of a file: footer and closing magic
 _PIECE_BYTES = 1 << 20  # unpacked, or searched, at a time
-_WINDOW_BYTES = 1 << 27  # of a Zstandard frame, at most
-_PRIVATE = 0x80  # opcodes from here on belong to applications
-# Heads of records within the limit; a lookahead, since one may begin inside what looks like another.
+_WINDOW_BYTES = 1 << 27  # maximum window of a Zstandard frame
+_PRIVATE = 0x80  # first opcode reserved for applications
+# Heads of records within the size limit. The lookahead finds overlapping matches: a head may start inside a false one.
 _CANDIDATE = re.compile(rb"(?=[\x03-\x0f][\x00-\xff]{3}[\x00-\x04]\x00{4})")
-_SEARCH_SHARE = 8  # bytes that a search may examine, per byte of the file
+_SEARCH_SHARE = 8  # bytes that a search may examine per byte of the file
 
 
 class _DamagedError(McapError):
-    """A record whose bytes contradict each other."""
+    """The contents of a record are inconsistent."""
 
 
 @dataclass(slots=True)
 class Condition:
-    """The state of a file, as far as it has been read."""
+    """State of a file, as far as it has been read."""
 
     size: int = 0  # [bytes]
-    ended: bool = False  # it has its footer and closing magic
-    messages: int = 0  # that are whole
-    damaged: int = 0  # records and chunks that were passed over
-    too_large: Counter[str] = field(default_factory=Counter)  # others that were passed over, by their kind
-    lost_bytes: int = 0  # between two whole records that belong to neither
-    tail_bytes: int = 0  # behind the last whole record
-    index_damaged: bool = False  # an index does not match the messages, or the summary its checksum
-    dropped: Counter[str] = field(default_factory=Counter)  # records that cannot be kept, by their kind
+    ended: bool = False  # whether it has a footer and closing magic
+    messages: int = 0  # number of intact messages
+    damaged: int = 0  # number of damaged records and chunks, which were skipped
+    too_large: Counter[str] = field(default_factory=Counter)  # number of skipped large records, by kind
+    lost_bytes: int = 0  # bytes between intact records that belong to no record
+    tail_bytes: int = 0  # bytes after the last intact record
+    index_damaged: bool = False  # an index does not match the messages, or the summary does not match its checksum
+    dropped: Counter[str] = field(default_factory=Counter)  # number of records that cannot be copied, by kind
 
     @property
     def empty(self) -> bool:
-        """Whether it ends before its first record."""
+        """Whether the file ends before its first record."""
         return self.size <= len(MAGIC)
 
     @property
@@ -65,7 +67,7 @@ class Condition:
 
     @property
     def lost(self) -> list[str]:
-        """The losses, for people."""
+        """List of the losses as text."""
         lost = [f"{self.damaged} damaged parts"] if self.damaged else []
         lost += [f"{self.lost_bytes} bytes between whole parts"] if self.lost_bytes else []
         lost += [f"{self.tail_bytes} bytes at the end"] if self.tail_bytes else []
@@ -73,11 +75,13 @@ class Condition:
 
 
 def records(file: BinaryIO, condition: Condition) -> Iterator[McapRecord]:
-    """The whole records of an open file in their order, those inside chunks in place of the chunks.
+    """Yield the intact records of an open file in order.
+
+    The records inside a chunk replace the chunk.
 
     Args:
-        file: Seekable; its first bytes are `MAGIC`, or the beginning of it.
-        condition: Filled while records are read.
+        file: Seekable file that begins with `MAGIC`, or with a part of it.
+        condition: Updated while records are read.
 
     Raises:
         OSError: The file cannot be read.
@@ -86,12 +90,12 @@ def records(file: BinaryIO, condition: Condition) -> Iterator[McapRecord]:
 
 
 def printable(text: str) -> str:
-    """A text of a file for a terminal: control characters, which a terminal would obey, are replaced."""
+    """Return a text with its control characters replaced, safe to print on a terminal."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 class _Reader:
-    """Walks from record to record, and behind damage to the next whole one."""
+    """Reads record by record, and continues at the next intact record after damage."""
 
     def __init__(self, file: BinaryIO, condition: Condition):
         self._file, self._condition = file, condition
@@ -154,7 +158,7 @@ class _Reader:
         return self._file.read(count)
 
     def _head(self, at: int) -> tuple[int, int] | None:
-        """Opcode and end of a record at an offset, None where none can be."""
+        """Return opcode and end of the record at an offset, or None without a record."""
         data = self._bytes(at, _HEAD.size)
         if len(data) < _HEAD.size:
             return None
@@ -167,7 +171,10 @@ class _Reader:
         return self._size - at == len(MAGIC) and self._bytes(at, len(MAGIC)) == MAGIC
 
     def _read(self, opcode: int, at: int, end: int) -> tuple[int, McapRecord | None]:
-        """Up to where a record is whole, its beginning if it is damaged, and the record where somebody wants it."""
+        """Read a record, and return the end of its intact part and the record or None.
+
+        The end is the start of the record if it is damaged.
+        """
         begins = at + _HEAD.size
         if opcode not in _PARSERS:
             if opcode >= _PRIVATE:
@@ -184,7 +191,7 @@ class _Reader:
         return begins + consumed, record
 
     def _inside(self, chunk: Chunk) -> Iterator[McapRecord]:
-        """The records in a chunk."""
+        """Yield the records in a chunk."""
         self._index = {}
         if chunk.uncompressed_size > LARGEST_BYTES:
             self._condition.too_large[f"chunks that unpack to more than {LARGEST_BYTES >> 20} MB"] += 1
@@ -213,7 +220,7 @@ class _Reader:
             at = end
 
     def _check_end(self, footer: Footer, end: int) -> bool:
-        """Whether the file ends behind a footer."""
+        """Return whether the file ends after a footer, and check the summary's checksum."""
         if not self._file_ends(end):
             return False
         self._condition.ended = True
@@ -224,7 +231,10 @@ class _Reader:
         return True
 
     def _declarations(self) -> Iterator[McapRecord]:
-        """Schemas and channels of the summary at the end, once: those in what is damaged are repeated there."""
+        """Yield schemas and channels from the summary, once.
+
+        The summary repeats the declarations that may be lost in damaged parts.
+        """
         if self._asked_summary or self._size < len(MAGIC) + _TAIL.size:
             return
         self._asked_summary = True
@@ -243,7 +253,7 @@ class _Reader:
             at = end
 
     def _next_whole(self, start: int) -> int:
-        """Where the next whole record begins from an offset on, -1 where none does."""
+        """Return the start of the next intact record at or after an offset, or -1."""
         for at in self._candidates(start):
             head = self._head(at)
             if head is None or self._budget <= 0:
@@ -279,7 +289,7 @@ class _Reader:
 
 
 class _Body(ReadDataStream):
-    """The bytes of one record: nothing behind its end can be read."""
+    """Stream over the bytes of one record; reading beyond its end raises EndOfFile."""
 
     def __init__(self, data: bytes):
         super().__init__(BytesIO(data))
@@ -335,24 +345,24 @@ _PARSERS: dict[int, Callable[[bytes], tuple[McapRecord, int]]] = {
     Opcode.METADATA: _of(Metadata),
     Opcode.DATA_END: _of(DataEnd),
 }
-_UNWANTED = (MessageIndex, DataEnd)  # by readers
+_UNWANTED = (MessageIndex, DataEnd)  # records that are not yielded
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 _IN_CHUNKS = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
-_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, RuntimeError)  # lz4 raises the last
+_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, RuntimeError)  # lz4 raises RuntimeError
 
 
 def _parse(opcode: int, data: bytes) -> tuple[McapRecord, int]:
-    """A record, and how many bytes of it were needed."""
+    """Return a record, and the number of bytes consumed."""
     return _PARSERS[opcode](data)
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """The records of a chunk.
+    """Decompress the records of a chunk.
 
     Raises:
-        McapError: It is larger than the limit or than it says, or does not match its checksum; or is packed in an unknown way.
-        ZstdError: What is packed by Zstandard is damaged.
-        RuntimeError: The same by LZ4.
+        McapError: The size is over the limit or differs from the header, the checksum is wrong, or the compression is unknown.
+        ZstdError: The Zstandard data is damaged.
+        RuntimeError: The LZ4 data is damaged.
     """
     size = chunk.uncompressed_size
     if size > LARGEST_BYTES:
@@ -374,7 +384,7 @@ def unpacked(chunk: Chunk) -> bytes:
 
 
 def _zstd(data: bytes, size: int) -> bytes:
-    """Unpacked bytes, at most one more than is expected."""
+    """Decompress Zstandard data, to at most one byte more than expected."""
     out = bytearray()
     with zstandard.ZstdDecompressor(max_window_size=_WINDOW_BYTES).stream_reader(data, read_across_frames=True) as stream:
         while len(out) <= size and (piece := stream.read(min(_PIECE_BYTES, size + 1 - len(out)))):

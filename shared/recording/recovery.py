@@ -1,4 +1,4 @@
-"""What a crash or a bad disk left of a recording, made a whole file again."""
+"""Recovery of damaged recordings after a crash or a disk error."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -17,32 +17,32 @@ from sextant.shared.recording.records import Condition
 
 @dataclass(slots=True)
 class Recovered:
-    """The result of a recovery."""
+    """Result of a recovery."""
 
     condition: Condition = field(default_factory=Condition)  # of the source
     messages: int = 0
     began_ns: int = 0
     ended_ns: int = 0
-    undeclared: int = 0  # messages of channels that no whole record declares
+    undeclared: int = 0  # messages of channels without an intact declaration
 
     @property
     def was_whole(self) -> bool:
-        """Whether nothing needed to be done, and nothing was."""
+        """Whether the source is intact, so nothing was copied."""
         return self.condition.whole
 
     @property
     def was_empty(self) -> bool:
-        """Whether the source ends before its first record: nothing can be done, and nothing was."""
+        """Whether the source ends before its first record, so nothing was copied."""
         return self.condition.empty
 
     @property
     def span_s(self) -> float:
-        """[s] from the first message to the last."""
+        """Time [s] from the first message to the last."""
         return (self.ended_ns - self.began_ns) * 1e-9
 
     @property
     def lost(self) -> list[str]:
-        """The losses, for people."""
+        """List of the losses as text."""
         undeclared = [f"{self.undeclared} messages of undeclared topics"] if self.undeclared else []
         return self.condition.lost + undeclared
 
@@ -54,12 +54,12 @@ class Recovered:
 
 
 def recover(source: Path, target: Path) -> Recovered:
-    """Copy all that is whole in a damaged file to a new one; the old one stays as it is.
+    """Copy all intact records of a damaged file to a new one, and keep the source.
 
-    A file that is whole, or empty, is not copied. The new file appears when it is complete.
+    An intact or empty file is not copied. The new file appears when it is complete.
 
     Raises:
-        RecordingError: `source` cannot be read, is no MCAP file, or nothing in it is whole.
+        RecordingError: `source` cannot be read, is not an MCAP file, or has no intact messages.
         WriteError: The new file cannot be written.
     """
     found = Recovered()
@@ -78,11 +78,11 @@ def recover(source: Path, target: Path) -> Recovered:
 
 
 class _Copy:
-    """Writes records again, each schema and channel once."""
+    """Writes copies of records, each schema and channel once."""
 
     def __init__(self, file: BinaryIO):
         self._writer = Writer(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
-        self._schemas: dict[int, tuple[Schema | None, int]] = {0: (None, 0)}  # by the number in the old file
+        self._schemas: dict[int, tuple[Schema | None, int]] = {0: (None, 0)}  # by id in the source
         self._channels: dict[int, tuple[Channel, int]] = {}
         self._started = False
 

@@ -1,4 +1,7 @@
-"""A recording in files of a minute, each whole in itself, which leave the disk some room."""
+"""Recording in complete files of one minute each.
+
+It stops before the disk is full.
+"""
 
 import shutil
 from collections.abc import Callable
@@ -7,17 +10,20 @@ from pathlib import Path
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.runtime.service import AnyTopic
 
-FILE_NS = 60_000_000_000  # [ns] of a file
-RESERVE_BYTES = 500 << 20  # that others keep of the disk
-_LOOK_NS = 1_000_000_000  # [ns] between two looks at how much is left
+FILE_NS = 60_000_000_000  # [ns] length of a file
+RESERVE_BYTES = 500 << 20  # disk space to leave free
+_LOOK_NS = 1_000_000_000  # [ns] between two checks of the free space
 
 
 class NoRoomError(OSError):
-    """The disk is all but full; says how full, and what to do."""
+    """The disk is nearly full; the text gives the free space and what to do."""
 
 
 class Rotation:
-    """Writes frames into one file after the other; used by one thread at a time but for `sync`, as a `Recorder`."""
+    """Writes frames to consecutive files.
+
+    Like a `Recorder` it is not thread-safe, except for `sync`.
+    """
 
     def __init__(
         self,
@@ -30,14 +36,14 @@ class Rotation:
         """Open the first file.
 
         Args:
-            folder: Where the files go; it exists.
-            make: Opens a file.
+            folder: Folder of the files; it exists.
+            make: Function that opens a recorder for a path.
             file_ns: Length [ns] of a file.
-            reserve_bytes: That are left free; what would go into them is not written.
-            free_bytes: How much is free where a folder is.
+            reserve_bytes: Disk space to leave free; recording stops before using it.
+            free_bytes: Function that returns the free disk space of a folder.
 
         Raises:
-            OSError: The file cannot be written, or there is no room for it.
+            OSError: The file cannot be written, or the disk is nearly full.
         """
         self.folder = folder
         self._make, self._file_ns = make, file_ns
@@ -50,24 +56,24 @@ class Rotation:
 
     @property
     def path(self) -> Path:
-        """The file that is being written."""
+        """Path of the current file."""
         return self._recorder.path
 
     @property
     def target(self) -> str:
-        """The same, in words."""
+        """Path of the current file as text."""
         return self._recorder.target
 
     @property
     def size(self) -> int:
-        """Written so far, into all files."""
+        """Bytes written so far to all files."""
         return self._finished_size + self._recorder.size
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Append a frame with the time [ns] at which it came.
+        """Append a frame with its arrival time [ns].
 
         Raises:
-            OSError: It could not be written.
+            OSError: The frame cannot be written.
         """
         if self._began_ns < 0:
             self._began_ns = self._looked_ns = at_ns
@@ -81,11 +87,11 @@ class Rotation:
         self._recorder.write(topic, frame, at_ns)
 
     def flush(self) -> None:
-        """Hand all that was written over to the system."""
+        """Flush all written data to the operating system."""
         self._recorder.flush()
 
     def sync(self) -> None:
-        """Wait until what was flushed is on the disk; from any thread."""
+        """Wait until all flushed data is on the disk; callable from any thread."""
         self._recorder.sync()
 
     def close(self) -> None:
@@ -93,7 +99,7 @@ class Rotation:
         self._recorder.close()
 
     def abandon(self) -> None:
-        """Close the last file as it is."""
+        """Close the last file without finishing it."""
         self._recorder.abandon()
 
     def _next(self) -> Recorder:

@@ -1,4 +1,4 @@
-"""One MCAP file: the frames of the wire as they are, and beside them what people's tools draw."""
+"""Writer of one MCAP file: frames, and their translations for visualization tools."""
 
 import contextlib
 import os
@@ -17,36 +17,39 @@ from sextant.shared.recording.layout import ENCODING, FRAME_LAYOUT, METADATA, de
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import topics
 
-# What is lost at most when the process dies: the chunk that is being filled.
+# If the process dies, at most the chunk that is being filled is lost.
 _CHUNK_BYTES = 256 << 10
-_FLUSH_NS = 500_000_000  # from one chunk to the next at most
+_FLUSH_NS = 500_000_000  # [ns] maximum time between two chunks
 
-RESERVE_BYTES = 4 << 20  # of the disk, for what a run leaves behind beside its recording
+RESERVE_BYTES = 4 << 20  # disk space for the other files of a run, such as the report
 
-# Pictures would be nine tenths of a file, and asking for colour makes the simulator render it.
+# Images would be nine tenths of a file, and a subscriber of colour makes the simulator render it.
 LEFT_OUT: frozenset[AnyTopic] = frozenset({topics.DEPTH, topics.COLOR})
-# The scans, all recorded, make the map again; one map a second shows what came of them.
+# All scans are recorded, and they can reproduce the map. One map per second shows the result.
 THINNED_NS: Mapping[AnyTopic, int] = {topics.TERRAIN: 1_000_000_000}
 
 
 class Translator(Protocol):
-    """Says in another language what a frame says."""
+    """Protocol of a translation of frames to Protobuf messages."""
 
     def translate(self, topic: AnyTopic, frame: bytes, at_ns: int) -> Sequence[tuple[str, ProtoMessage]]:
-        """(topic of the other language, message) for a frame that came at a time [ns]."""
+        """Return (topic, message) pairs for a frame received at a time [ns]."""
         ...
 
 
 class Silent:
-    """Translates nothing."""
+    """Translator without output."""
 
     def translate(self, topic: AnyTopic, frame: bytes, at_ns: int) -> Sequence[tuple[str, ProtoMessage]]:
-        """Nothing."""
+        """Return no messages."""
         return ()
 
 
 class Recorder:
-    """Writes frames into an MCAP file; a context manager. Used by one thread at a time, but for `sync`."""
+    """Writes frames to an MCAP file; a context manager.
+
+    It is not thread-safe, except for `sync`.
+    """
 
     def __init__(
         self,
@@ -60,17 +63,17 @@ class Recorder:
 
         Args:
             path: File to write; its folder exists.
-            about: What the run was, in words, for whoever finds the file.
-            translator: What is written beside the frames that are recorded; None for nothing.
+            about: Description of the run, stored as metadata.
+            translator: Translator of the recorded frames; None for no translations.
             left_out: Topics that are not recorded.
-            thinned_ns: Topic -> time [ns] that passes between two recorded frames.
+            thinned_ns: Topic -> minimum time [ns] between two recorded frames.
 
         Raises:
             WriteError: The file cannot be written.
         """
         self.path = path
         self.skipped = frozenset(left_out)
-        self.size = 0  # written so far
+        self.size = 0  # [bytes] written so far
         self._translator = translator or Silent()
         self._thinned_ns = thinned_ns
         self._newest_ns: dict[str, int] = {}
@@ -95,14 +98,14 @@ class Recorder:
 
     @property
     def target(self) -> str:
-        """The file, in words."""
+        """Path of the file as text."""
         return str(self.path)
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Append a frame with the time [ns] at which it was sent or came.
+        """Append a frame with the time [ns] at which it was sent or received.
 
         Raises:
-            WriteError: It could not be written; the recording has ended.
+            WriteError: The frame cannot be written; the recording has ended.
         """
         if topic in self.skipped:
             return
@@ -119,10 +122,12 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all that was written over to the system: what then becomes of this process is nothing to it.
+        """Flush all written data to the operating system.
+
+        The system keeps the data if this process dies.
 
         Raises:
-            WriteError: It could not be written, or the disk is nearly full; the recording has ended.
+            WriteError: The data cannot be written, or the disk is nearly full; the recording has ended.
         """
         with self._writing():
             self._writer.flush()  # type: ignore[no-untyped-call]
@@ -134,7 +139,10 @@ class Recorder:
             raise whole_files.WriteError(self.path, OSError(words), f"its first {self.size / 1e6:.1f} MB are whole")
 
     def sync(self) -> None:
-        """Wait until what was flushed is on the disk; from any thread, holding nobody else up."""
+        """Wait until all flushed data is on the disk.
+
+        Any thread may call this, and it does not block other threads.
+        """
         with self._closing:
             if self._file.closed:
                 return
@@ -155,12 +163,12 @@ class Recorder:
                     self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is: it can be read as far as it goes."""
+        """Close the file without finishing it; its complete records stay readable."""
         try:
             with self._closing:
                 self._file.close()
         except OSError:
-            return  # what could not be written is lost, which whoever abandons it knows
+            return  # unwritten data is lost; the caller already handles this error
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -192,7 +200,7 @@ class Recorder:
 
 
 class Unwritable:
-    """Stands in for a recorder whose file cannot be made: the first frame raises why."""
+    """Replaces a recorder whose file cannot be made; writing a frame raises the error."""
 
     size = 0
     skipped = frozenset(LEFT_OUT)
@@ -201,25 +209,28 @@ class Unwritable:
         self.target, self._error = str(path), error
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Raise why the file cannot be made."""
+        """Raise the error of the file."""
         raise self._error
 
     def flush(self) -> None:
-        """Raise why the file cannot be made."""
+        """Raise the error of the file."""
         raise self._error
 
     def sync(self) -> None:
-        """Nothing is there to be brought to the disk."""
+        """Do nothing, because there is no file."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, because there is no file."""
 
     def abandon(self) -> None:
-        """Nothing is open."""
+        """Do nothing, because there is no file."""
 
 
 def declaration(file: Any) -> FileDescriptorSet:
-    """The descriptor of a Protobuf file with all that it imports, those first: what MCAP has as a Protobuf channel's schema."""
+    """Return the descriptors of a Protobuf file and its imports, imports first.
+
+    MCAP uses them as the schema of a channel.
+    """
     found: dict[str, Any] = {}
 
     def visit(one: Any) -> None:

@@ -1,6 +1,6 @@
-"""The pinhole depth camera: intrinsics, range, noise figures, and the rays of its pixels.
+"""Pinhole depth camera: intrinsics, range, noise model, and points of its pixels.
 
-The camera frame is optical: x right, y down, z forward; depth is the z of a point, not its distance.
+The camera frame is the optical frame: x right, y down, z forward. Depth is the z coordinate of a point, not its distance.
 """
 
 import math
@@ -17,7 +17,10 @@ _MOST_PIXELS = min(topics.cells_that_fit(topics.DEPTH), topics.cells_that_fit(to
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """Pinhole projection: u = fx * x / z + cx, v = fy * y / z + cy, pixel centres at whole u and v."""
+    """Pinhole projection: u = fx * x / z + cx, v = fy * y / z + cy.
+
+    Pixel centres have integer u and v.
+    """
 
     width: int  # [px]
     height: int  # [px]
@@ -41,31 +44,40 @@ class Intrinsics:
         config.verify(self)
 
     def check_raw(self, depth: NDArray[np.uint16]) -> None:
-        """Refuse a raw depth image of another shape or type than (h, w) uint16.
+        """Check that a raw depth image is a (h, w) uint16 array.
 
         Raises:
-            ValueError: It is.
+            ValueError: The shape or dtype is wrong.
         """
         if depth.shape != (self.height, self.width) or depth.dtype != np.uint16:
             raise ValueError(f"uint16 depth image {(self.height, self.width)} expected, found {depth.dtype} {depth.shape}")
 
     def points(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points (h, w, 3) [m] {camera} of a depth image (h, w) [m]; NaN stays NaN (Lotriet 2024, eq. 4.6-4.8)."""
+        """Compute the points (h, w, 3) [m] {camera} of a depth image (h, w) [m].
+
+        NaN stays NaN.
+
+        Source: Lotriet 2024, eq. (4.6)-(4.8).
+        """
         if depth.shape != (self.height, self.width):
             raise ValueError(f"depth image {(self.height, self.width)} expected, found {depth.shape}")
         return self.points_of(np.arange(self.width), np.arange(self.height)[:, None], depth)
 
     def points_of(self, u: NDArray[np.integer], v: NDArray[np.integer], depth: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points (..., 3) [m] {camera} of pixels u, v (...) of a depth (...) [m]."""
+        """Compute the points (..., 3) [m] {camera} of pixels (u, v).
+
+        u, v and depth [m] have the shape (...).
+        """
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         return np.stack([depth * x, depth * y, depth], axis=-1, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class DepthSensor:
-    """What a depth camera can measure, and how well.
+    """Range, noise and quantisation of a depth camera.
 
-    Triangulating cameras err by sigma = z^2 * disparity_sigma / (fx * baseline); PrimeSense devices quantise disparity too.
+    The noise of a triangulating camera is sigma = z^2 * disparity_sigma / (fx * baseline). PrimeSense devices also quantise the
+    disparity.
     """
 
     rate_hz: float = 30.0
@@ -74,7 +86,7 @@ class DepthSensor:
     baseline: float = 0.075  # [m] projector to sensor
     disparity_sigma: float = 0.05  # [px] Gaussian
     disparity_step: float = 0.125  # [px] quantisation, 0 for none
-    depth_scale: float = 1000.0  # raw units per metre: 1000 counts millimetres
+    depth_scale: float = 1000.0  # raw units per metre: 1000 for millimetres
 
     checks = (
         *config.each("rate_hz", lambda rate: 0.1 <= rate <= 1000, "0.1 to 1000 Hz"),
@@ -90,11 +102,14 @@ class DepthSensor:
 
     @property
     def raw_bounds(self) -> tuple[int, int]:
-        """Lowest and highest raw value within range."""
+        """Lowest and highest raw depth value within range."""
         lowest = math.ceil(self.min_range * self.depth_scale - 1e-6)
         return max(lowest, 1), min(math.floor(self.max_range * self.depth_scale + 1e-6), 65535)
 
     def sigma(self, z: NDArray[np.float64], fx: float) -> NDArray[np.float64]:
-        """One-sigma depth noise [m] at depth z [m], Gaussian and quantisation together."""
+        """Compute the standard deviation [m] of the depth at z [m].
+
+        It includes noise and quantisation.
+        """
         disparity = np.hypot(self.disparity_sigma, self.disparity_step / np.sqrt(12.0))
         return np.asarray(z**2 * disparity / (fx * self.baseline))

@@ -1,14 +1,17 @@
-"""Where the feet are for given joint angles, and the other way round: closed forms, batched over legs and time.
+"""Forward and inverse kinematics of the legs, in closed form.
+
+All functions are batched over legs and time.
 
 Sources: Masri 2016, eq. (3.2)-(3.10), and Lotriet 2024, eq. (5.2)-(5.13). docs/kinematics.md maps their angles to ours and
-lists every misprint with its correction and the test that proves it. In short, this code reads
+lists every misprint with its correction and the test that proves it. In short, this code uses
 
-- Masri's (3.5) with the horizontal reach d_p, not d_l, under the fraction bar, and its z axis downwards;
+- Masri's (3.5) with the horizontal reach d_p, not d_l, in the denominator, and with his z axis downward;
 - Lotriet's (5.2) with z_t over d - L_1 in the second row, (5.4) with L_2 and L_3, (5.7)-(5.8) with cosines for the horizontal
-  reach, and (5.3)'s arcsine as the arctangent that also holds for the blunt angles of a foot near the body.
+  reach, and an arctangent instead of the arcsine in (5.3), which also holds for the obtuse angles of a foot near the body.
 
-Angles q are those of `sextant.shared.robot.profile`: coxa about z, femur up from the horizontal, tibia from the straight femur,
-up positive. The coxa frame has its origin on the coxa axis, x outward along the neutral leg, z up.
+The angles q are defined in `sextant.shared.robot.profile`: coxa about z, femur upward from the horizontal, tibia from the
+straight continuation of the femur, positive upward. The coxa frame has its origin on the coxa axis, x outward along the neutral
+leg, z up.
 """
 
 import numpy as np
@@ -17,14 +20,14 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import LegLinks, RobotProfile
 
-SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee: nearer to a singularity rates are not given
+SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee angle; below it joint rates are NaN
 
 
-_REACH_MARGIN = 1e-4  # [m] inside the reach, so that rounding does not lead out of it again
+_REACH_MARGIN = 1e-4  # [m] inside the reach, so that rounding errors do not exceed it
 
 
 def leg_forward(q: Array, links: LegLinks) -> Array:
-    """Foot of a leg with given joint angles.
+    """Compute the foot position of a leg from its joint angles.
 
     Args:
         q: (..., 3) [rad] coxa, femur and tibia angles.
@@ -36,7 +39,7 @@ def leg_forward(q: Array, links: LegLinks) -> Array:
     Raises:
         ValueError: The last axis is not 3.
 
-    Source: Lotriet 2024, eq. (5.7)-(5.8), with cosines where his horizontal reach has sines.
+    Source: Lotriet 2024, eq. (5.7)-(5.8), with cosines in place of the sines in the horizontal reach.
     """
     _check(q, "joint angles", 3)
     femur, shank = q[..., 1], q[..., 1] + q[..., 2]
@@ -49,7 +52,9 @@ def leg_forward(q: Array, links: LegLinks) -> Array:
 
 
 def leg_inverse(p: Array, links: LegLinks) -> Array:
-    """Joint angles that place the foot at a point, the leg turned towards it and the knee up.
+    """Compute the joint angles that place the foot at a point.
+
+    The leg faces the point, and the knee is up.
 
     Args:
         p: (..., 3) [m] {coxa} centre of the foot.
@@ -57,31 +62,31 @@ def leg_inverse(p: Array, links: LegLinks) -> Array:
 
     Returns:
         (..., 3) [rad] coxa and femur in (-pi, pi], tibia in [-pi, 0]. A row is NaN where the foot is out of reach or not
-        finite; nothing is clamped, and joint limits are another question (`within_limits`).
+        finite. Nothing is clamped, and joint limits are not checked (see `within_limits`).
 
     Raises:
         ValueError: The last axis is not 3.
 
     Source: Masri 2016, eq. (3.2)-(3.10), with (3.5) read as atan(f_z / d_p). His beta is the femur angle, his gamma the tibia
-    angle plus pi; epsilon and delta are taken together in one arctangent, which stays exact near the stretched leg.
+    angle plus pi. One arctangent replaces the sum of his epsilon and delta, because it stays exact near the stretched leg.
     """
     _check(p, "foot", 3)
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     femur, tibia = links.femur, links.tibia
     q = np.empty(p.shape)
-    with np.errstate(invalid="ignore", over="ignore"):  # NaN is the answer, not an accident
+    with np.errstate(invalid="ignore", over="ignore"):  # NaN is the documented result
         d_p = np.sqrt(x * x + y * y) - links.coxa  # (3.3)
         cos_knee = (d_p * d_p + z * z - (femur * femur + tibia * tibia)) / (2.0 * femur * tibia)  # (3.4), (3.9)
         sin_knee = -np.sqrt((1.0 - cos_knee) * (1.0 + cos_knee))  # negative: knee up; NaN out of reach
-        along, across = femur + tibia * cos_knee, tibia * sin_knee  # from femur axis to foot, in the femur's own direction
-        q[..., 0] = np.arctan2(y, x) + 0.0 * sin_knee  # (3.2); NaN goes to the whole row
+        along, across = femur + tibia * cos_knee, tibia * sin_knee  # from femur axis to foot, in the femur's frame
+        q[..., 0] = np.arctan2(y, x) + 0.0 * sin_knee  # (3.2); 0.0 * NaN makes the whole row NaN
         q[..., 1] = np.arctan2(z * along - d_p * across, d_p * along + z * across)  # (3.5)-(3.8)
         q[..., 2] = np.arctan2(sin_knee, cos_knee)  # (3.10)
     return q
 
 
 def leg_jacobian(q: Array, links: LegLinks) -> Array:
-    """Derivative of `leg_forward`: foot velocity per joint rate.
+    """Compute the Jacobian of `leg_forward`: foot velocity per joint rate.
 
     Args:
         q: (..., 3) [rad] joint angles.
@@ -109,7 +114,7 @@ def leg_jacobian(q: Array, links: LegLinks) -> Array:
 
 
 def joint_rates(q: Array, foot_velocity: Array, links: LegLinks) -> Array:
-    """Joint rates that move the foot at a velocity.
+    """Compute the joint rates that move the foot at a velocity.
 
     Args:
         q: (..., 3) [rad] joint angles.
@@ -117,14 +122,14 @@ def joint_rates(q: Array, foot_velocity: Array, links: LegLinks) -> Array:
         links: Coxa, femur and tibia lengths [m].
 
     Returns:
-        (..., 3) [rad/s]. A row is NaN where no finite rates exist: the leg stretched or folded, the foot on the coxa axis,
-        or an input not finite.
+        (..., 3) [rad/s]. A row is NaN where no finite rates exist: the leg is stretched or folded, the foot is on the coxa
+        axis, or an input is not finite.
 
     Raises:
         ValueError: The last axes are not 3.
 
-    Source: the derivative of a right eq. (5.2), as Lotriet 2024, eq. (5.9)-(5.13), means it. His second row differentiates the
-    product of alpha and an arctangent where (5.2) has their sum.
+    Source: the derivative of the corrected eq. (5.2), as intended by Lotriet 2024, eq. (5.9)-(5.13). The second row there
+    differentiates the product of alpha and an arctangent, but (5.2) has their sum.
     """
     _check(q, "joint angles", 3)
     _check(foot_velocity, "foot velocity", 3)
@@ -139,19 +144,19 @@ def joint_rates(q: Array, foot_velocity: Array, links: LegLinks) -> Array:
         rates[..., 0] = (c1 * vy - s1 * vx) / np.where(regular, reach, np.nan)
         rates[..., 1] = (shank_x * outward + shank_z * vz) / determinant
         rates[..., 2] = -((reach - links.coxa) * outward + z * vz) / determinant
-        rates += 0.0 * rates.sum(axis=-1, keepdims=True)  # one rate not finite: none
+        rates += 0.0 * rates.sum(axis=-1, keepdims=True)  # one rate that is not finite makes the row NaN
     return rates
 
 
 def body_inverse(profile: RobotProfile, feet_body: Array) -> Array:
-    """Joint angles of the whole robot for given feet.
+    """Compute the joint angles of all legs from the foot positions.
 
     Args:
         profile: The robot.
         feet_body: (..., 6, 3) [m] {body} foot centres.
 
     Returns:
-        (..., 6, 3) [rad] joint angles; the row of a leg that cannot reach is NaN. Limits are not looked at.
+        (..., 6, 3) [rad] joint angles; the row of a leg whose foot is out of reach is NaN. Joint limits are not checked.
 
     Raises:
         ValueError: The last axes are not (6, 3).
@@ -162,19 +167,19 @@ def body_inverse(profile: RobotProfile, feet_body: Array) -> Array:
 
 
 def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
-    """Feet moved to the nearest place that their legs' tibias allow; where they are within reach they stay, to the bit.
+    """Move feet that are out of reach to the nearest position within the tibia limits.
 
-    A foot too far away comes in along the line to the femur's axis; one too near keeps its height and moves outwards, as a
-    foot does that is lifted close to the body.
+    A foot within reach stays bit for bit. A foot that is too far moves inward along the line to the femur axis. A foot that is
+    too near moves outward at the same height, like a foot that is lifted close to the body.
 
     Args:
         profile: The robot.
         feet_body: (6, 3) [m] {body} wanted foot centres.
 
     Returns:
-        (6, 3) [m] {body}. A foot straight above or below its femur's axis, further than the leg is long, stays.
+        (6, 3) [m] {body}. A foot straight above or below its femur axis, at more than the length of the leg, stays.
 
-    Source: Masri 2016, section 5.4: the nearest reachable position in place of a point that is not.
+    Source: Masri 2016, section 5.4, which replaces an unreachable point by the nearest reachable one.
     """
     T = profile.T_coxa_body
     p = (T[:, :3, :3] @ feet_body[:, :, None])[..., 0] + T[:, :3, 3]
@@ -183,12 +188,15 @@ def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
 
 
 def leg_nearest_reachable(p: Array, reach: Array, links: LegLinks) -> Array:
-    """Feet (..., 3) [m] {coxa} as `nearest_reachable` moves them; the same array where all stay.
+    """Move feet as `nearest_reachable` does, in the coxa frame.
 
     Args:
         p: (..., 3) [m] {coxa} wanted foot centres.
-        reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
+        reach: (..., 2) [m] shortest and longest distance from the femur axis to the foot.
         links: Coxa, femur and tibia lengths [m].
+
+    Returns:
+        (..., 3) [m] {coxa}; the same array object if all feet are within reach.
     """
     horizontal = np.maximum(np.hypot(p[..., 0], p[..., 1]), 1e-6)
     r, z = horizontal - links.coxa, p[..., 2]
@@ -205,7 +213,7 @@ def leg_nearest_reachable(p: Array, reach: Array, links: LegLinks) -> Array:
 
 
 def body_forward(profile: RobotProfile, q: Array) -> Array:
-    """Feet of the whole robot: joint angles (..., 6, 3) [rad] to foot centres (..., 6, 3) [m] {body}.
+    """Compute the foot centres [m] {body} of joint angles [rad], both (..., 6, 3).
 
     Raises:
         ValueError: The last axes are not (6, 3).
@@ -215,7 +223,11 @@ def body_forward(profile: RobotProfile, q: Array) -> Array:
 
 
 def within_limits(profile: RobotProfile, q: Array) -> NDArray[np.bool_]:
-    """Whether each joint angle (..., 6, 3) [rad] is one that its servo may take (Masri 2016, eq. 3.14-3.16); NaN is not.
+    """Return whether each joint angle (..., 6, 3) [rad] is within its limits.
+
+    NaN is not.
+
+    Source: Masri 2016, eq. (3.14)-(3.16).
 
     Raises:
         ValueError: The last axes are not (6, 3).
@@ -226,7 +238,9 @@ def within_limits(profile: RobotProfile, q: Array) -> NDArray[np.bool_]:
 
 
 def joint_torques(profile: RobotProfile, q: Array, forces_body: Array) -> Array:
-    """Motor torques that hold the legs still against the ground, the legs' own weight left out.
+    """Compute the static motor torques from ground forces.
+
+    The weight of the legs is neglected.
 
     Args:
         profile: The robot.
@@ -234,8 +248,8 @@ def joint_torques(profile: RobotProfile, q: Array, forces_body: Array) -> Array:
         forces_body: (..., 6, 3) [N] {body} force that the ground exerts on each foot.
 
     Returns:
-        (..., 6, 3) [N m] = -J^T f, positive when the motor pushes towards growing q. A standing leg, which the ground
-        pushes up, has a negative femur torque.
+        (..., 6, 3) [N m] = -J^T f, positive when the motor pushes towards increasing q. The femur torque of a stance leg is
+        negative, because the ground pushes the foot up.
 
     Raises:
         ValueError: The last axes are not (6, 3).
@@ -247,7 +261,7 @@ def joint_torques(profile: RobotProfile, q: Array, forces_body: Array) -> Array:
 
 
 def leg_points(profile: RobotProfile, q: Array) -> Array:
-    """Where the joints of each leg are.
+    """Compute the positions of the joints of each leg.
 
     Args:
         profile: The robot.
@@ -272,9 +286,12 @@ def leg_points(profile: RobotProfile, q: Array) -> Array:
 
 
 def _planar(q: Array, links: LegLinks) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Cosine and sine of the coxa, reach and height of the foot, and the shank's part in both."""
+    """Return cosine and sine of the coxa angle, and reach and height of the foot.
+
+    The last two values are the tibia's parts of reach and height.
+    """
     angles = q.copy()
-    angles[..., 2] += q[..., 1]  # of the shank
+    angles[..., 2] += q[..., 1]  # angle of the tibia from the horizontal
     c, s = np.cos(angles), np.sin(angles)
     shank_x, shank_z = links.tibia * c[..., 2], links.tibia * s[..., 2]
     reach = links.coxa + links.femur * c[..., 1] + shank_x

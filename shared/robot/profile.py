@@ -1,10 +1,11 @@
-"""Robots as types: the body, six legs in circular order, joint limits, servo map, camera mount, stance; profiles fill them.
+"""Schema of a robot profile: body, legs, joint limits, servos, camera and stance.
 
-Legs are numbered as Masri 2016's f1 to f6: left front, right front, right middle, right rear, left rear, left middle. That is
-once around the body, so every second leg makes a tripod (Lotriet 2024, eq. 5.15, counts the same way).
+The legs are numbered like f1 to f6 in Masri 2016: left front, right front, right middle, right rear, left rear, left middle.
+They go once around the body, so every second leg belongs to the same tripod (Lotriet 2024, eq. 5.15, has the same order).
 
-Joint angles q are (6, 3) [rad]: coxa about body z from the leg's neutral yaw, femur up from the horizontal, tibia from the
-femur's straight continuation, up positive. All zero is the leg straight out.
+Joint angles q are (6, 3) [rad]. The coxa turns about body z, from the leg's neutral yaw. The femur angle is upward from the
+horizontal. The tibia angle is relative to the straight continuation of the femur, positive upward. With all angles zero the
+leg is stretched straight outward.
 """
 
 from collections.abc import Iterator
@@ -23,13 +24,17 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")
 GRAVITY = 9.81  # [m/s^2]
-MAX_TRIM_DEG = 20.0  # more is no horn that sits a little wrong, but another notch of it, or another pose
-_SERVO_RANGE_DEG = 150.0  # either way from tick 512
+MAX_TRIM_DEG = 20.0  # a larger trim means that the horn is on the wrong notch, or that the pose was wrong
+_SERVO_RANGE_DEG = 150.0  # in both directions from tick 512
 
 
 @dataclass(frozen=True, slots=True)
 class LegLinks:
-    """Lengths of a leg's three links [m]: coxa axis to femur axis, femur to tibia axis, tibia axis to the foot's centre."""
+    """Lengths [m] of the three links of a leg.
+
+    The coxa link goes from the coxa axis to the femur axis, the femur link from the femur axis to the tibia axis, and the tibia
+    link from the tibia axis to the centre of the foot.
+    """
 
     coxa: float
     femur: float
@@ -43,14 +48,14 @@ class LegLinks:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """Where one leg sits, which servos move it, and how far each may turn."""
+    """Mount, servos and servo limits of one leg."""
 
     name: str
     mount_xyz: tuple[float, float, float]  # [m] {body} coxa axis
     neutral_yaw_deg: float  # [deg] direction of the leg at coxa angle zero, about body z from x
     servo_ids: tuple[int, int, int]  # coxa, femur, tibia
     # Signs and limits as in Masri 2016, Tables 3.1 and 3.2: servo angle = sign * (joint angle + horn offset), 0 = tick 512.
-    # Limits are those of a leg without trims: they come of what its brackets meet, so a trim moves them along.
+    # The limits are those of a leg without trims. The leg's brackets set the limits, so a trim shifts the servo limits.
     servo_signs: tuple[int, int, int]
     servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
@@ -73,17 +78,17 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Data sheet of the servos, all 18 alike."""
+    """Data sheet of the servos; all 18 are of the same model."""
 
     model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]
     stall_torque: float  # [N m]
     no_load_speed: float  # [rad/s]
     stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope
     compliance_slope: int  # registers 28 and 29
-    armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
+    armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so tests vary it
     friction: float  # [N m] dry friction
     temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
-    lock_eeprom: bool = True  # once set up, id, baud rate and limits cannot be written until its power goes
+    lock_eeprom: bool = True  # after setup, id, baud rate and limits are read-only until the servo loses power
 
     checks = (
         *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
@@ -97,16 +102,22 @@ class Servo:
 
     @property
     def damping(self) -> float:
-        """Joint damping [N m s/rad] that makes stall torque and no-load speed the ends of one line."""
+        """Joint damping [N m s/rad] of a linear torque-speed curve.
+
+        The curve goes from the stall torque to the no-load speed.
+        """
         return self.stall_torque / self.no_load_speed
 
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """What the servos live on; the defaults are those of three lithium polymer cells."""
+    """Voltage limits of the servo battery.
 
-    warn_voltage: float = 10.5  # [V] below which it is time to end the walk
-    empty_voltage: float = 9.9  # [V] below which the robot lies down and lets go
+    The defaults are for three lithium polymer cells.
+    """
+
+    warn_voltage: float = 10.5  # [V] below this the walk should end
+    empty_voltage: float = 9.9  # [V] below this the robot sits down and turns torque off
 
     checks = (
         config.together(
@@ -122,12 +133,12 @@ class Battery:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """The trunk as a box, and the robot's weight."""
+    """Trunk of the robot as a box, and the masses of the robot."""
 
     size: tuple[float, float, float]  # [m] length, width, height
-    mass: float  # [kg] everything but the legs
+    mass: float  # [kg] everything except the legs
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
-    # [m] {body} of `mass`: where battery, computer and camera put it. A trunk hung by it, from two points, shows where it is.
+    # [m] {body} centre of `mass`, including battery, computer and camera. To measure it, hang up the trunk from two points.
     centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     checks = (
@@ -153,7 +164,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Foot:
-    """The foot is a sphere around the end of the tibia."""
+    """Foot, a sphere around the end of the tibia."""
 
     radius: float  # [m]
 
@@ -165,24 +176,25 @@ class Foot:
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """How the robot stands and walks when nothing else is asked."""
+    """Default stance and walking parameters."""
 
-    # [m] horizontal distance of a resting foot from its coxa axis, for front, middle and rear legs: in a tripod a middle leg
-    # stands alone on its side and carries the most, so it had better stand near.
+    # [m] horizontal distance of a resting foot from its coxa axis, for front, middle and rear legs. In a tripod a middle leg
+    # stands alone on its side and carries the most load, so its foot should be near the body.
     foot_radius_from_coxa: tuple[float, float, float]
     body_height: float  # [m] body origin above the ground
     body_height_range: tuple[float, float]  # [m]
     max_speed: float  # [m/s]
     step_s: float  # [s] duration of a tripod's step over level ground
-    stride: float  # [m] of the body while a foot stands, at most
-    foot_speed: float  # [m/s] of swinging feet, height counted twice: what asks for more takes longer, or the servos grow hot
-    # What goes with the robot's size, too; these are a PhantomX's.
-    search_radius: float = 0.06  # [m] around the nominal foothold in which another is looked for
-    foot_distance: float = 0.06  # [m] between feet, at least
-    support_margin: float = 0.02  # [m] of the centre of mass inside each support polygon, at least
-    max_climb: float = 0.03  # [m] of the body's height in one step
-    rough_lift: float = 0.04  # [m] clearance at least, where the ground under a swing is uneven
-    max_lift: float = 0.11  # [m] over both ends of a swing that a leg can lift its foot
+    stride: float  # [m] maximum body motion during the stance of a foot
+    # [m/s] speed of swinging feet, height counted twice; a faster swing takes more time instead, or the servos overheat
+    foot_speed: float
+    # These also scale with the size of the robot; the defaults are for a PhantomX.
+    search_radius: float = 0.06  # [m] around the nominal foothold, for the foothold search
+    foot_distance: float = 0.06  # [m] minimum between feet
+    support_margin: float = 0.02  # [m] minimum distance of the centre of mass from the edges of each support polygon
+    max_climb: float = 0.03  # [m] maximum change of body height in one step
+    rough_lift: float = 0.04  # [m] minimum clearance where the ground under a swing is uneven
+    max_lift: float = 0.11  # [m] maximum height of a foot over both ends of its swing
 
     checks = (
         *config.each(
@@ -206,14 +218,14 @@ class Stance:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """The depth camera and where it is mounted: looking along body x, pitched down."""
+    """Depth camera and its mount: it looks along body x, pitched down."""
 
     intrinsics: Intrinsics
     sensor: DepthSensor
     mount_xyz: tuple[float, float, float]  # [m] {body} optical centre
     pitch_down_deg: float  # [deg]
-    color: bool = False  # whether it sends colour pictures too
-    # What the robot itself reads it by: "openni2", "realsense", the path of a recorded folder, or "none" for no driver.
+    color: bool = False  # whether it also sends colour images
+    # Driver on the robot: "openni2", "realsense", the path of a recorded folder, or "none".
     device: str = "none"
 
     checks = (
@@ -229,7 +241,7 @@ class Camera:
 
     @property
     def T_body_camera(self) -> Array:
-        """Optical frame (x right, y down, z forward) in the body frame."""
+        """Pose (4, 4) of the optical frame (x right, y down, z forward) in the body frame."""
         look = from_xyz_rpy(self.mount_xyz, (0.0, np.radians(self.pitch_down_deg), 0.0))
         optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         return np.asarray(look @ transform(optical, np.zeros(3)))
@@ -237,11 +249,14 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How the horns of one leg sit beside where the profile has them; `sextant servos calibrate` measures it."""
+    """Deviation of one leg's horns from the profile.
+
+    `sextant servos calibrate` measures it.
+    """
 
     leg: str
     date: date
-    trims_deg: tuple[float, float, float]  # coxa, femur, tibia; added to the horn offsets
+    trims_deg: tuple[float, float, float]  # [deg] coxa, femur, tibia; added to the horn offsets
 
     checks = (
         *config.each("leg", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
@@ -258,7 +273,7 @@ class Calibration:
 
 
 def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
-    """Legs whose names are not those of their places."""
+    """Yield legs whose name does not match their index."""
     for i, (leg, expected) in enumerate(zip(legs, LEGS, strict=False)):
         found = getattr(leg, "name", expected)
         if found != expected:
@@ -266,7 +281,7 @@ def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
 
 
 def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
-    """Servos with the id of another."""
+    """Yield servo ids that occur more than once."""
     owners: dict[int, str] = {}
     for i, leg in enumerate(legs):
         for k, servo in enumerate(getattr(leg, "servo_ids", ())):
@@ -277,7 +292,7 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
 
 
 def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.Misfit]:
-    """Legs with more than one calibration."""
+    """Yield legs with more than one calibration."""
     seen: set[str] = set()
     for i, entry in enumerate(calibration):
         name = getattr(entry, "leg", None)
@@ -288,7 +303,10 @@ def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.M
 
 @dataclass(frozen=True)
 class RobotProfile:
-    """Everything the services know about one kind of robot, in SI units."""
+    """All parameters of one kind of robot.
+
+    They are in SI units, except angles in fields named `_deg`.
+    """
 
     name: str
     servo: Servo
@@ -300,7 +318,7 @@ class RobotProfile:
     legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
     camera: Camera
     battery: Battery = Battery()
-    calibration: tuple[Calibration, ...] = ()  # of the legs that have been measured
+    calibration: tuple[Calibration, ...] = ()  # of the measured legs
 
     checks = (
         *config.each("name", lambda name: name.strip() != "", "a name"),
@@ -316,35 +334,43 @@ class RobotProfile:
 
     @cached_property
     def servo_ids(self) -> NDArray[np.int64]:
-        """(6, 3) bus ids."""
+        """Bus ids (6, 3)."""
         return np.array([leg.servo_ids for leg in self.legs])
 
     @cached_property
     def servo_signs(self) -> Array:
-        """(6, 3) of +-1: which way a servo turns for a growing joint angle."""
+        """Signs (6, 3) of the servo angles: +1 or -1 for an increasing joint angle."""
         return np.array([leg.servo_signs for leg in self.legs], dtype=np.float64)
 
     @cached_property
     def servo_names(self) -> dict[int, str]:
-        """Bus id -> "left front coxa", leg by leg."""
+        """Map of bus id -> name such as "left front coxa", ordered by leg."""
         return {servo: f"{leg.name} {joint}" for leg in self.legs for servo, joint in zip(leg.servo_ids, JOINTS, strict=True)}
 
     @cached_property
     def trims(self) -> Array:
-        """(6, 3) [rad] how each horn sits beside `horn_offsets_deg`; zero for legs that have not been measured."""
+        """Deviations (6, 3) [rad] of the horns from `horn_offsets_deg`.
+
+        They are zero for legs without calibration.
+        """
         measured = {entry.leg: entry.trims_deg for entry in self.calibration}
         return np.asarray(np.radians([measured.get(name, (0.0, 0.0, 0.0)) for name in LEGS]))
 
     @cached_property
     def horn_offsets(self) -> Array:
-        """(6, 3) [rad] added to the joint angle before the sign, trims included."""
+        """Offsets (6, 3) [rad] of the horns, including trims.
+
+        They are added to the joint angle before the sign is applied.
+        """
         return np.asarray(np.radians(self.horn_offsets_deg) + self.trims)
 
     @cached_property
     def joint_limits(self) -> Array:
-        """(6, 3, 2) [rad] lowest and highest joint angle q, from the servo limits by the map of Table 3.1.
+        """Lowest and highest joint angles q (6, 3, 2) [rad], from the servo limits.
 
-        What a leg meets does not move with its horns: trims change its limits only where the servo's own range ends.
+        Source of the mapping: Masri 2016, Table 3.1.
+
+        Collisions of a leg do not depend on its horns, so trims change these limits only at the end of the servo's own range.
         """
         servo = np.radians(np.array([leg.servo_limits_deg for leg in self.legs]))
         signs = self.servo_signs[..., None]
@@ -353,13 +379,16 @@ class RobotProfile:
 
     @cached_property
     def foot_radii(self) -> Array:
-        """(6,) [m] horizontal distance of the resting feet from their coxa axes."""
+        """Horizontal distances (6,) [m] of the resting feet from their coxa axes."""
         front, middle, rear = self.stance.foot_radius_from_coxa
         return np.array([front, front, middle, rear, rear, middle])
 
     @cached_property
     def leg_reach(self) -> Array:
-        """(6, 2) [m] shortest and longest way from a femur's axis to its foot, by the limits of the tibia."""
+        """Shortest and longest distances (6, 2) [m] from femur axis to foot.
+
+        They follow from the limits of the tibia.
+        """
         femur, tibia = self.links.femur, self.links.tibia
         folded, stretched = self.joint_limits[:, 2, 0], np.minimum(self.joint_limits[:, 2, 1], 0.0)
         ways = [np.sqrt(femur**2 + tibia**2 + 2.0 * femur * tibia * np.cos(q)) for q in (folded, stretched)]
@@ -367,17 +396,23 @@ class RobotProfile:
 
     @cached_property
     def T_body_coxa(self) -> Array:
-        """(6, 4, 4) coxa frames at joint angle zero: origin on the coxa axis, x outward along the neutral leg, z up."""
+        """Coxa frames (6, 4, 4) in the body frame, at joint angle zero.
+
+        The origin is on the coxa axis, x points outward along the neutral leg, z up.
+        """
         yaw = np.radians([leg.neutral_yaw_deg for leg in self.legs])
         return transform(rotation_z(yaw), np.array([leg.mount_xyz for leg in self.legs]))
 
     @cached_property
     def T_coxa_body(self) -> Array:
-        """(6, 4, 4) inverse of `T_body_coxa`."""
+        """Inverses (6, 4, 4) of `T_body_coxa`."""
         return inverse(self.T_body_coxa)
 
     def rest_feet(self, body_height: float | None = None) -> Array:
-        """(6, 3) [m] {body} foot centres of the resting stance on flat ground, the body origin at its height [m]."""
+        """Return the foot centres (6, 3) [m] {body} of the resting stance on flat ground.
+
+        The body origin is at `body_height` [m] above the ground, by default the height of the stance.
+        """
         height = self.stance.body_height if body_height is None else body_height
         feet = np.zeros((6, 3))
         feet[:, :2] = self.T_body_coxa[:, :2, 3] + self.foot_radii[:, None] * self.T_body_coxa[:, :2, 0]
@@ -385,9 +420,15 @@ class RobotProfile:
         return feet
 
     def servo_angles(self, q: Array) -> Array:
-        """Servo angles (..., 6, 3) [rad], zero at tick 512, of joint angles; Masri 2016, eq. (3.11)-(3.13) less 150 deg."""
+        """Return the servo angles (..., 6, 3) [rad] of joint angles, zero at tick 512.
+
+        Source: Masri 2016, eq. (3.11)-(3.13), minus 150 deg.
+        """
         return np.asarray(self.servo_signs * (q + self.horn_offsets))
 
     def joint_angles(self, servo: Array) -> Array:
-        """Joint angles q (..., 6, 3) [rad] of servo angles; the inverse of `servo_angles`."""
+        """Return the joint angles q (..., 6, 3) [rad] of servo angles.
+
+        It is the inverse of `servo_angles`.
+        """
         return np.asarray(self.servo_signs * servo - self.horn_offsets)

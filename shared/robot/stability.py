@@ -1,4 +1,4 @@
-"""Static stability: where the centre of mass is, and how far inside the support polygon."""
+"""Static stability: centre of mass and its margin inside the support polygon."""
 
 from functools import cache
 
@@ -11,10 +11,10 @@ from sextant.shared.robot.profile import RobotProfile
 
 
 def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
-    """Centre of mass of the whole robot.
+    """Compute the centre of mass of the whole robot.
 
     Args:
-        profile: The robot; the mass of each leg link is taken to be at its middle.
+        profile: The robot; the mass of each leg link is assumed at its middle.
         q: (..., 6, 3) [rad] joint angles.
 
     Returns:
@@ -32,10 +32,10 @@ def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
 
 @cache
 def resting_centre_of_mass(profile: RobotProfile) -> Array:
-    """Centre of mass (3,) [m] {body} of a robot whose legs balance each other around the middle of the body.
+    """Return the centre of mass (3,) [m] {body} of a robot with balanced legs.
 
-    The support tests of steps use it. At rest the true one is less than 1 mm from it; legs that step move it by millimetres
-    more, which the support margin covers.
+    The support tests of steps use it. At rest the true centre of mass is less than 1 mm away. Stepping legs move it by a few
+    more millimetres, which the support margin covers.
     """
     centre = profile.body.mass / profile.body.total_mass * np.array(profile.body.centre_of_mass)
     centre.flags.writeable = False
@@ -43,14 +43,16 @@ def resting_centre_of_mass(profile: RobotProfile) -> Array:
 
 
 def support_margin(feet: Array, centre: Array) -> float:
-    """Distance of a point to the edge of the convex hull of the standing feet, negative outside.
+    """Compute the distance of a point from the edge of the support polygon.
+
+    The polygon is the convex hull of the stance feet.
 
     Args:
-        feet: (n, 2) [m] standing feet, n >= 3.
+        feet: (n, 2) [m] stance feet, n >= 3.
         centre: (2,) [m] projection of the centre of mass.
 
     Returns:
-        [m]; for a point outside, minus the distance by which the worst edge is crossed.
+        [m]; negative for a point outside: minus its distance beyond the worst edge.
 
     Raises:
         ValueError: Fewer than three feet.
@@ -59,7 +61,7 @@ def support_margin(feet: Array, centre: Array) -> float:
         raise ValueError(f"at least three standing feet expected, found {len(feet)}")
     middle = feet.mean(axis=0)
     offsets = feet - middle
-    # Every edge of the hull is a pair with all feet on one side; six feet make fifteen pairs, so all are tried.
+    # Every edge of the hull is a pair of feet with all feet on one side. Six feet make only fifteen pairs, so all are tried.
     i, j = _pairs(len(feet))
     edges = feet[j] - feet[i]
     length = np.hypot(edges[:, 0], edges[:, 1])
@@ -70,13 +72,16 @@ def support_margin(feet: Array, centre: Array) -> float:
     towards = np.where(sides.max(axis=1) > -sides.min(axis=1), 1.0, -1.0)
     hull = (sides * towards[:, None]).min(axis=1) > -1e-9
     distance = towards * np.einsum("ek,ek->e", normals, centre - start)
-    # Feet on a line have no inside.
+    # Feet on one line have no interior.
     distance = np.where(np.abs(sides).max(axis=1) <= 1e-9, -np.abs(distance), distance)
     return float(distance[hull].min()) if hull.any() else -float(np.linalg.norm(centre - middle))
 
 
 @cache
 def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Every pair of n feet, once: the numbers of the first and of the second (n (n - 1) / 2,)."""
+    """Return the indices of the first and second foot of every pair of n feet.
+
+    Both arrays have n (n - 1) / 2 elements.
+    """
     i, j = np.triu_indices(n, 1)
     return i, j

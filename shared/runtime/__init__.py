@@ -1,1 +1,1 @@
-"""Run services: live over Zenoh or in lockstep, with clocks, watchdog and shutdown."""
+"""Run services live or in lockstep, with clocks, watchdog and shutdown."""

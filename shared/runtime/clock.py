@@ -1,9 +1,9 @@
-"""What time it is: [ns] of the robot's monotonic clock, on whichever machine a process runs.
+"""Robot time: the time [ns] of the robot's monotonic clock, on any machine.
 
-Every stamp is in the robot's time. On the robot that is this machine's monotonic clock; elsewhere a process follows the
-robot's, by what the robot's own messages say of when they were sent. Of what has come within the last seconds, the one that was
-under way for the shortest time says it best, so what is followed is late by that way (some milliseconds) and never early: a
-plan seems older by it to the robot, and none seems newer than it is.
+Every stamp is in robot time. On the robot this is the machine's monotonic clock. On other machines a process estimates the
+robot's clock from the sending times in the robot's messages. The message with the shortest delay within the last seconds gives
+the best estimate. The estimate therefore lags by that delay (some milliseconds) and is never ahead. Plans seem older to the
+robot by this lag, and never newer than they are.
 """
 
 import threading
@@ -11,39 +11,45 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-_WINDOW_NS = 10_000_000_000  # over which the shortest way is looked for, and up to twice that: clocks drift by 0.1 ms in it
-_BRACKET_NS = 1_000_000  # widest bracket of a reading of the boot clock
+_WINDOW_NS = 10_000_000_000  # [ns] one or two windows are searched for the shortest delay; clocks drift by 0.1 ms per window
+_BRACKET_NS = 1_000_000  # [ns] widest bracket of a reading of the boot clock
 _READINGS = 3  # attempts of one call
-_REBOOT_NS = 10_000_000_000  # by which the robot's time jumps only where its clock began anew, or this machine was suspended
-_SURE_NS = 2_000_000_000  # for which all that comes has to agree on such a jump
+_REBOOT_NS = 10_000_000_000  # [ns] a larger jump means that the robot's clock restarted or this machine was suspended
+_SURE_NS = 2_000_000_000  # [ns] for which all messages must agree on such a jump
 
 
 class ClockError(RuntimeError):
-    """The robot's clock began anew: whatever remembers times of it must begin anew, too."""
+    """The robot's clock restarted.
+
+    Stored times are invalid, so the process must restart.
+    """
 
 
 class RobotClock:
-    """The robot's monotonic clock as another machine knows it; safe for threads, and it never goes back."""
+    """Estimate of the robot's monotonic clock on another machine.
+
+    It is thread-safe and monotonic.
+    """
 
     def __init__(self, own: Callable[[], int] = time.monotonic_ns):
-        """Begin with nothing heard.
+        """Start without any received message.
 
         Args:
-            own: [ns] this machine's monotonic clock.
+            own: This machine's monotonic clock [ns].
         """
         self._own = own
         self._lock = threading.Lock()
-        self._ahead_ns: list[int] = []  # the most by which the robot's was ahead, in this window and the last
+        self._ahead_ns: list[int] = []  # maximum lead of the robot's clock, in this window and the last
         self._window_ends_ns = 0
-        self._newest_ns = 0  # that the robot has said
-        self._jump: tuple[int, int] | None = None  # another time that is claimed: ahead by [ns], first at [ns]
-        self._told_ns = 0  # that this clock has told
+        self._newest_ns = 0  # newest sending time from the robot
+        self._jump: tuple[int, int] | None = None  # unconfirmed jump: lead [ns] and time of its first message [ns]
+        self._told_ns = 0  # last time that this clock returned
         self._began_anew = False
 
     def heard(self, sent_ns: int) -> None:
-        """Something came just now that the robot sent at a time [ns] of its clock.
+        """Record that a message arrives now, sent at `sent_ns` of the robot's clock.
 
-        A time that is far from what is known is a claim, and believed once all that has come for a while agrees with it.
+        A time far from the estimate is accepted only after all messages have agreed with it for two seconds.
         """
         with self._lock:
             own_ns = self._own()
@@ -59,7 +65,10 @@ class RobotClock:
                 self._ahead_ns[0] = max(self._ahead_ns[0], ahead_ns)
 
     def _believes(self, sent_ns: int, own_ns: int) -> bool:
-        """Whether a time counts; a jump back that is believed ends this clock, one ahead begins it anew."""
+        """Return whether to use a time.
+
+        A confirmed jump backward invalidates this clock; a confirmed jump ahead restarts the estimate.
+        """
         if not self._ahead_ns or sent_ns == self._newest_ns:
             return True
         back, ahead_ns = sent_ns < self._newest_ns - _REBOOT_NS, sent_ns - own_ns
@@ -76,25 +85,25 @@ class RobotClock:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether the newest time that came is another one, and not believed yet."""
+        """Whether the newest message indicates a jump that is not confirmed yet."""
         return self._jump is not None
 
     @property
     def known(self) -> bool:
-        """Whether the robot has been heard."""
+        """Whether any message of the robot has arrived."""
         return bool(self._ahead_ns)
 
     @property
     def ahead_s(self) -> float:
-        """[s] by which the robot's clock is ahead of this machine's; 0 where nothing was heard."""
+        """Offset [s] of the robot's clock from this machine's; 0 before the first message."""
         with self._lock:
             return max(self._ahead_ns, default=0) * 1e-9
 
     def __call__(self) -> int:
-        """[ns] now.
+        """Return the robot time [ns].
 
         Raises:
-            ClockError: The robot's clock began anew, as after a reboot.
+            ClockError: The robot's clock restarted, as after a reboot.
         """
         with self._lock:
             if self._began_anew:
@@ -107,30 +116,41 @@ _clock: list[Callable[[], int]] = [time.monotonic_ns]
 
 
 def now_ns() -> int:
-    """The robot's time [ns], by the clock that this process goes by."""
+    """Return the robot time [ns], by the clock that this process uses."""
     return _clock[0]()
 
 
 def _boot_ns() -> int:
-    """Read [ns] the clock that counts time in suspend, too; the monotonic clock where there is none."""
+    """Read the clock [ns] that also counts suspended time.
+
+    Systems without one use the monotonic clock.
+    """
     counted = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic_ns() if counted is None else time.clock_gettime_ns(counted)
 
 
 class SuspendedTime:
-    """Time that this machine has spent suspended since it booted, while its monotonic clock stood still.
+    """Time that this machine has spent suspended since it booted.
+
+    Its monotonic clock stands still during suspension.
 
     A process may be preempted between the readings of two clocks. So the boot clock is read between two readings of the
-    monotonic clock, and a reading whose bracket is wider than 1 ms is discarded. The result never falls.
+    monotonic clock, and a reading whose bracket is wider than 1 ms is discarded. The result never decreases.
     """
 
     def __init__(self, monotonic: Callable[[], int] = time.monotonic_ns, boot: Callable[[], int] = _boot_ns):
-        """Take the two clocks [ns]: `monotonic` stands still in suspend, `boot` does not."""
+        """Store two clocks [ns].
+
+        During suspension `monotonic` stands still and `boot` does not.
+        """
         self._monotonic, self._boot = monotonic, boot
         self._suspended_ns = 0
 
     def __call__(self) -> int:
-        """[ns] suspended, to 1 ms; the last value where every reading of this call was torn."""
+        """Return the suspended time [ns], to 1 ms.
+
+        It is the last value if all readings were discarded.
+        """
         for _ in range(_READINGS):
             before_ns, boot_ns, after_ns = self._monotonic(), self._boot(), self._monotonic()
             if after_ns - before_ns <= _BRACKET_NS:
@@ -140,18 +160,18 @@ class SuspendedTime:
 
 
 def go_by(clock: Callable[[], int]) -> None:
-    """Let this process go by a clock; done once, before anything asks for the time."""
+    """Set the clock of this process; call it once, before anything reads the time."""
     _clock[0] = clock
 
 
 def in_use() -> Callable[[], int]:
-    """The clock that this process goes by."""
+    """Return the clock of this process."""
     return _clock[0]
 
 
 @contextmanager
 def going_by(clock: Callable[[], int]) -> Iterator[None]:
-    """Go by a clock within a block, and then by the one before."""
+    """Use a clock within a block, and restore the previous one afterwards."""
     before = _clock[0]
     _clock[0] = clock
     try:

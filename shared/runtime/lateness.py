@@ -1,8 +1,9 @@
-"""How late the inputs of services are when they are used, and whether that is because a computer is too slow.
+"""Ages of the inputs of services, and detection of a computer that is too slow.
 
-Each service states how old its inputs may be (`Limited`). Its worker measures the age of each at every use and sends the worst
-ages of every second with its health. `SlowComputer` reads these reports: a computer is too slow if inputs are already old when
-they arrive, or if cycles come late. An input that is old only because no newer one has come has a producer that has stopped.
+Each service declares how old its inputs may be (`Limited`). Its worker measures the age of each input at every use, and sends
+the worst ages of every second with its health. `SlowComputer` evaluates these reports. A computer is too slow if inputs are
+already old when they arrive, or if cycles are late. An input that is old only because no newer one has arrived means that its
+producer has stopped.
 """
 
 from collections import deque
@@ -14,17 +15,17 @@ import numpy as np
 
 from sextant.shared.wire.messages import Health
 
-BEAT = "beat"  # the time from one beat of a service's own clock to the next
-STALL = "stall"  # the time for which a live service waited for a message that did not come, at most
-MAX_STALL_S = 0.5  # [s] it looks up every 0.2 s, unless the computer does not let it
-_OLDEST_S = 1e3  # [s] beyond which an age says only that a stamp is wrong
-_LATE_SHARE = 0.1  # [1] of the uses in one report, from which the input counts as late in it
-_KEPT_NS = 4_500_000_000  # [ns] of reports that are looked at
-_REPORTS = 2  # of those in which the same input must be late: one may be a restart
-_ALREADY = 0.75  # [1] share of the limit that an input's age had when it arrived, from which its producers are too slow
-_COMFORT = 0.6  # [1] share of its limit to which an input may age before simulated time waits, where it does
-_WAITED_FOR_NS = {"actuator/state": 100_000_000}  # [ns] likewise, where less: legs walk on for 180 ms without another plan
-_SHOWN = 2  # late inputs that are named at once
+BEAT = "beat"  # time from one beat of a service's own clock to the next
+STALL = "stall"  # longest time for which a live service waited in vain for a message
+MAX_STALL_S = 0.5  # [s] the wait ends every 0.2 s, unless the computer is too slow
+_OLDEST_S = 1e3  # [s] a larger age means that the stamp is wrong
+_LATE_SHARE = 0.1  # [1] share of late uses in one report from which the input counts as late
+_KEPT_NS = 4_500_000_000  # [ns] time span of the evaluated reports
+_REPORTS = 2  # number of these reports in which the same input must be late; a single one may be a restart
+_ALREADY = 0.75  # [1] age on arrival, as a share of the limit, from which the producers are too slow
+_COMFORT = 0.6  # [1] share of its limit up to which an input may age before simulated time waits
+_WAITED_FOR_NS = {"actuator/state": 100_000_000}  # [ns] lower limit for some inputs: legs walk 180 ms without another plan
+_SHOWN = 2  # late inputs in one text
 _NAMES = {
     "camera/depth": "depth frames",
     "actuator/state": "states of the legs",
@@ -33,31 +34,31 @@ _NAMES = {
     "mapper/terrain": "maps",
     "planner/step": "step plans",
 }
-_CHAIN = (*reversed(_NAMES), STALL, BEAT)  # from the plans back to the frames
+_CHAIN = (*reversed(_NAMES), STALL, BEAT)  # in order from plans back to depth frames
 
 
 @runtime_checkable
 class Limited(Protocol):
-    """A service that cannot use inputs beyond an age."""
+    """Service with age limits for its inputs."""
 
     @property
     def max_age_s(self) -> Mapping[str, float]:
-        """Topic key, or BEAT -> age [s] beyond which it is of no use."""
+        """Topic key or BEAT -> maximum usable age [s]."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class InputAge:
-    """How old one input of a service was at its uses within about a second."""
+    """Ages of one input of a service at its uses, over about one second."""
 
     what: str  # topic key, BEAT or STALL
-    age_s: float  # [s] the worst
-    arrived_s: float  # [s] the worst when it arrived
+    age_s: float  # [s] worst age
+    arrived_s: float  # [s] worst age on arrival
     limit_s: float  # [s]
-    late: float  # [1] share of the uses beyond the limit
+    late: float  # [1] share of the uses over the limit
 
     def words(self, service: str) -> str:
-        """The worst age beside the limit."""
+        """Return the worst age and the limit as text."""
         figures = f"{_seconds(self.age_s)} s", f"{_seconds(self.limit_s)} s allowed"
         if self.what == STALL:
             return f"the {service} process stood still for {figures[0]}, {figures[1]}"
@@ -77,15 +78,15 @@ class InputAges:
         """
         self._limit_ns = {what: round(limit_s * 1e9) for what, limit_s in max_age_s.items()}
         self._uses: dict[str, list[int]] = {}  # worst age [ns], worst at arrival [ns], uses, late uses
-        self._left_ns: dict[str, float] = {}  # by the uses in the present step: how much older each may get
+        self._left_ns: dict[str, float] = {}  # how much older each input used in the current step may get
 
     def note(self, what: str, age_ns: int, arrived_ns: int | None = None) -> None:
         """Note one use of an input.
 
         Args:
-            what: Inputs without a limit are left out.
-            age_ns: Its age [ns] at the use.
-            arrived_ns: Its age [ns] when it arrived; the same where it is left out.
+            what: Name of the input; inputs without a limit are ignored.
+            age_ns: Age [ns] at the use.
+            arrived_ns: Age [ns] on arrival; `age_ns` by default.
         """
         limit_ns = self._limit_ns.get(what)
         if limit_ns is None:
@@ -99,15 +100,20 @@ class InputAges:
         worst[3] += age_ns > limit_ns
 
     def forget_uses(self) -> None:
-        """Forget which inputs the step that is over has used."""
+        """Forget which inputs the finished step has used."""
         self._left_ns = {}
 
     def left_ns(self) -> float | None:
-        """How much older [ns] the inputs of this step may get before simulated time waits; None where it used none."""
+        """Return how much older [ns] the inputs of this step may get.
+
+        Simulated time waits beyond that.
+
+        Returns None if the step used no input with a limit.
+        """
         return min(self._left_ns.values(), default=None)
 
     def report(self) -> tuple[InputAge, ...]:
-        """What was measured since the last report."""
+        """Return the ages since the last report, and start a new one."""
         found = tuple(
             InputAge(
                 what,
@@ -123,7 +129,7 @@ class InputAges:
 
 
 def ages_of(health: Health) -> tuple[InputAge, ...]:
-    """The ages in a report of health; what no service has, or no clock can measure, is left out."""
+    """Return the ages in a Health message, without unknown or impossible ones."""
     columns = (health.input_age_s, health.input_arrived_s, health.input_limit_s, health.input_late)
     rows = np.stack(columns, axis=1).tolist()
     ages = (InputAge(what, *row) for what, row in zip(health.inputs, rows, strict=True))
@@ -131,32 +137,35 @@ def ages_of(health: Health) -> tuple[InputAge, ...]:
 
 
 def _is_measured(age: InputAge) -> bool:
-    """Whether the figures can come from `InputAges`: a report is a claim."""
+    """Return whether the values can come from `InputAges`.
+
+    A received report is not trusted.
+    """
     return 0.0 < age.limit_s <= _OLDEST_S and 0.0 <= age.late <= 1.0 and max(abs(age.age_s), abs(age.arrived_s)) <= _OLDEST_S
 
 
 class SlowComputer:
-    """Finds out from the reports of services whether a computer is too slow for them."""
+    """Detects from the reports of services whether a computer is too slow for them."""
 
     def __init__(self, real_time: bool = True, linked: bool = False, computer: str = "this computer"):
-        """Begin without a report.
+        """Start without reports.
 
         Args:
-            real_time: Whether services go by real time: in lockstep no computer is too slow.
-            linked: Whether a link between machines may be what is too slow; that may change.
-            computer: What it is called where it is named.
+            real_time: Whether services run in real time; in lockstep no computer is too slow.
+            linked: Whether a link between machines may be too slow; the attribute may change later.
+            computer: Name of the computer in the text.
         """
         self.linked = linked
-        self.severity = (False, 0.0)  # of what was found last: whether inputs are late, and the worst age [1] of its limit
+        self.severity = (False, 0.0)  # of the last text: whether inputs are late, and the worst age as a share of its limit [1]
         self._real_time, self._computer = real_time, computer
-        self._reports: deque[tuple[int, str, InputAge]] = deque()  # when [ns], service; late ones alone
-        self._heard_ns: dict[str, int] = {}  # when the newest health of a service came
+        self._reports: deque[tuple[int, str, InputAge]] = deque()  # arrival [ns], service, age; only late ones
+        self._heard_ns: dict[str, int] = {}  # arrival of the newest health of each service
 
     def update(self, services: Mapping[str, tuple[Health, int]]) -> list[tuple[str, Health]]:
-        """Take in reports of health, and return those that are new.
+        """Add health reports, and return the new ones.
 
         Args:
-            services: Name -> newest health and when it came [ns].
+            services: Name -> newest health and its arrival time [ns].
         """
         new = [(name, health, at_ns) for name, (health, at_ns) in services.items() if at_ns > self._heard_ns.get(name, -1)]
         self._heard_ns = {name: at_ns for name, (_, at_ns) in services.items()}
@@ -165,7 +174,10 @@ class SlowComputer:
         return [(name, health) for name, health, _ in new]
 
     def words(self, now_ns: int) -> str:
-        """That a computer is too slow, with the latest inputs, or nothing."""
+        """Return a text that the computer is too slow, or an empty text.
+
+        It lists the latest inputs.
+        """
         while self._reports and now_ns - self._reports[0][0] > _KEPT_NS:
             self._reports.popleft()
         worst: dict[tuple[str, str], InputAge] = {}
@@ -185,7 +197,7 @@ class SlowComputer:
         order = sorted(late.items(), key=lambda item: (item[1].what in (BEAT, STALL), -item[1].age_s / item[1].limit_s))
         first = order[0][1]
         self.severity = first.what not in (BEAT, STALL), first.age_s / first.limit_s
-        # In the order of the chain, so that the sentence stays the same while the figures change.
+        # Sorted in a fixed order, so that the text stays the same while the numbers change.
         shown = sorted(order[:_SHOWN], key=lambda item: (_CHAIN.index(item[1].what), item[0]))
         return f"{' or '.join(causes)} is too slow: {'; '.join(age.words(service) for (service, _), age in shown)}"
 

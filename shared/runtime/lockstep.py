@@ -1,4 +1,7 @@
-"""Services in one process on simulated time: as fast as the machine allows, and the same every time."""
+"""Lockstep runner: all services in one process on simulated time.
+
+Runs are deterministic, and as fast as the machine allows.
+"""
 
 import heapq
 import traceback
@@ -16,7 +19,10 @@ M = TypeVar("M", bound=Message)
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A service that is away between two times: killed (a new object comes back) or hung (the same one goes on)."""
+    """Outage of a service between two times.
+
+    A killed service restarts as a new object; a hung one continues with the same object.
+    """
 
     service: str
     from_ns: int
@@ -25,32 +31,32 @@ class Outage:
 
 
 class ServiceFailedError(RuntimeError):
-    """A service raised an exception, which would have ended its process; the exception is the `__cause__`."""
+    """A service raised an exception (the `__cause__`), which would end its process."""
 
     def __init__(self, service: str, error: Exception):
-        """Name the service, the exception, and the line of code that raised it."""
+        """Compose the message from the service, the exception and the line that raised it."""
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
         super().__init__(f"{service} failed: {type(error).__name__}: {error}{place}")
 
 
 class Radio(Protocol):
-    """What is between two machines."""
+    """Radio link between two machines."""
 
     def crosses(self, sender: str, reader: str, /) -> bool:
-        """Whether what one service says reaches another by it."""
+        """Return whether messages of a sender reach a reader over this link."""
         ...
 
     def arrival_ns(self, topic: AnyTopic, sender: str, size: int, now_ns: int, /) -> int | None:
-        """When a message of some bytes arrives that is sent now [ns], or None where it is dropped."""
+        """Return when [ns] a message of `size` bytes sent now arrives, None if dropped."""
         ...
 
 
 class Lockstep:
-    """A set of services in one process on simulated time, deterministic and as fast as the machine allows.
+    """Runs services in one process on simulated time, deterministically.
 
-    Each message reaches its readers after its topic's latency. Beats fall on multiples of their period; at the same instant
-    deliveries come first, then beats in the order in which the services were given.
+    Each message reaches its readers after the latency of its topic. Beats fall on multiples of their period. At the same
+    instant deliveries come first, then beats in the order of the services.
     """
 
     def __init__(
@@ -65,15 +71,15 @@ class Lockstep:
         """Make the services.
 
         Args:
-            makers: Name -> maker of the service.
-            tap: Sees every frame as it is sent, with the time; what a recorder or a test listens at.
-            latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
-            outages: What goes away, and when.
-            busy_until: Name -> until when [ns] a service is busy: what takes it longer than a beat costs it the next ones.
-            radio: What is between services that are on two machines.
+            makers: Name -> function that makes the service.
+            tap: Callback with topic, frame and time [ns] of every sent frame, for recorders and tests.
+            latency_s: Topic key -> delay [s], where it differs from the topic table.
+            outages: Outages of services.
+            busy_until: Name -> function that returns until when [ns] the service is busy. A busy service skips its beats.
+            radio: Link between services on two machines.
 
         Raises:
-            ValueError: An outage of a service that is not there, or a latency of a topic that is not.
+            ValueError: An outage of an unknown service, or a latency of an unknown topic.
         """
         unknown = {o.service for o in outages} - makers.keys()
         if unknown:
@@ -93,7 +99,7 @@ class Lockstep:
         self._sequence = 0
         self._workers: dict[str, Worker] = {}
         self._readers: dict[str, list[str]] = {}
-        self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the running step, for the tap
+        self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the current step, for the tap
         for order, name in enumerate(makers):
             self._start(name)
             pace = self._workers[name].service.paced_by
@@ -103,24 +109,27 @@ class Lockstep:
             self.lose(outage)
 
     def service(self, name: str) -> Service:
-        """The object that runs now under a name."""
+        """Return the service object that currently runs under a name."""
         return self._workers[name].service
 
     def lose(self, outage: Outage) -> None:
-        """Let a service be away between two times; the second is still to come."""
+        """Add an outage of a service, which must end in the future."""
         self._outages[outage.service].append(outage)
         if outage.kill:
             name = outage.service
             self._schedule(outage.until_ns, -2, lambda: self._guarded(name, lambda: self._start(name)))
 
     def say(self, message: Message, topic: AnyTopic | None = None) -> None:
-        """Send a message now, as none of the services; `topic` is that of another role than the robot."""
+        """Send a message now from outside the services.
+
+        Give `topic` for a role other than the robot.
+        """
         frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
         self._send("", topic or topics.OF_TYPE[type(message)], frame)
         self._show()
 
     def run(self, until_ns: int) -> None:
-        """Let simulated time pass up to and including an instant.
+        """Advance simulated time up to and including `until_ns`.
 
         Raises:
             ServiceFailedError: A service raised an exception.
@@ -148,7 +157,10 @@ class Lockstep:
                 readers.append(name)
 
     def _guarded(self, name: str, act: Callable[[], object]) -> None:
-        """Let a service act, then show the tap what it sent: an exception of the tap is not the service's."""
+        """Run a service, then pass its frames to the tap.
+
+        An exception of the tap does not count as one of the service.
+        """
         try:
             act()
         except Exception as error:
@@ -205,13 +217,16 @@ class Lockstep:
             if outage is not None and outage.kill:
                 continue
             worker = self._workers[name]
-            worker.inbox.receive(topic, frame, self.now_ns)  # a hung service finds it waiting
+            worker.inbox.receive(topic, frame, self.now_ns)  # a hung service reads it later
             if outage is None and worker.service.paced_by is topic:
                 self._guarded(name, worker.arrived)
 
 
 class _DecodedOnce:
-    """Decodes a frame once for all that read it: messages are frozen and their arrays read-only, so they can be shared."""
+    """Decodes a frame once for all its readers.
+
+    They can share a message, because messages are frozen and their arrays are read-only.
+    """
 
     def __init__(self) -> None:
         self._newest: dict[type[Message], tuple[bytes, tuple[Any, codec.Timing]]] = {}

@@ -1,4 +1,6 @@
-"""The process around a service: arguments, signals, last words. Every `services/<name>/__main__.py` is a call of `main`.
+"""Process of a service: command line, signals and exit status.
+
+Every `services/<name>/__main__.py` calls `main`:
 
 python -m sextant.services.planner --robot phantomx_mk2 --connect tcp/127.0.0.1:7447 --set blind=true
 """
@@ -31,8 +33,8 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import Keys
 from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
-_LOOK_S = 0.1  # [s] between two looks whether the robot is there
-_PATIENCE_S = 4.0  # [s] that a rehearsal takes where nothing has to be compiled, with time to spare
+_LOOK_S = 0.1  # [s] between two checks for the robot
+_PATIENCE_S = 4.0  # [s] upper bound of a warm-up that compiles nothing
 
 S = TypeVar("S")
 
@@ -57,19 +59,19 @@ def run(
     argv: Sequence[str] | None = None,
     rehearse: Callable[[RobotProfile, S], None] | None = None,
 ) -> int:
-    """Run one service until it is told to stop, with the settings of the command line.
+    """Run one service with the settings of the command line, until shutdown.
 
     Args:
-        name: Of the service.
-        schema: Its settings' class.
-        make: Makes it for a robot, with its settings.
-        told: That it shall stop.
-        argv: The command line, without the program; this process's own when left out.
-        rehearse: Compiles what it calls, before it says that it is there.
+        name: Name of the service.
+        schema: Class of its settings.
+        make: Makes the service from a robot profile and settings.
+        told: Shutdown request.
+        argv: Command line without the program; that of this process by default.
+        rehearse: Warm-up that compiles the functions of the service before it reports that it is ready.
 
     Returns:
-        Exit status: 0 when it was told to stop, 1 without the device or port that it needs, 2 for what the caller got wrong;
-        anything else ends in a traceback.
+        Exit status: 0 after a shutdown request, 1 if a device or port is missing, 2 for invalid arguments. Any other error
+        ends in a traceback.
     """
     arguments = _parser(name, make.__module__.rpartition(".")[0], schema).parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
@@ -99,14 +101,14 @@ def run(
             ahead_s = _follow_robot(link, told.event, watchdog.beat) if arguments.elsewhere else lambda: 0.0
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
-                stack.enter_context(service)  # ports and servers are closed on the way out
+                stack.enter_context(service)  # closes ports and servers on exit
         except (ValueError, TransportError) as error:
             logging.error("%s", error)
             return 2
-        except OSError as error:  # a device or port that is not there; unlike the above it may come back
+        except OSError as error:  # a missing device or port; unlike the errors above it may return
             logging.error("%s", error)
             return 1
-        try:  # a ValueError in here is a bug, and ends in a traceback
+        try:  # a ValueError in this block is a bug and ends in a traceback
             role = arguments.role if keys is None else keys.role.name
             run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True)
         except clock.ClockError as error:
@@ -116,7 +118,7 @@ def run(
 
 
 def _patiently(rehearse: Callable[[], None]) -> None:
-    """Rehearse, and ask for patience where something has to be compiled."""
+    """Run the warm-up, and log a notice if it has to compile."""
     telling = threading.Timer(
         _PATIENCE_S, logging.info, ["compiling the inner loops takes about a minute, the first time only"]
     )
@@ -129,11 +131,15 @@ def _patiently(rehearse: Callable[[], None]) -> None:
 
 
 def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int], object]) -> Callable[[], float]:
-    """Let this process go by the robot's clock, once the robot is heard; what says by how much [s] that is ahead."""
+    """Wait for a message of the robot, and use the robot's clock in this process.
+
+    Returns:
+        A function that returns the offset [s] of the robot's clock from this machine's clock.
+    """
     robot = clock.RobotClock()
 
     def hear(_topic: object, frame: bytes) -> None:
-        with contextlib.suppress(codec.DecodeError):  # refused, counted and named where it is read
+        with contextlib.suppress(codec.DecodeError):  # the inbox refuses, counts and reports it
             robot.heard(codec.label(frame).timing.sent_ns)
 
     link.subscribe(topics.ACTUATOR_STATE, hear)
@@ -148,10 +154,14 @@ def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int],
 
 
 def load_settings(schema: type[S], path: str | None, assignments: Sequence[str]) -> S:
-    """Settings of a service from a TOML file and `key=value` assignments over it, values in TOML's notation.
+    """Read the settings of a service from a TOML file and `key=value` assignments.
+
+    The values of assignments are in TOML notation.
+
+    The assignments override the file.
 
     Raises:
-        ConfigError: What is wrong, all at once.
+        ConfigError: The settings are invalid; the text lists all errors.
     """
     table: dict[str, Any] = {}
     if path is not None:
@@ -165,7 +175,7 @@ def load_settings(schema: type[S], path: str | None, assignments: Sequence[str])
             parsed = input_file.parse_toml(Path("--set"), f"value = {value}".encode(errors="replace"))
         except input_file.FileError:
             parsed = {}
-        item = parsed["value"] if len(parsed) == 1 else value  # a bare word is a text
+        item = parsed["value"] if len(parsed) == 1 else value  # a word without quotes is a text
         inner = table
         for part in parts[:-1]:  # a dotted key changes one value of a nested table, not the whole table
             inner = inner.setdefault(part, {})
@@ -176,7 +186,10 @@ def load_settings(schema: type[S], path: str | None, assignments: Sequence[str])
 
 
 def assignments(settings: object) -> list[str]:
-    """The `--set` arguments that make `settings` again; fields at their defaults are left out."""
+    """Return the `--set` arguments that reproduce `settings`.
+
+    Fields at their defaults are omitted.
+    """
     out: list[str] = []
     for field in dataclasses.fields(settings):  # type: ignore[arg-type]
         value = getattr(settings, field.name)
@@ -187,14 +200,14 @@ def assignments(settings: object) -> list[str]:
 
 
 def toml_value(value: object) -> str:
-    """A plain value in TOML's notation, on one line."""
+    """Return a plain value in TOML notation, on one line."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{toml_value(str(key))} = {toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
+    if isinstance(value, str):  # JSON and TOML have the same escapes, except for DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return str(value)
 

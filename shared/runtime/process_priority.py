@@ -1,4 +1,4 @@
-"""What a process asks of its host: to go before others, and to keep the memory it has."""
+"""Operating system settings of a process: priority, open files and memory."""
 
 import ctypes
 import gc
@@ -10,14 +10,14 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's mallopt
 _KEPT = 1 << 28  # [bytes]
 _SWITCH_S = 0.0005
 _OPEN_FILES = 16_384
-_REAL_TIME = 10  # priority, of 1 to 99: before all that has none, behind what the machine itself needs
+_REAL_TIME = 10  # real-time priority, 1 to 99: above normal processes, below the kernel's own threads
 
 
 def go_first() -> str:
-    """Have this thread, and those it starts from now on, computed before all others that are not of real time too.
+    """Give real-time priority to this thread and to those that it starts from now on.
 
     Returns:
-        Why it may not, in words, or nothing.
+        Why the system refuses it, or an empty text.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
@@ -29,15 +29,18 @@ def go_first() -> str:
 
 
 def switch_often() -> None:
-    """Have threads of this process wait for one that computes for a tenth as long as Python's usual 5 ms.
+    """Set Python's switch interval to a tenth of the default 5 ms.
 
-    The servos' answers and what comes from the network are handled in threads beside the one that computes.
+    Servo responses and network messages are handled in threads next to the one that computes.
     """
     sys.setswitchinterval(_SWITCH_S)
 
 
 def allow_many_files() -> None:
-    """Raise this process's limit of open files and connections, as far as the user may: the usual 1024 is soon reached."""
+    """Raise the limit of open files and connections as far as allowed.
+
+    The default of 1024 is too low.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _OPEN_FILES)
     if soft != resource.RLIM_INFINITY and soft < wanted:
@@ -45,17 +48,22 @@ def allow_many_files() -> None:
 
 
 def spare_collector() -> None:
-    """Have Python look for reference cycles rarely: messages and arrays make none, and looking costs some per cent."""
-    gc.unfreeze()  # what an earlier run of this process left behind goes
+    """Run Python's cyclic garbage collector rarely.
+
+    Messages and arrays have no reference cycles, and the collector takes a few per cent of the time.
+    """
+    gc.unfreeze()  # objects of an earlier run in this process can be collected
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)
 
 
 def keep_memory() -> None:
-    """Have large arrays come from memory that stays mapped: fresh pages cost more than what most stages compute.
+    """Allocate large arrays from memory that stays mapped.
 
-    Four new arrays of 256 KiB took 0.56 ms without and 0.03 ms with it. Where there is no glibc it does nothing.
+    Mapping new pages takes longer than most stages compute.
+
+    Four new arrays of 256 KiB took 0.56 ms without this setting and 0.03 ms with it. Without glibc the function does nothing.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

@@ -1,7 +1,8 @@
-"""What a service is: a plain object that makes messages out of messages.
+"""Service protocol, inbox and worker.
 
-It says what paces it, what it reads and what it writes; somebody else moves the messages. There are two ways to run a set of
-them, with the same objects and encoded frames: `zenoh_runner` at real time, `lockstep` on simulated time.
+A service is a plain object that turns input messages into output messages. It declares what triggers its step, which topics it
+reads and which it writes; a runner transports the messages. Two runners use the same service objects and encoded frames:
+`zenoh_runner` in real time and `lockstep` in simulated time.
 """
 
 import math
@@ -23,24 +24,25 @@ M = TypeVar("M", bound=Message)
 AnyTopic = Topic[Any]
 
 HEALTH_PERIOD_NS = 1_000_000_000
-QUEUE_LENGTH = 512  # frames of an EVERY topic that may wait; more are dropped and counted
+QUEUE_LENGTH = 512  # queued frames of an EVERY topic; further frames replace the oldest and are counted as dropped
 _SAMPLES = 4096  # timings kept per stage
-AHEAD_NS = 2_000_000_000  # [ns] by which a stamp may be ahead of the robot's time: a later one would make all that follow old
-_BEAT_LASTS = 1.0  # periods after a beat at which simulated time waits for its end, ...
-_LATE_BEAT = 1.5  # ... and for the next one
+AHEAD_NS = 2_000_000_000  # [ns] maximum lead of a stamp over the robot's time: a later stamp would make all next messages old
+_BEAT_LASTS = 1.0  # periods after the start of a step at which simulated time waits for its end, ...
+_LATE_BEAT = 1.5  # ... and for the next step
 
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """Paces a service by its own clock.
+    """Periodic trigger of a service, by its own clock.
 
-    A service may bring a `wait` [s] of its own until the next beat, in which it does what has to be done between two; where
-    that comes back before its time, the beat comes at once, and the others a period after it.
+    `wait` replaces the wait [s] for the next beat, for services that have work to do between beats. If `wait` returns early,
+    the beat runs at once and the next one is due a period later.
 
-    A service that `fetches` takes what has come when it looks, and nothing runs when something comes. A frame counts as having
-    come at the look, so this is for those who look often at everything, and on whose reading of ages nothing hangs.
+    `fetches` makes the inbox poll the link when the service reads a topic, instead of receiving frames from a thread. The time
+    of polling then counts as the time of arrival. Use it for services that read all topics often and do not depend on the
+    age of their inputs.
 
-    A service that beats `by_machine` waits by the machine's clock, so that it beats also while simulated time stands.
+    `by_machine` makes the service wait by the machine's clock, so that it also beats while simulated time stands still.
     """
 
     period_ns: int
@@ -50,18 +52,18 @@ class Every:
 
     @classmethod
     def hz(cls, rate_hz: float) -> "Every":
-        """Pace at a rate."""
+        """Return a trigger with a rate [Hz]."""
         return cls(round(1e9 / rate_hz))
 
 
 class Stages:
-    """Durations of the named stages of a service's work, the newest few thousand of each."""
+    """Durations of the named stages of a service's work, the newest 4096 of each."""
 
     def __init__(self) -> None:
         self._samples: dict[str, _Ring] = {}
 
     def __call__(self, name: str) -> "_Stage":
-        """Time a block as one run of a stage."""
+        """Return a context manager that times its block as one run of a stage."""
         return _Stage(self, name)
 
     def add(self, name: str, duration_ms: float) -> None:
@@ -72,16 +74,19 @@ class Stages:
         samples.add(duration_ms)
 
     def runs(self, name: str) -> int:
-        """How often a stage has run."""
+        """Return the number of runs of a stage."""
         return self._samples[name].count if name in self._samples else 0
 
     def percentiles(self) -> dict[str, tuple[float, float]]:
-        """Stage -> 50th and 99th percentile [ms], by nearest rank."""
+        """Return stage -> 50th and 99th percentile [ms], by nearest rank."""
         return {name: samples.percentiles() for name, samples in self._samples.items()}
 
 
 class _Stage:
-    """A running stage; a context manager made of a generator would cost several times as much."""
+    """Context manager that times one run of a stage.
+
+    It is several times faster than one from a generator.
+    """
 
     __slots__ = ("_began", "_name", "_stages")
 
@@ -96,11 +101,11 @@ class _Stage:
 
 
 class _Ring:
-    """The newest numbers of a stream."""
+    """Ring buffer of the newest numbers of a stream."""
 
     def __init__(self) -> None:
         self._values = np.empty(_SAMPLES)
-        self.count = 0  # of all that came
+        self.count = 0  # of all numbers added
 
     def add(self, value: float) -> None:
         self._values[self.count % _SAMPLES] = value
@@ -114,7 +119,7 @@ class _Ring:
 
 
 class Decode(Protocol):
-    """What makes messages of frames; as `codec.decode`."""
+    """Function that decodes frames, such as `codec.decode`."""
 
     def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
         """Decode a frame as a message of one type, or raise DecodeError."""
@@ -122,8 +127,11 @@ class Decode(Protocol):
 
 
 class Inbox:
-    """What has arrived for one service. Frames are decoded when they are looked at; those that do not decode are refused,
-    counted and reported, and the last good message of their topic stays."""
+    """Received frames of one service.
+
+    Frames are decoded when the service reads their topic. A frame that does not decode is refused, counted and reported, and
+    the last valid message of its topic stays.
+    """
 
     def __init__(
         self,
@@ -139,10 +147,10 @@ class Inbox:
         self.refused = 0
         self.dropped = 0
         self.last_refusal = ""
-        self.wanted = wanted  # whether anybody listens to a topic: what nobody wants need not be made
+        self.wanted = wanted  # whether a topic has subscribers; without any, a service need not make its messages
         self._stages = stages
         self._decode = decode
-        self._robot_time = robot_time  # whether times of arrival are the robot's, as stamps are
+        self._robot_time = robot_time  # whether arrival times are by the robot's clock, as stamps are
         self._reads = {topic.key: topic for topic in reads}
         self._frames: dict[str, deque[tuple[bytes, int]]] = {}
         for topic in reads:
@@ -153,7 +161,7 @@ class Inbox:
         self._lock = threading.Lock()
 
     def receive(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Take in a frame; called by whoever moves messages, from any thread."""
+        """Store a received frame; a runner calls this from any thread."""
         with self._lock:
             queue = self._frames[topic.key]
             if len(queue) == queue.maxlen:
@@ -161,21 +169,24 @@ class Inbox:
             queue.append((frame, at_ns))
 
     def fetch(self, topic: AnyTopic, come: Callable[[], list[bytes]]) -> None:
-        """Have frames of a topic fetched when it is looked at, in place of `receive`."""
+        """Fetch the frames of a topic with `come` when it is read, in place of `receive`."""
         self._fetch[topic.key] = come
 
     def waiting(self, topic: AnyTopic) -> bool:
-        """Whether a frame has come that nobody has looked at."""
+        """Return whether a topic has frames that have not been read."""
         self._look(topic)
         return bool(self._frames[topic.key])
 
     def latest(self, topic: Topic[M]) -> M | None:
-        """The newest good message of a topic, however old."""
+        """Return the newest valid message of a topic, regardless of its age."""
         found = self._use_newest(topic)
         return cast(M, found[0]) if found else None
 
     def fresh(self, topic: Topic[M], within_s: float | None = None) -> M | None:
-        """The newest message, or None once it came longer ago than `within_s`, by default three of its periods."""
+        """Return the newest valid message, or None if it arrived more than `within_s` ago.
+
+        The default of `within_s` is three periods of the topic.
+        """
         found = self._use_newest(topic)
         age_ns = topic.fresh_for_ns if within_s is None else within_s * 1e9
         if found is None or self.now_ns - found[1] > age_ns:
@@ -183,7 +194,7 @@ class Inbox:
         return cast(M, found[0])
 
     def drain(self, topic: Topic[M]) -> list[M]:
-        """All messages that have come since the last look, in order."""
+        """Return all messages received since the last read, in order."""
         messages = self._decode_waiting(topic)
         at_ns = self._newest[topic.key][1] if messages else 0
         for message in messages:
@@ -191,7 +202,10 @@ class Inbox:
         return messages
 
     def _use_newest(self, topic: Topic[M]) -> tuple[Message, int] | None:
-        """The newest good message of a topic and when it came [ns]; a use of it."""
+        """Return the newest valid message of a topic and its arrival time [ns].
+
+        The use counts for the ages of the inputs.
+        """
         self._decode_waiting(topic)
         found = self._newest.get(topic.key)
         if found is not None:
@@ -199,7 +213,7 @@ class Inbox:
         return found
 
     def _decode_waiting(self, topic: Topic[M]) -> list[M]:
-        """Decode what waits of a topic, in order."""
+        """Decode the waiting frames of a topic, in order."""
         self._look(topic)
         queue = self._frames[topic.key]
         if not queue:
@@ -234,37 +248,37 @@ class Inbox:
 
 
 class Service(Protocol):
-    """One of the processes, as a plain object."""
+    """Protocol of a service: one process of the robot, as a plain object."""
 
     name: str
     stages: Stages
 
     @property
     def paced_by(self) -> AnyTopic | Every:
-        """What makes it step: a topic's messages, or its own clock."""
+        """Trigger of its step: the messages of a topic, or its own clock."""
         ...
 
     @property
     def reads(self) -> tuple[AnyTopic, ...]:
-        """Topics that it samples; the pacing topic need not be repeated."""
+        """Topics that it subscribes to; the trigger topic need not be repeated."""
         ...
 
     @property
     def writes(self) -> tuple[AnyTopic, ...]:
-        """Topics whose messages it makes."""
+        """Topics that it publishes."""
         ...
 
     def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
-        """Make messages out of the pacing message (or a Tick) and what the inbox holds."""
+        """Return the messages made from the trigger message (or a Tick) and the inbox."""
         ...
 
     def doing(self) -> str:
-        """What the service is about, in words, for the operator."""
+        """Return the current activity of the service as text for the operator."""
         ...
 
 
 class Worker:
-    """Runs one service's steps and sends what they make; the part that both ways of running share."""
+    """Runs the steps of one service and sends their messages; both runners use it."""
 
     def __init__(
         self,
@@ -280,15 +294,15 @@ class Worker:
         robot_time: bool = False,
     ):
         self.service = service
-        self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
+        self._health_topic = topics.HEALTH_OF[role]  # of the machine's role; other roles may not publish there
         self._max_age_s = dict(service.max_age_s) if isinstance(service, Limited) else {}
         self.ages = InputAges({**self._max_age_s, STALL: MAX_STALL_S} if self._max_age_s else {})
-        self._hold = hold  # states until when [ns] simulated time may go on without another step
+        self._hold = hold  # sets the time [ns] up to which simulated time may run without another step
         self._missed_beats = 0
         self._ahead_s = ahead_s
-        self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
-        self._last_refusals = ("", "")  # of those, and of what did not decode
-        self._last_refusal = ""  # the newer one
+        self._astray = astray  # number of frames that the link dropped because of a wrong address, and the last of them
+        self._last_refusals = ("", "")  # of wrong addresses, and of frames that did not decode
+        self._last_refusal = ""  # the newer of these two
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
@@ -301,7 +315,7 @@ class Worker:
         self._health_due_ns = 0
 
     def tick(self) -> None:
-        """One beat of a service paced by its own clock."""
+        """Run one beat of a service that is paced by its own clock."""
         now_ns, pace = self._clock(), self.service.paced_by
         if isinstance(pace, Every) and self._steps:
             since_ns = now_ns - self._stepped_ns
@@ -310,7 +324,7 @@ class Worker:
         self._step(Tick(now_ns))
 
     def arrived(self) -> None:
-        """Steps for every pacing message that waits."""
+        """Run one step for every waiting message of the trigger topic."""
         pace = self.service.paced_by
         if not isinstance(pace, Every):
             self.inbox.now_ns = self._clock()
@@ -335,14 +349,17 @@ class Worker:
         self.report_health(began_ns)
 
     def _next_step_by(self, began_ns: int, periods: float) -> int | None:
-        """When [ns] inputs of this step are late, or a beat that is to come within some periods; None where nothing can be."""
+        """Return when [ns] an input of this step, or a beat due within `periods`, is late.
+
+        Returns None without limits.
+        """
         left_ns = self.ages.left_ns()
         if BEAT in self._max_age_s and isinstance(pace := self.service.paced_by, Every):
             left_ns = min(periods * pace.period_ns, math.inf if left_ns is None else left_ns)
         return None if left_ns is None else began_ns + round(left_ns)
 
     def report_health(self, now_ns: int) -> None:
-        """Send how the service fares, if it is time."""
+        """Send a Health message if it is due."""
         if now_ns < self._health_due_ns:
             return
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
@@ -373,7 +390,7 @@ class Worker:
         self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 
     def _starved(self, now_ns: int) -> str:
-        """That what makes the service step has not come for a while, or nothing."""
+        """Return a text if the trigger topic is silent for too long, or an empty text."""
         pace, waited_ns = self.service.paced_by, now_ns - self._stepped_ns
         if isinstance(pace, Every) or waited_ns <= max(pace.fresh_for_ns, HEALTH_PERIOD_NS):
             return ""

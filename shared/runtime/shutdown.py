@@ -1,4 +1,7 @@
-"""How a process ends: with the one that started it, when it is told to, in bounded time, and without what may hang."""
+"""Shutdown of a process: with its parent or on request, in bounded time.
+
+It avoids steps that may hang.
+"""
 
 import ctypes
 import faulthandler
@@ -10,28 +13,31 @@ import threading
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when the thread that started it ends
+_PR_SET_PDEATHSIG = 1  # Linux: sends a signal to this process when the thread that started it ends
 _STDERR = 2
-_END_S = 10.0  # [s] by which a process has closed what it had open, or never will; launchers and systemd kill sooner
+_END_S = 10.0  # [s] time limit of the shutdown; launchers and systemd kill a process earlier
 
 
 def end_with(parent: int) -> None:
-    """End this process when the one with an id, which must have started it, has ended; nothing is orphaned."""
+    """End this process when its parent process, which has the id `parent`, ends."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the call above
+    if os.getppid() != parent:  # the parent died before the call above
         raise SystemExit(1)
 
 
 def bound_the_end() -> None:
-    """Have this process end in ten seconds, with status 1 and word of where each thread was, if it has not ended by then."""
-    faulthandler.dump_traceback_later(_END_S, exit=True, file=_STDERR)  # by a thread that needs nothing of Python's
+    """End this process with status 1 if it still runs in ten seconds.
+
+    The tracebacks of all threads are printed.
+    """
+    faulthandler.dump_traceback_later(_END_S, exit=True, file=_STDERR)  # from a thread that does not need the interpreter
 
 
 class ToldToEnd:
-    """SIGTERM and SIGINT as an event, for as long as a block of the main thread runs; a context manager.
+    """Context manager of the main thread that sets an event on SIGTERM or SIGINT.
 
-    A thread waits for them, because a signal's handler has to wait for the main thread, which may be caught in a call into a
-    library that lets other threads run meanwhile. Who is told has ten seconds to leave the block, see `bound_the_end`.
+    A separate thread waits for the signals. A signal handler would have to wait for the main thread, which may be blocked in a
+    library call. After a signal the process has ten seconds to leave the block, see `bound_the_end`.
     """
 
     def __init__(self) -> None:
@@ -43,7 +49,7 @@ class ToldToEnd:
         self._reads, self._writes = os.pipe()
         os.set_blocking(self._writes, False)
         self._wakes_before = signal.set_wakeup_fd(self._writes, warn_on_full_buffer=False)
-        for number in (signal.SIGTERM, signal.SIGINT):  # a handler has it written to the pipe, and need not do anything
+        for number in (signal.SIGTERM, signal.SIGINT):  # with a handler installed, Python writes the number to the pipe
             self._before[number] = signal.signal(number, lambda *_: None)
         self._thread = threading.Thread(target=self._listen, name="told to end", daemon=True)
         self._thread.start()
@@ -53,13 +59,16 @@ class ToldToEnd:
         signal.set_wakeup_fd(self._wakes_before)
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        os.close(self._writes)  # at which the thread ends
+        os.close(self._writes)  # ends the thread
         self._thread.join()
         os.close(self._reads)
         faulthandler.cancel_dump_traceback_later()  # of `bound_the_end`
 
     def open(self) -> None:
-        """Have the process close what it opens from now on; before, it ends at once when it is told, with status 0."""
+        """Set the event on signals from now on, for an orderly shutdown.
+
+        Before this call a signal ends the process at once, with status 0.
+        """
         self._at_once = False
 
     def _listen(self) -> None:
@@ -73,7 +82,7 @@ class ToldToEnd:
 
 
 def leave_at_errors() -> None:
-    """Have whatever this process raises in the end be told as usual, and the process left as by `leave`."""
+    """Make an uncaught exception print its traceback and end the process with `leave`."""
 
     def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.__excepthook__(kind, error, trace)
@@ -83,7 +92,10 @@ def leave_at_errors() -> None:
 
 
 def leave_at_errors_of_threads() -> None:
-    """End this process when one of its threads fails, for one whose threads are of no use without each other."""
+    """Make an uncaught exception in any thread end the process.
+
+    Use it for threads that depend on each other.
+    """
 
     def told(failed: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(failed)
@@ -93,7 +105,10 @@ def leave_at_errors_of_threads() -> None:
 
 
 def leave(status: int) -> NoReturn:
-    """End this process, which has closed what it had open, without the interpreter's teardown, in which libraries may hang."""
+    """End this process without the interpreter's teardown, which may hang.
+
+    The caller must have closed all files and connections.
+    """
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()

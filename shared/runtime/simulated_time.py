@@ -1,11 +1,14 @@
-"""Simulated time that the processes of one run share: it never runs faster than real time, and it waits for what is late.
+"""Simulated time shared by the processes of one run.
 
-The simulator grants time in small spans, so time stands while the simulator does not run. Each service that has a limit on the
-age of its inputs or on its cycle states until when simulated time may go on; time stands there until the service states a later
-limit. A service that states none for `_PATIENCE_NS` of real time has ended or hangs, and time goes on without it.
+It is never faster than real time, and it waits for late services.
 
-The state lies in a file that all processes map. Two records take turns: the simulator fills the one that nobody reads and then
-counts up, so a reader whose count has not changed has read a whole record. Robots with real servos do not use this module.
+The simulator grants time in small spans, so time stands still while the simulator does not run. Each service with a limit on
+the age of its inputs or on its cycle sets the time up to which simulated time may run. Time stops there until the service sets
+a later limit. If a service sets none for `_PATIENCE_NS` of real time, it has ended or hangs, and time continues without it.
+
+The state is in a file that all processes map. It has two records. The simulator writes the record that is not in use and then
+increments the count. A reader whose count has not changed has read a consistent record. Robots with real servos do not use this
+module.
 """
 
 import mmap
@@ -16,30 +19,30 @@ from pathlib import Path
 
 from sextant.shared.runtime.clock import in_use
 
-SPAN_NS = 10_000_000  # [ns] of simulated time that one grant allows at most: it passes at once where all processes stood still
-SERVO_BUS = "servo bus"  # has a limit while either end has sent something that the other has not received
-REACTION_NS = 1_000_000  # [ns] of simulated time that may pass meanwhile
+SPAN_NS = 10_000_000  # [ns] maximum simulated time of one grant; it passes at once after all processes stood still
+SERVO_BUS = "servo bus"  # has a limit while data is in transit in either direction
+REACTION_NS = 1_000_000  # [ns] of simulated time that may pass during this
 _PATIENCE_NS = 1_000_000_000  # [ns] of real time for which simulated time waits at one limit
 _NO_LIMIT = (1 << 63) - 1
-_COUNT, _RECORDS, _RECORD, _SLOTS = 0, 1, 3, 7  # words: of the count, of two records of three words, of the limits
+_COUNT, _RECORDS, _RECORD, _SLOTS = 0, 1, 3, 7  # indices: count, first of two records, words per record, first limit
 _NAME_BYTES = 32
 _MAX_NAMES = 16
-_WORDS = _SLOTS + 2 * _MAX_NAMES  # each service has a limit and the real time for which time stood at it
+_WORDS = _SLOTS + 2 * _MAX_NAMES  # each service has a limit, and the real time for which simulated time waited at it
 _SIZE = 8 * _WORDS + _NAME_BYTES * _MAX_NAMES
 
 
 class SimulatedTime:
-    """The simulated time [ns] of one run, as a process sees it that has mapped its file; calling it reads the time."""
+    """Simulated time [ns] of one run, in a mapped file; a call reads the time."""
 
     def __init__(self, path: Path, machine: Callable[[], int] = time.monotonic_ns):
         """Map the file of a run.
 
         Args:
-            path: Made by `create`.
-            machine: [ns] the monotonic clock of this machine.
+            path: File made by `create`.
+            machine: Monotonic clock of this machine [ns].
 
         Raises:
-            ValueError: There is no such file, or it is none of simulated time.
+            ValueError: The file does not exist, or is not a file of simulated time.
         """
         try:
             with path.open("r+b") as file:
@@ -57,20 +60,22 @@ class SimulatedTime:
         parts = [names[k : k + _NAME_BYTES].rstrip(b"\0") for k in range(0, len(names), _NAME_BYTES)]
         self.names = tuple(part.decode("utf-8", "replace") for part in parts if part)
         self._index = {name: _SLOTS + 2 * k for k, name in enumerate(self.names)}
-        self._bound: dict[str, tuple[int, int]] = {}  # limits that time has met, and when [ns] of this machine
+        self._bound: dict[str, tuple[int, int]] = {}  # limits that time has reached, and when [ns] by this machine's clock
         self._granted_ns = machine()
 
     @classmethod
     def create(cls, path: Path, names: Sequence[str], machine: Callable[[], int] = time.monotonic_ns) -> "SimulatedTime":
-        """Make the file of a run whose time stands at this machine's until it is granted.
+        """Make the file of a run.
+
+        Its time starts at this machine's time, and stands still until the first grant.
 
         Args:
-            path: Of the file.
-            names: Services that may state limits.
-            machine: [ns] the monotonic clock of this machine.
+            path: Path of the file.
+            names: Services that may set limits.
+            machine: Monotonic clock of this machine [ns].
 
         Raises:
-            ValueError: Too many names, or one that is too long.
+            ValueError: There are too many names, or one is too long.
         """
         encoded = [name.encode() for name in names]
         if len(names) > _MAX_NAMES or any(len(name) > _NAME_BYTES for name in encoded):
@@ -84,7 +89,7 @@ class SimulatedTime:
         return cls(path, machine)
 
     def __call__(self) -> int:
-        """[ns] now."""
+        """Return the simulated time [ns]."""
         while True:
             count = self._words[_COUNT]
             machine_ns, simulated_ns, limit_ns = self._record(count)
@@ -92,7 +97,13 @@ class SimulatedTime:
                 return min(simulated_ns + self._machine() - machine_ns, limit_ns)
 
     def grant(self) -> int:
-        """Let time go on by one span at most, up to the least limit; returns the time [ns]. The simulator's alone."""
+        """Advance time by at most one span, up to the lowest limit.
+
+        Only the simulator calls this.
+
+        Returns:
+            The simulated time [ns].
+        """
         count, machine_ns = self._words[_COUNT], self._machine()
         then_ns, simulated_ns, granted_ns = self._record(count)
         now_ns = min(simulated_ns + machine_ns - then_ns, granted_ns)
@@ -105,29 +116,32 @@ class SimulatedTime:
                 self._words[word + 1] += machine_ns - self._granted_ns
             limit_ns = max(stated_ns, now_ns)
         self._granted_ns = machine_ns
-        limit_ns = max(limit_ns, granted_ns)  # what was granted stays granted, so that time never goes back
+        limit_ns = max(limit_ns, granted_ns)  # a grant is never withdrawn, so that time is monotonic
         for word, value in enumerate((machine_ns, now_ns, limit_ns), _RECORDS + _RECORD * (count + 1 & 1)):
             self._words[word] = value
         self._words[_COUNT] = count + 1
         return now_ns
 
     def hold(self, name: str, limit_ns: int | None) -> None:
-        """State until when [ns] time may go on without another word of a service, or that it has no limit."""
+        """Set the limit of a service: the time [ns] up to which simulated time may run.
+
+        None removes the limit.
+        """
         word = self._index.get(name)
         if word is not None:
             self._words[word] = _NO_LIMIT if limit_ns is None else limit_ns
 
     def waited_s(self) -> dict[str, float]:
-        """Service -> real time [s] for which simulated time has waited for it."""
+        """Return service -> real time [s] for which simulated time has waited for it."""
         return {name: self._words[word + 1] * 1e-9 for name, word in self._index.items()}
 
     def _record(self, count: int) -> tuple[int, int, int]:
-        """When a grant was made [ns] by the machine's clock, what time it was then [ns], and until when time may go on [ns]."""
+        """Return machine time, simulated time and limit [ns] of a grant."""
         first = _RECORDS + _RECORD * (count & 1)
         return self._words[first], self._words[first + 1], self._words[first + 2]
 
     def _has_waited(self, name: str, stated_ns: int, machine_ns: int) -> bool:
-        """Whether time has waited at a limit for as long as it does."""
+        """Return whether time has waited at a limit for `_PATIENCE_NS`."""
         met_ns, since_ns = self._bound.get(name, (-1, 0))
         if met_ns != stated_ns:
             self._bound[name] = stated_ns, machine_ns
@@ -136,7 +150,10 @@ class SimulatedTime:
 
 
 def hold(name: str, limit_ns: int | None) -> None:
-    """State until when [ns] time may go on, where this process goes by simulated time; real time does not wait."""
+    """Set the limit [ns] of a service if this process uses simulated time.
+
+    Otherwise do nothing.
+    """
     time_in_use = in_use()
     if isinstance(time_in_use, SimulatedTime):
         time_in_use.hold(name, limit_ns)

@@ -1,11 +1,16 @@
-"""How long computing takes, for reports: the only clock of the machine that is read in lockstep.
+"""Stopwatch for computing times in reports.
 
-Nothing decides by it. Times by which a service decides come from the clock that it is given.
+It is the only machine clock that is read in lockstep.
+
+No decision depends on it. A service takes the time for its decisions from its own clock argument.
 """
 
 import time
 
 
 def stopwatch_ns() -> int:
-    """Read [ns] this machine's finest monotonic clock, counted from an arbitrary instant."""
+    """Return the time [ns] of this machine's finest monotonic clock.
+
+    The origin is arbitrary.
+    """
     return time.perf_counter_ns()

@@ -1,7 +1,9 @@
-"""A service goes through made-up messages before it begins, so that nothing is compiled while a robot waits for it.
+"""Warm-up of a service with synthetic messages.
 
-What is compiled is compiled for the types that it is called with, and arrays that came in a message are of another type than
-those that were made here: so the messages go through the codec.
+It compiles all functions before the robot needs them.
+
+Numba compiles a function for the types of its arguments. Arrays from a received message have another type than new arrays
+(they are read-only), so the synthetic messages pass through the codec.
 """
 
 from sextant.shared.runtime.service import Every, Service, Worker
@@ -10,16 +12,19 @@ from sextant.shared.wire.messages import Message
 
 
 class Rehearsal:
-    """Steps a service that is none of the robot's, and sends nobody what it makes."""
+    """Runs a separate instance of a service and discards its messages."""
 
     def __init__(self, service: Service):
-        """Begin at a time of its own."""
+        """Start at time zero."""
         self._now_ns = 0
         self._paced_by = service.paced_by
         self._worker = Worker(service, lambda _topic, _frame, _at_ns: None, lambda: self._now_ns)
 
     def hear(self, message: Message) -> None:
-        """Let a message come in at the time of its stamp [ns]; the service steps where that is what paces it."""
+        """Deliver a message at the time of its stamp [ns].
+
+        If its topic is the trigger, the service runs a step.
+        """
         topic = topics.OF_TYPE[type(message)]
         if topic not in self._worker.reads:
             return
@@ -29,7 +34,7 @@ class Rehearsal:
             self._worker.arrived()
 
     def tick(self, for_s: float) -> None:
-        """Let a service that its own clock paces step through some time [s]."""
+        """Run the beats of a periodic service for some time [s]."""
         assert isinstance(self._paced_by, Every)
         for _ in range(round(for_s * 1e9 / self._paced_by.period_ns)):
             self._now_ns += self._paced_by.period_ns

@@ -1,4 +1,4 @@
-"""A service in a process of its own at real time, on whatever moves frames between processes."""
+"""Real-time runner: one service in its own process, over any link."""
 
 import threading
 import time
@@ -11,46 +11,60 @@ from sextant.shared.runtime.lateness import STALL
 from sextant.shared.runtime.service import AnyTopic, Every, Service, Worker
 from sextant.shared.runtime.simulated_time import hold
 
-_LOOK_S = 0.2  # [s] of real time for which the thread that steps waits at most without saying that it lives
-_SHORTEST_WAIT_S = 0.5e-3  # [s] between two looks at simulated time that stands
+_LOOK_S = 0.2  # [s] maximum real time between two `alive` calls while the step thread waits
+_SHORTEST_WAIT_S = 0.5e-3  # [s] between two polls of simulated time that stands still
 
 
 class Link(Protocol):
-    """What moves frames between processes; `sextant.shared.wire.transport` has the one for Zenoh."""
+    """Protocol of a link between processes.
+
+    `sextant.shared.wire.transport` has the link for Zenoh.
+    """
 
     def send(self, topic: AnyTopic, frame: bytes) -> None:
-        """Publish a frame, never blocking."""
+        """Publish a frame without blocking."""
         ...
 
     def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> Callable[[], None]:
-        """Have every frame of a topic handed over, from a thread of the link, until what is returned is called."""
+        """Pass every frame of a topic to `receive`, from a thread of the link.
+
+        Returns:
+            A function that ends the subscription.
+        """
         ...
 
     def collect(self, topic: AnyTopic) -> Callable[[], list[bytes]]:
-        """Keep what comes of a topic, as it is delivered, until it is fetched; what fetches it."""
+        """Queue the frames of a topic according to its delivery.
+
+        Returns:
+            A function that fetches and removes the queued frames.
+        """
         ...
 
     def wanted(self, topic: AnyTopic) -> bool:
-        """Whether anybody is subscribed to a topic."""
+        """Return whether a topic has subscribers."""
         ...
 
     @property
     def astray(self) -> int:
-        """Frames that came under a key that they were not sent to, and were dropped; each once for every subscription."""
+        """Number of frames dropped because they arrived under a wrong key.
+
+        A frame counts once for every subscription.
+        """
         ...
 
     @property
     def last_astray(self) -> str:
-        """Where the last of them was to go, and where it came, in words."""
+        """Intended address and actual key of the last such frame, as text."""
         ...
 
 
 @runtime_checkable
 class Listening(Protocol):
-    """A service that takes frames from the link by itself, as they come and while it wants them, beside its inbox."""
+    """Service that also subscribes to the link directly, besides its inbox."""
 
     def meet(self, link: Link) -> None:
-        """Be given the link, before the first step."""
+        """Receive the link before the first step."""
         ...
 
 
@@ -63,12 +77,20 @@ def run_live(
     role: str = "robot",
     robot_time: bool = False,
 ) -> None:
-    """Run one service in this process until `stop` is set; stamps are the robot's time (`sextant.shared.runtime.clock`).
+    """Run one service in this process until `stop` is set.
 
-    That is real time, but in a simulated run with `shared.runtime.simulated_time`, which waits for this service if it is late.
-    `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
-    `ahead_s` says by how much [s] the robot's clock is ahead of this machine's, `role` is that of this machine.
-    `robot_time`: whether this process goes by the robot's clock; messages that are stamped ahead of it are refused then.
+    Stamps are by the robot's clock (`sextant.shared.runtime.clock`). That is real time, except in a simulated run: there
+    `shared.runtime.simulated_time` waits for this service if it is late.
+
+    Args:
+        service: The service.
+        link: Link to the other processes.
+        stop: Event that ends the run.
+        alive: Called with this machine's monotonic time [ns] at least every 0.2 s, unless a step hangs or the service waits
+            by its own `wait` or `by_machine`: then once per beat.
+        ahead_s: Returns the offset [s] of the robot's clock from this machine's clock.
+        role: Role of this machine.
+        robot_time: Whether this process uses the robot's clock; messages stamped ahead of it are then refused.
     """
     clock = now_ns
     arrived = threading.Event()
@@ -119,13 +141,16 @@ def run_live(
             if came:
                 arrived.clear()
                 worker.arrived()
-        worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
+        worker.report_health(clock())  # also while no valid messages arrive
 
 
 def _waiting(
     pace: AnyTopic | Every, stop: threading.Event, clock: Callable[[], int], alive: Callable[[int], object]
 ) -> Callable[[float], object]:
-    """What waits [s] for the next beat, by a clock [ns] that may be slower than the machine's."""
+    """Return a function that waits for a time [s] until the next beat.
+
+    The clock [ns] may be slower than the machine's.
+    """
 
     def wait(length_s: float) -> None:
         until_ns = clock() + round(length_s * 1e9)
@@ -138,17 +163,20 @@ def _waiting(
 
 
 class Beats:
-    """The beats of a service that its own clock paces: one a period; after a stall they are left out, none are raced."""
+    """Periodic beats of a service.
+
+    Beats missed during a stall are skipped, not caught up.
+    """
 
     def __init__(self, pace: Every, clock: Callable[[], int]):
-        """The first one is due a period from now, by a clock [ns]."""
+        """Start the period now, by a clock [ns]; the first beat is due one period later."""
         self._period_ns, self._clock = pace.period_ns, clock
         self._due_ns = self._at_ns = clock()
 
     def next(self, wait: Callable[[float], object]) -> int:
-        """Wait [s] until the next one; how long it is since the last [ns]."""
+        """Wait for the next beat and return the time since the last one [ns]."""
         self._due_ns = max(self._due_ns + self._period_ns, self._clock() - self._period_ns)
         wait(max(0, self._due_ns - self._clock()) * 1e-9)
         before, self._at_ns = self._at_ns, self._clock()
-        self._due_ns = min(self._due_ns, self._at_ns)  # it has come early
+        self._due_ns = min(self._due_ns, self._at_ns)  # the wait returned early
         return self._at_ns - before

@@ -1,4 +1,4 @@
-"""What moves over a course, as a scenario states it: boxes and the legs of people, each on a path."""
+"""Moving obstacles of a scenario: boxes and the legs of people, each on a path."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,17 +29,17 @@ _CHECKS = (
 
 @dataclass(frozen=True, slots=True)
 class BoxMover:
-    """A box that moves along a path on the ground, upright, its length along the path."""
+    """Upright box that moves on the ground, with its length along its path."""
 
-    path: tuple[tuple[float, float], ...]  # [m] corners of its way, in `frame`
+    path: tuple[tuple[float, float], ...]  # [m] corners of the path, in `frame`
     speed: float  # [m/s]
     size: tuple[float, float, float]  # [m] length, width, height
     kind: Literal["box"] = "box"
-    # Of the path: {world}, or that of the robot, x ahead and y left, as it stands when the box sets off.
+    # Frame of the path: {world}, or the robot's frame (x ahead, y left) at the time at which the box starts.
     frame: Literal["world", "robot"] = "world"
-    start_s: float = 0.0  # [s] simulated, when it sets off; before, and once it has come to its end, it is not there
-    period_s: float = 0.0  # [s] after which it sets off once more, again and again; 0 for once
-    start_spread_s: float = 0.0  # [s] at most this much, drawn by the seed, is added to start_s
+    start_s: float = 0.0  # [s] simulated start time; the box exists only while it moves
+    period_s: float = 0.0  # [s] between repeated starts; 0 for a single start
+    start_spread_s: float = 0.0  # [s] maximum random delay, added to start_s
 
     checks = (*_CHECKS, *config.each("size", lambda v: 0 < v <= _MAX_SIZE_M, f"more than 0 and at most {_MAX_SIZE_M:g} m"))
 
@@ -49,18 +49,18 @@ class BoxMover:
 
 @dataclass(frozen=True, slots=True)
 class LegsMover:
-    """The legs of a person who walks along a path: a pair of cylinders, one of which stands while the other swings."""
+    """Legs of a walking person: two cylinders that stand and swing alternately."""
 
-    path: tuple[tuple[float, float], ...]  # [m] corners of the way, in `frame`
+    path: tuple[tuple[float, float], ...]  # [m] corners of the path, in `frame`
     speed: float = 1.0  # [m/s]
     kind: Literal["legs"] = "legs"
-    frame: Literal["world", "robot"] = "world"  # as of a box
-    start_s: float = 0.0  # [s] as of a box
-    period_s: float = 0.0  # [s] as of a box
-    start_spread_s: float = 0.0  # [s] as of a box
+    frame: Literal["world", "robot"] = "world"  # as in BoxMover
+    start_s: float = 0.0  # [s] as in BoxMover
+    period_s: float = 0.0  # [s] as in BoxMover
+    start_spread_s: float = 0.0  # [s] as in BoxMover
     radius: float = 0.06  # [m] of a leg
     height: float = 0.85  # [m] of the hips
-    stride: float = 0.6  # [m] from one footfall to the next
+    stride: float = 0.6  # [m] distance between consecutive footfalls
     hips: float = 0.2  # [m] between the legs
     lift: float = 0.08  # [m] of a swinging foot
 

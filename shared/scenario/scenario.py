@@ -1,7 +1,9 @@
-"""What a run is about, read from TOML: terrain, start, goal, robot, walk, camera, faults.
+"""Schema of a scenario: terrain, start, goal, robot, walk, camera and faults.
 
-Services that steer the robot never see a scenario; the simulator builds the world from it, the scorer judges by it, and the
-launcher hands its goal and speed to the planner as an operator would.
+A scenario is read from TOML.
+
+The services that control the robot never read a scenario. The simulator builds the world from it, the scorer evaluates the run
+against it, and the launcher sends its goal and speed to the planner as an operator would.
 """
 
 import difflib
@@ -22,13 +24,13 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import GaitName
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
-MAX_BLOCKS = 500  # of a kind that the seed places: each keeps clear of all the others, which takes time
-_FAULT_STREAM = 0x5CE  # of the run's seed, from which times of faults are drawn
-_MOST_WAYPOINTS = 32  # of a route, its end included
+MAX_BLOCKS = 500  # randomly placed blocks of one primitive; each is tested against all others, which takes time
+_FAULT_STREAM = 0x5CE  # random stream of the run's seed for the times of faults
+_MOST_WAYPOINTS = 32  # of a route, including its end
 
 
 def _bounded(keys: str, most: float, unit: str) -> tuple[config.Check, ...]:
-    """Checks that numbers are no larger than a world that can be simulated."""
+    """Return checks that the absolute values of fields are at most `most`."""
     return config.each(keys, lambda value: value is None or abs(value) <= most, f"at most {most:g} {unit} either way")
 
 
@@ -49,9 +51,9 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A block standing on the ground, its top level.
+    """Block on the ground with a level top.
 
-    With spreads its place, size and height are drawn by the run's seed, evenly up to the spread more or less.
+    The spreads vary its position, size and height: the run's seed draws uniform offsets within +- the spread.
     """
 
     xy: tuple[float, float]  # [m] centre
@@ -59,7 +61,7 @@ class Box:
     top: float  # [m] height of its top
     kind: Literal["box"] = "box"
     yaw_deg: float = 0.0  # [deg]
-    depth: float = 0.5  # [m] how far it reaches down from its top
+    depth: float = 0.5  # [m] extent downward from its top
     color: Color | None = None
     xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
@@ -76,11 +78,14 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A rectangle of the level ground, along its axes, that is deeper and looks so; by the run's seed as a box is."""
+    """Rectangular, axis-aligned hole in the level ground, visible to the camera.
+
+    The spreads vary it as those of `Box` do.
+    """
 
     xy: tuple[float, float]  # [m] centre
     size: tuple[float, float]  # [m] along x and y
-    depth: float  # [m] of its bottom below the level ground
+    depth: float  # [m] of the bottom below the level ground
     kind: Literal["hole"] = "hole"
     xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
@@ -98,9 +103,11 @@ class Hole:
 
 @dataclass(frozen=True, slots=True)
 class Stairs:
-    """Steps that rise along their own x (or fall, for a negative riser), the last tread as long as `landing`.
+    """Stairs that rise along their own x axis, or fall for a negative riser.
 
-    Risers and treads are alike within a staircase; a spread lets the run's seed say how high and how long they are.
+    The length of the last tread is `landing`.
+
+    All risers and treads of one staircase are equal. With spreads, the run's seed draws their height and length.
     """
 
     xy: tuple[float, float]  # [m] middle of the first riser's edge
@@ -112,9 +119,9 @@ class Stairs:
     landing: float = 1.0  # [m]
     yaw_deg: float = 0.0
     base: float = 0.0  # [m] height of the ground before the first riser
-    depth: float = 0.5  # [m] how far they reach below their lowest tread
-    riser_spread: float = 0.0  # [m] at most this much, of either sign, is added to the risers
-    tread_spread: float = 0.0  # [m] and to the treads
+    depth: float = 0.5  # [m] extent below the lowest tread
+    riser_spread: float = 0.0  # [m] maximum random offset of the risers, of either sign
+    tread_spread: float = 0.0  # [m] maximum random offset of the treads, of either sign
     color: Color | None = None
 
     checks = (
@@ -132,22 +139,21 @@ class Stairs:
 
 @dataclass(frozen=True, slots=True)
 class Pillars:
-    """Pillars, the only places that carry a foot where there is no other ground."""
+    """Pillars at given positions, the only footholds where there is no other ground."""
 
     xy: tuple[tuple[float, float], ...]  # [m] centres
     size: float  # [m] edge of the square tops
     top: float  # [m]
     kind: Literal["pillars"] = "pillars"
-    length: float = 0.0  # [m] along x, of tops that are not square; 0 for as long as wide
+    length: float = 0.0  # [m] edge of the tops along x; 0 for square tops
     depth: float = 0.5  # [m]
     color: Color | None = None
-    jitter: float = 0.0  # [m] by which the run's seed moves each pillar, at most and along either axis
-    top_spread: float = 0.0  # [m] at most this much, of either sign, is added to the top of each
-    weak: int = (
-        0  # of them, chosen by the seed, look like the others and give way: each sinks once it is pressed, and stays down
-    )
-    bears: float = 3.0  # [N] the most that a weak one does
-    sinks: float = 0.06  # [m] it sinks by
+    jitter: float = 0.0  # [m] maximum random displacement of each pillar along each axis
+    top_spread: float = 0.0  # [m] maximum random offset of the top of each pillar, of either sign
+    # Number of weak pillars, chosen by the seed. They look like the others, but sink when loaded and stay down.
+    weak: int = 0
+    bears: float = 3.0  # [N] maximum load of a weak pillar
+    sinks: float = 0.06  # [m] depth by which a weak pillar sinks
 
     checks = (
         config.together("xy", lambda xy: len(xy) <= 5000, "at most 5000 pillars"),
@@ -168,11 +174,14 @@ class Pillars:
 
 @dataclass(frozen=True, slots=True)
 class PillarField:
-    """Square pillars along the axes, placed by the run's seed within a region, `gap` apart, as densely as the seed says."""
+    """Square, axis-aligned pillars in a region, at least `gap` apart.
+
+    The run's seed draws positions and density.
+    """
 
     x: tuple[float, float]  # [m] region
     y: tuple[float, float]  # [m]
-    density: tuple[float, float]  # [1] lowest and highest share of the region that is pillars' tops
+    density: tuple[float, float]  # [1] lowest and highest share of the region covered by pillar tops
     size: float  # [m] edge of the square tops
     top: float  # [m]
     kind: Literal["pillar_field"] = "pillar_field"
@@ -190,7 +199,7 @@ class PillarField:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """A ramp that rises along its own x to a level landing."""
+    """Ramp that rises along its own x to a level landing."""
 
     xy: tuple[float, float]  # [m] middle of its lower edge
     angle_deg: float
@@ -199,8 +208,8 @@ class Slope:
     kind: Literal["slope"] = "slope"
     yaw_deg: float = 0.0
     landing: float = 1.0  # [m]
-    base: float = 0.0  # [m] height of its lower edge, or of its upper one where it falls
-    depth: float = 0.5  # [m] how far it reaches below its lower end
+    base: float = 0.0  # [m] height of its first edge, the upper one for a negative angle
+    depth: float = 0.5  # [m] extent below its lower end
     color: Color | None = None
 
     checks = (*_bounded("xy length width landing", 1000, "m"), *_bounded("base depth", 100, "m"))
@@ -208,7 +217,10 @@ class Slope:
 
 @dataclass(frozen=True, slots=True)
 class Rubble:
-    """Blocks of random size, height and heading, placed by the run's seed, `gap` apart and none overlapping."""
+    """Blocks of random size, height, heading and position, at least `gap` apart.
+
+    The run's seed draws them.
+    """
 
     x: tuple[float, float]  # [m] region
     y: tuple[float, float]  # [m]
@@ -217,8 +229,8 @@ class Rubble:
     top: tuple[float, float]  # [m] lowest and highest
     kind: Literal["rubble"] = "rubble"
     gap: float = 0.02  # [m]
-    yaw_deg: float = 180.0  # [deg] headings are uniform within +- this
-    base: float = 0.0  # [m] ground they stand on
+    yaw_deg: float = 180.0  # [deg] headings are uniform within +- this angle
+    base: float = 0.0  # [m] height of the ground under the blocks
     color: Color | None = None
 
     checks = (
@@ -231,21 +243,22 @@ class Rubble:
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
-    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times `scale`).
+    """Measured ground from a .npy or .png file.
 
-    Of a larger map a part can be taken, and then be turned.
+    A .npy file has heights in metres; NaN (unknown) is filled with the lowest height. The heights of a .png file are grey
+    values times `scale`. `rows`, `columns` and `quarter_turns` crop the map and then rotate it.
     """
 
-    file: str  # beside the scenario file, absolute, or in a folder that an environment variable names: "$FOLDER/map.npy"
+    file: str  # relative to the scenario file, absolute, or in the folder of an environment variable: "$FOLDER/map.npy"
     resolution: float  # [m] cell edge
-    xy: tuple[float, float]  # [m] where cell (0, 0) of what is taken and turned lies; rows run along x
+    xy: tuple[float, float]  # [m] position of cell (0, 0) of the cropped and rotated map; rows run along x
     kind: Literal["height_map"] = "height_map"
-    scale: float | None = None  # heights are multiplied by it; None for 1, and a .png needs it: [m] of one grey value
+    scale: float | None = None  # factor of the heights, None for 1; required for .png: [m] per grey value
     color: Color | None = None
-    base: float = 0.0  # [m] and this is added: a .png has no negative heights
-    rows: tuple[int, int] | None = None  # first and one past the last that is taken, None for all
+    base: float = 0.0  # [m] added to the heights, because a .png has no negative values
+    rows: tuple[int, int] | None = None  # first row and one past the last row of the crop, None for all
     columns: tuple[int, int] | None = None
-    quarter_turns: int = 0  # of what is taken, counterclockwise as seen from above
+    quarter_turns: int = 0  # of the cropped map, counterclockwise as seen from above
 
     checks = (
         *_bounded("xy", 1000, "m"),
@@ -259,13 +272,13 @@ class HeightMap:
             _expect(taken is None or 0 <= taken[0] < taken[1] - 1, f"{name} from 0 on, two at least", taken)
 
     def path(self, folder: Path) -> Path:
-        """Where the file is looked for.
+        """Return the path of the file.
 
         Args:
-            folder: Of the scenario.
+            folder: Folder of the scenario.
 
         Raises:
-            ConfigError: The environment variable that is to name its folder is not set.
+            ConfigError: The environment variable that names the folder is not set.
         """
         variable = re.match(r"\$(\w+)/", self.file)
         if variable is None:
@@ -279,15 +292,17 @@ class HeightMap:
 
 @dataclass(frozen=True, slots=True)
 class Puddle:
-    """A rectangle of the level ground that gives way: seen level with it, but a foot goes through to the bed.
+    """Rectangular puddle.
 
-    Of another colour, and shallower, it is loose ground.
+    The camera sees level ground, but a foot sinks through to the bed.
+
+    With another colour and less depth it represents loose ground.
     """
 
     xy: tuple[float, float]  # [m] centre
     size: tuple[float, float]  # [m] along x and y
     kind: Literal["puddle"] = "puddle"
-    depth: float = 0.05  # [m] from what is seen to the bed
+    depth: float = 0.05  # [m] from the visible surface to the bed
     color: Color = (74, 94, 118)
 
     checks = (*_bounded("xy size", 1000, "m"), *_bounded("depth", 100, "m"))
@@ -295,7 +310,10 @@ class Puddle:
 
 @dataclass(frozen=True, slots=True)
 class Puddles:
-    """Puddles of random size, placed by the run's seed, `gap` apart and none overlapping."""
+    """Puddles of random size and position, at least `gap` apart.
+
+    The run's seed draws them.
+    """
 
     x: tuple[float, float]  # [m] region
     y: tuple[float, float]  # [m]
@@ -311,7 +329,7 @@ class Puddles:
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A stretch of level ground."""
+    """Stretch of level ground."""
 
     length: float  # [m]
     kind: Literal["level"] = "level"
@@ -324,12 +342,12 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """A stretch that rises evenly, or falls for a negative angle."""
+    """Stretch with a constant slope, downward for a negative angle."""
 
     length: float  # [m] horizontal
     angle_deg: float
     kind: Literal["ramp"] = "ramp"
-    angle_spread_deg: float = 0.0  # at most this much, of either sign, is added by the run's seed
+    angle_spread_deg: float = 0.0  # [deg] maximum random offset of the angle, of either sign
 
     checks = (*_bounded("length", 1000, "m"),)
 
@@ -342,7 +360,10 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Steps up, or down for a negative riser; spreads as those of `Stairs`."""
+    """Stretch of stairs, downward for a negative riser.
+
+    The spreads are those of `Stairs`.
+    """
 
     riser: float  # [m]
     tread: float  # [m]
@@ -362,12 +383,12 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Level ground with rubble on it, placed as `Rubble` is."""
+    """Stretch of level ground with blocks on it, placed as in `Rubble`."""
 
     length: float  # [m]
     count: int
     size: tuple[float, float]  # [m] shortest and longest edge
-    top: tuple[float, float]  # [m] lowest and highest over the level ground
+    top: tuple[float, float]  # [m] lowest and highest top above the level ground
     kind: Literal["blocks"] = "blocks"
     gap: float = 0.02  # [m]
     yaw_deg: float = 180.0  # [deg]
@@ -385,14 +406,17 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True)
 class Stones:
-    """Square stepping stones in rows across the way; between them, before and behind there is nothing to stand on."""
+    """Stretch of square stepping stones in rows across the path.
 
-    length: float  # [m] at most; as many rows as find room, and the gaps around them
+    There is no ground between or around them.
+    """
+
+    length: float  # [m] maximum; it holds as many rows, with gaps around them, as fit
     size: float  # [m] edge of a stone
     gap: float  # [m] from stone to stone
     kind: Literal["stones"] = "stones"
-    jitter: float = 0.0  # [m] by which the run's seed moves each stone, at most and along either axis
-    top: tuple[float, float] = (0.0, 0.0)  # [m] lowest and highest over the ground before them, by the run's seed
+    jitter: float = 0.0  # [m] maximum random displacement of each stone along each axis
+    top: tuple[float, float] = (0.0, 0.0)  # [m] lowest and highest random top, relative to the ground before the stones
 
     checks = (*_bounded("length size gap jitter", 1000, "m"), *_bounded("top", 100, "m"))
 
@@ -404,17 +428,17 @@ class Stones:
 
     @property
     def rows(self) -> int:
-        """How many rows of stones there are."""
+        """Number of rows of stones."""
         return int((self.length - self.gap + 1e-9) // (self.size + self.gap))
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A ditch right across the way."""
+    """Stretch without ground, across the whole path."""
 
-    length: float  # [m] along the way
+    length: float  # [m] along the path
     kind: Literal["gap"] = "gap"
-    spread: float = 0.0  # [m] at most this much, of either sign, is added by the run's seed
+    spread: float = 0.0  # [m] maximum random offset of the length, of either sign
 
     checks = (*_bounded("length spread", 1000, "m"),)
 
@@ -427,15 +451,18 @@ Stretch = Level | Ramp | Flight | Blocks | Stones | Gap
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Stretches of ground laid end to end along x, each as high as the last one ended, over whatever lies below."""
+    """Stretches of ground end to end along x, above any other terrain.
+
+    Each stretch starts at the height at which the previous one ends.
+    """
 
     stretches: tuple[Stretch, ...]
-    width: float  # [m] the middle at y = 0
+    width: float  # [m] centred at y = 0
     kind: Literal["course"] = "course"
-    x: float = -0.6  # [m] where the first one begins
-    bottom: float = -0.5  # [m] {world} how far down its solids reach
-    shuffled: bool = False  # the stretches between the first and the last follow each other in an order of the run's seed
-    rest: float = 0.0  # [m] of level ground put between any two of those
+    x: float = -0.6  # [m] start of the first stretch
+    bottom: float = -0.5  # [m] {world} lowest height of the solids
+    shuffled: bool = False  # True: random order of the stretches between the first and the last
+    rest: float = 0.0  # [m] level ground inserted between any two of these
     color: Color | None = None
 
     checks = (*_bounded("width x rest", 1000, "m"), *_bounded("bottom", 100, "m"))
@@ -457,7 +484,10 @@ def _expect(holds: bool, expected: str, found: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the robot stands at the beginning; by the run's seed, evenly up to the spreads more or less."""
+    """Initial pose of the robot.
+
+    The run's seed draws uniform offsets within +- the spreads.
+    """
 
     xy: tuple[float, float] = (0.0, 0.0)  # [m]
     yaw_deg: float = 0.0
@@ -473,15 +503,18 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Where it shall arrive, along its starting direction: the body's centre past this line, within the corridor."""
+    """Goal line across the starting direction.
+
+    The body's centre must pass it within the corridor.
+    """
 
     distance: float  # [m] straight ahead from the start
-    corridor: float = 0.25  # [m] how far to the side it may be
-    route: bool = False  # the planner is told where to go and finds the way; else the operator steers straight ahead
-    waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left: of the route, before its end
-    passage: bool = False  # of a route: a deliberate crossing is ordered, from the start straight to the end
-    # What is right to do: to arrive, or to stand before what cannot be crossed and to say why; either where the seed decides
-    # whether it can be crossed, unless somebody has found that out and tells the scorer.
+    corridor: float = 0.25  # [m] maximum lateral distance from the starting direction
+    route: bool = False  # True: the planner receives a goal and finds a path; False: the operator steers straight ahead
+    waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left; of the route, before its end
+    passage: bool = False  # True: the route is ordered as a passage, straight from the start to the end
+    # Correct result: to arrive, or to stop before an obstacle that cannot be crossed and report the reason. "either" applies
+    # if this depends on the seed, unless the scorer is given the result for that seed.
     expect: Literal["arrival", "refusal", "either"] = "arrival"
 
     checks = (
@@ -498,16 +531,16 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """What the operator asks for."""
+    """Walking parameters that the operator sets."""
 
     gait: GaitName = "tripod"
     speed: float = 0.11  # [m/s]
     body_height: float = 0.11  # [m]
-    lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; more over what the map shows
-    blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
-    footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
-    arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
-    by_touch: bool = False  # when the robot stands for want of sight, it is asked to go on by touch alone
+    lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; higher over obstacles in the map
+    blind: bool = False  # True: baseline without a map, the planner walks as on flat ground
+    footholds: Literal["score", "evaluation"] = "score"  # map layer for the footholds: Lotriet's or Masri's
+    arc: Literal["flow", "sixth_order"] = "flow"  # swing trajectory: Lotriet's, or Erasmus' for reference
+    by_touch: bool = False  # True: when the robot stops for lack of a map, it is commanded to continue by touch
 
     checks = (*_bounded("speed", 10, "m/s"), *_bounded("body_height lift", 10, "m"))
 
@@ -519,11 +552,11 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class CameraOptions:
-    """How the simulated depth camera behaves."""
+    """Errors of the simulated depth camera."""
 
     noise: bool = True
-    dropouts: bool = True  # pixels without return in shadows, on grazed surfaces, and at random
-    loss: float = 0.05  # share of the pixels that are without return at random, each frame others; not without dropouts
+    dropouts: bool = True  # pixels without return in shadows, at grazing angles, and at random
+    loss: float = 0.05  # [1] share of random pixels without return, drawn for each frame; only with dropouts
 
     def __post_init__(self) -> None:
         _expect(0.0 <= self.loss <= 1.0, "a loss from 0 to 1", self.loss)
@@ -531,11 +564,14 @@ class CameraOptions:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """How far the physics of a run strays from the profile by its seed: factors are uniform in 1/x to x."""
+    """Random deviation of a run's physics from the profile.
+
+    The factors are uniform from 1/x to x.
+    """
 
     armature: float = 1.5
     friction: float = 1.15
-    imu: bool = False  # whether the robot has an inertial sensor
+    imu: bool = False  # whether the robot has an IMU
     registration: Literal["projective", "kiss-icp"] = "projective"
 
     checks = (*_bounded("armature friction", 100, "times"),)
@@ -546,10 +582,13 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class MapOptions:
-    """How large and how fine the terrain map is; scans are reduced to cells as fine, down to 5 mm."""
+    """Size and resolution of the terrain map.
+
+    Scans have the same cell size, but at least 5 mm.
+    """
 
     cells: int = 256  # along x
-    cells_y: int = 0  # along y, 0 for as many
+    cells_y: int = 0  # along y; 0 for the same number as along x
     resolution: float = 0.01  # [m]
 
     checks = (*_bounded("cells cells_y", 2048, "cells"),)
@@ -562,21 +601,21 @@ class MapOptions:
 
     @property
     def scan_resolution(self) -> float:
-        """[m] of the cells that scans are reduced to."""
+        """Cell size of scans [m]."""
         return max(self.resolution, 0.005)
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that goes wrong at a time."""
+    """Fault of a service or of the simulated camera at a given time."""
 
     at_s: float  # [s] simulated
     service: Literal["perception", "mapper", "planner", "actuator", "camera"]
-    # A camera is absent (unplugged), or sends the same picture, nothing in range, or noise; it is the simulator's.
+    # The simulated camera is absent (unplugged), repeats one image (frozen), sees nothing in range (blind), or sends noise.
     kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
-    # [s] until it is back. A live run starts a killed process again by itself, and one that hangs for longer than it may.
+    # [s] duration. A live run restarts a killed process itself, and also one that hangs for too long.
     for_s: float = 2.0
-    at_spread_s: float = 0.0  # [s] at most this much, drawn by the run's seed, is added to at_s
+    at_spread_s: float = 0.0  # [s] maximum random delay, added to at_s
 
     checks = (*_bounded("at_s for_s at_spread_s", 1e6, "s"),)
 
@@ -589,17 +628,22 @@ class Fault:
 
     @property
     def of_camera(self) -> bool:
-        """Whether it is the simulated camera that fails, not a process."""
+        """Whether the simulated camera fails, not a process."""
         return self.service == "camera"
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The radio between the robot and the computer that maps and plans; without numbers both are one machine. In lockstep."""
+    """Radio link between the robot and the computer that maps and plans.
+
+    It exists in lockstep runs only.
+
+    With the default values both are one machine.
+    """
 
     delay_ms: float = 0.0  # [ms] one way
-    mbit: float = 0.0  # [Mbit/s] both ways together; 0: no limit
-    loss: float = 0.0  # share of the packets
+    mbit: float = 0.0  # [Mbit/s] total of both directions; 0 for no limit
+    loss: float = 0.0  # [1] share of lost packets
 
     def __post_init__(self) -> None:
         _expect(0.0 <= self.delay_ms <= 1000.0, "delay_ms from 0 to 1000", self.delay_ms)
@@ -608,18 +652,18 @@ class Link:
 
     @property
     def exists(self) -> bool:
-        """Whether there is one."""
+        """Whether there is a radio link."""
         return self != Link()
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """What goes wrong on whatever course."""
+    """Set of faults that can be added to any course."""
 
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()
     movers: tuple[Mover, ...] = ()
-    camera: CameraOptions | None = None  # in place of the course's
+    camera: CameraOptions | None = None  # replaces the course's camera options
     extra_time_s: float = 0.0  # [s] simulated, added to the course's time limit
 
     def __post_init__(self) -> None:
@@ -628,7 +672,7 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One course and the way to walk it."""
+    """One course, with the parameters to walk it."""
 
     name: str
     terrain: tuple[Terrain, ...]
@@ -638,16 +682,16 @@ class Scenario:
     walk: Walk = field(default_factory=Walk)
     camera: CameraOptions = field(default_factory=CameraOptions)
     variation: Variation = field(default_factory=Variation)
-    pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # perception is off as a recorded visual SLAM was
+    pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # adds the recorded pose error of a visual SLAM system
     map: MapOptions = field(default_factory=MapOptions)
-    battery_ah: float = 4.0  # [A h] that the simulated battery holds: it walks for half an hour and more with that
-    bridge: bool = False  # the servo bus is spoken by a microcontroller, to which the actuator sends its goals
+    battery_ah: float = 4.0  # [A h] capacity of the simulated battery; the default lasts for more than half an hour of walking
+    bridge: bool = False  # True: a microcontroller drives the servo bus, and the actuator sends it the goal positions
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
-    movers: tuple[Mover, ...] = ()  # what moves over the course; the depth camera sees it, nothing touches it
+    movers: tuple[Mover, ...] = ()  # moving obstacles; the depth camera sees them, but they have no contacts
     link: Link = field(default_factory=Link)
     time_limit_s: float = 90.0  # [s] simulated
-    folder: str = "."  # where files named in the scenario are looked for; set on loading
+    folder: str = "."  # folder of the files named in the scenario; set on loading
 
     checks = (
         *_bounded("battery_ah", 1e6, "A h"),
@@ -657,7 +701,7 @@ class Scenario:
     )
 
     def __post_init__(self) -> None:
-        # Folders of runs are named by it.
+        # The name is also the name of the run's folder.
         plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.+-]*", self.name) is not None and ".." not in self.name
         _expect(len(self.name) <= 100, "a name of at most 100 characters", len(self.name))
         _expect(plain, "a name of letters, digits, spaces, dots, dashes, plus signs and underscores", repr(self.name))
@@ -667,7 +711,7 @@ class Scenario:
         _expect(self.battery_ah > 0, "a battery_ah greater than 0 A h", self.battery_ah)
 
     def faults_at(self, seed: int) -> tuple[Fault, ...]:
-        """The faults of the run with a seed, their times drawn."""
+        """Return the faults of the run with a seed, with their times drawn."""
         spread = np.random.default_rng([seed, _FAULT_STREAM]).random(len(self.faults))
         return tuple(
             replace(fault, at_s=fault.at_s + fault.at_spread_s * float(share), at_spread_s=0.0)
@@ -675,7 +719,7 @@ class Scenario:
         )
 
     def with_trouble(self, trouble: Trouble, name: str) -> "Scenario":
-        """This course with something more that goes wrong, by another name."""
+        """Return this course under another name, with the faults of a trouble added."""
         return replace(
             self,
             name=name,
@@ -688,12 +732,12 @@ class Scenario:
 
 
 def load_scenario(name_or_path: str) -> Scenario:
-    """Read a scenario that comes with Sextant by its name, or any other by the path of its TOML file.
+    """Read a bundled scenario by name, or another one by the path of its TOML file.
 
-    The name of a trouble may follow: `steps+sun` is `steps` with what the trouble `sun` adds to it.
+    The name of a trouble may follow: `steps+sun` is the scenario `steps` with the trouble `sun` added.
 
     Raises:
-        ConfigError: No such scenario, or what is wrong in it, all at once.
+        ConfigError: The scenario does not exist, or is invalid; the text lists all errors.
     """
     course, plus, trouble = name_or_path.rpartition("+")
     if plus and course and "/" not in trouble:
@@ -710,20 +754,20 @@ def load_scenario(name_or_path: str) -> Scenario:
 
 
 def scenario_names() -> list[str]:
-    """Names of the scenarios that come with Sextant."""
+    """Return the names of the bundled scenarios."""
     return _names("sextant.shared.scenario.scenarios")
 
 
 def trouble_names() -> list[str]:
-    """Names of the troubles that come with Sextant."""
+    """Return the names of the bundled troubles."""
     return _names("sextant.shared.scenario.troubles")
 
 
 def load_trouble(name: str) -> Trouble:
-    """Read a trouble that comes with Sextant by its name.
+    """Read a bundled trouble by its name.
 
     Raises:
-        ConfigError: No such trouble, or what is wrong in it, all at once.
+        ConfigError: The trouble does not exist, or is invalid; the text lists all errors.
     """
     known = trouble_names()
     if name not in known:

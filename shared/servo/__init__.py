@@ -1,1 +1,1 @@
-"""Speak to servos: Dynamixel packets, the bridge protocol, framing and the fault table."""
+"""Communicate with servos: Dynamixel packets, bridge protocol, framing and faults."""

@@ -1,9 +1,10 @@
-"""The wire between the actuator and a microcontroller that speaks the servo bus in its place; docs/bridge.md describes it.
+"""Protocol between the actuator and a microcontroller that drives the servo bus.
+
+docs/bridge.md describes it.
 
     frame of shared.framing( msgpack array )        array = [type, field, field ...]
 
-What comes is checked field by field and never repaired. Nothing here has a port or a clock: bytes in, messages out, times as
-arguments.
+Every received field is checked, and nothing is repaired. The module has no port and no clock; times are arguments.
 """
 
 from collections import Counter
@@ -19,31 +20,31 @@ from sextant.shared.wire.codec import DecodeError, pack_values, unpack_values
 VERSION = 1
 MAX_SERVOS = 24
 MAX_NAME = 32  # [characters]
-LIFETIME_MS = (20, 1000)  # [ms] that goals may be given
-ORDER_LIFETIME_MS = 200  # [ms] older orders that are not goals are refused; torque off never is
-AGE_UNIT_US = 100  # [us] of an age in a state
-SIGNED_MAX = 0x7FF  # a speed or load: magnitude, and bit 10 for clockwise
-NEVER = 0xFFFF  # an age: it has not been measured yet
+LIFETIME_MS = (20, 1000)  # [ms] allowed lifetime of goals
+ORDER_LIFETIME_MS = 200  # [ms] older commands except goals are refused; torque off is always accepted
+AGE_UNIT_US = 100  # [us] unit of an age in a state
+SIGNED_MAX = 0x7FF  # maximum of a speed or load: magnitude, with bit 10 for clockwise
+NEVER = 0xFFFF  # age of a value that has not been measured yet
 
 
 class Mode(IntEnum):
-    """What the microcontroller does."""
+    """Mode of the microcontroller."""
 
-    WAITING = 0  # nobody has said hello: it touches nothing
-    ADOPTING = 1  # it reads which torques are on and where the goals are, and writes nothing
-    OFF = 2  # torque is off; goals are kept, not written
-    ON = 3  # it passes goals on
-    HOLDING = 4  # torque is on and no fresh goals come: the last ones stand
-    CATCHING_UP = 5  # goals had gone ahead while it held, or come from a new host: it follows them slowly
+    WAITING = 0  # no hello received; it does not access the bus
+    ADOPTING = 1  # it reads torque states and goal positions, and writes nothing
+    OFF = 2  # torque is off; goals are stored, but not written
+    ON = 3  # it writes the received goals to the servos
+    HOLDING = 4  # torque is on, but no fresh goals arrive; the last goals stay
+    CATCHING_UP = 5  # it follows the goals slowly, after holding or from a new host
 
     @property
     def words(self) -> str:
-        """In words."""
+        """Mode as text."""
         return self.name.lower().replace("_", " ")
 
 
 class Refusal(IntEnum):
-    """Why the microcontroller did not do what it was told."""
+    """Reason for which the microcontroller refused a command."""
 
     NONE = 0
     SESSION = 1
@@ -58,7 +59,7 @@ class Refusal(IntEnum):
 
     @property
     def words(self) -> str:
-        """In words."""
+        """Reason as text."""
         return _REFUSAL_WORDS[self]
 
 
@@ -77,14 +78,14 @@ _REFUSAL_WORDS = {
 
 
 class Result(IntEnum):
-    """What became of a question to a servo."""
+    """Result of a request to a servo."""
 
     ANSWERED = 0
-    SILENT = 1  # no answer of the servo, or none that was intact
-    REFUSED = 2  # by the microcontroller; its state says why
+    SILENT = 1  # no response of the servo, or only broken ones
+    REFUSED = 2  # by the microcontroller; its state has the reason
 
 
-REFUSED = "message refused"  # among the reasons for which frames are dropped
+REFUSED = "message refused"  # a reason in the counter of dropped frames
 
 
 # --------------------------------------------------------------------------------------------------------------- fields
@@ -106,10 +107,10 @@ Table = Annotated[bytes, Octets(TABLE_SIZE)]
 
 
 class Message:
-    """What one frame says; making one that may not be is a ValueError."""
+    """Base class of the messages; raises ValueError for invalid fields."""
 
     __slots__ = ()
-    code: ClassVar[int]  # its type on the wire: host to microcontroller below 128, the others above
+    code: ClassVar[int]  # message type: below 128 from the host to the microcontroller, above in the other direction
 
     def __post_init__(self) -> None:
         for name, kind in _kinds(type(self)):
@@ -117,18 +118,21 @@ class Message:
         self._agree()
 
     def _agree(self) -> None:
-        """Check what concerns several fields."""
+        """Check conditions between several fields."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
-    """Opens a session: which servos there are. The version stands first, in every version."""
+    """Opens a session and lists the servos.
+
+    The version is the first field in every version.
+    """
 
     code = 1
     version: U8
-    session: Session  # of the host's choice, different from the last one's
-    time_us: U64  # [us] the host's clock, from any origin, never back
-    ids: Ids  # in the order of all that follows
+    session: Session  # chosen by the host, different from the last one
+    time_us: U64  # [us] host's clock, from any origin, monotonic
+    ids: Ids  # servo ids, in the order of the values in all later messages
 
     def _agree(self) -> None:
         if not self.ids or len(set(self.ids)) != len(self.ids):
@@ -137,15 +141,15 @@ class Hello(Message):
 
 @dataclass(frozen=True, slots=True)
 class Goals(Message):
-    """Where all servos shall go."""
+    """Goal positions and speeds of all servos."""
 
     code = 2
     session: Session
-    sequence: U32  # of orders, growing
-    time_us: U64  # [us] when they were decided, host's clock
-    lifetime_ms: Annotated[int, Whole(*LIFETIME_MS)]  # [ms] too old by then, and no longer fresh when none follow
+    sequence: U32  # of commands, increasing
+    time_us: U64  # [us] when the goals were computed, host's clock
+    lifetime_ms: Annotated[int, Whole(*LIFETIME_MS)]  # [ms] age from which goals are refused, or no longer fresh
     position: Ticks
-    speed: Ticks  # [0.111 rpm] 0 for uncontrolled
+    speed: Ticks  # [0.111 rpm] 0 for uncontrolled speed
 
     def _agree(self) -> None:
         _same_length(self, "position", "speed")
@@ -153,7 +157,10 @@ class Goals(Message):
 
 @dataclass(frozen=True, slots=True)
 class Torque(Message):
-    """Turn all torque on or off. Off is obeyed in any mode, session, order and age, and lasts until on is ordered."""
+    """Turns torque of all servos on or off.
+
+    Off is executed in any mode, and with any session, sequence and age. It lasts until a command turns torque on.
+    """
 
     code = 3
     session: Session
@@ -164,7 +171,7 @@ class Torque(Message):
 
 @dataclass(frozen=True, slots=True)
 class Limits(Message):
-    """The torque limits of all servos; writing them ends a servo's shutdown."""
+    """Torque limits of all servos; writing them ends a servo's shutdown."""
 
     code = 4
     session: Session
@@ -175,7 +182,10 @@ class Limits(Message):
 
 @dataclass(frozen=True, slots=True)
 class Ask(Message):
-    """An instruction for one servo, ping, read or write, passed on to the bus; for commissioning and repair."""
+    """Instruction for one servo: ping, read or write.
+
+    The microcontroller sends it to the bus; it is for commissioning and repair.
+    """
 
     code = 5
     session: Session
@@ -188,39 +198,44 @@ class Ask(Message):
 
 @dataclass(frozen=True, slots=True)
 class Welcome(Message):
-    """Answers hello; also said ten times a second, with session 0, while there is none. The version stands first."""
+    """Response to a hello.
+
+    It is also sent ten times a second, with session 0, while there is no session.
+
+    The version is the first field in every version.
+    """
 
     code = 129
     version: U8
     session: U32
-    boot: U32  # another number after every start
-    time_us: U64  # [us] the microcontroller's clock
+    boot: U32  # differs after every start
+    time_us: U64  # [us] microcontroller's clock
     name: Annotated[str, Text(MAX_NAME)]  # of board and firmware
 
 
 @dataclass(frozen=True, slots=True)
 class State(Message):
-    """All servos and the microcontroller itself, once a cycle."""
+    """State of all servos and of the microcontroller, once per cycle."""
 
     code = 130
     session: Session
-    sequence: U32  # of states, growing
-    time_us: U64  # [us] when it was put together, microcontroller's clock
+    sequence: U32  # of states, increasing
+    time_us: U64  # [us] when the state was assembled, microcontroller's clock
     mode: Annotated[Mode, Choice(Mode)]
-    heard: U32  # sequence of the newest order taken
-    goals_age_ms: U16  # [ms] since the newest goals were taken, NEVER without
-    refusal: Annotated[Refusal, Choice(Refusal)]  # of the newest order refused
-    refused: U32  # orders refused so far
-    broken: U32  # frames of the host that were none
-    silent: U32  # questions that servos left open
-    garbled: U32  # packets of servos that were broken, or nobody had asked for
+    heard: U32  # sequence of the newest accepted command
+    goals_age_ms: U16  # [ms] since the newest goals were accepted, NEVER without goals
+    refusal: Annotated[Refusal, Choice(Refusal)]  # of the newest refused command
+    refused: U32  # number of refused commands
+    broken: U32  # number of invalid frames from the host
+    silent: U32  # number of requests without a response from the servo
+    garbled: U32  # number of servo packets that were broken or unexpected
     position: Ticks
     speed: SignedTicks  # [0.111 rpm]
     load: SignedTicks  # [0.1 %] of the stall torque
     voltage: PerServo  # [0.1 V]
     temperature: PerServo  # [deg C]
     error: PerServo  # error bits
-    age: Ages  # [0.1 ms] since each was asked, NEVER without an answer
+    age: Ages  # [0.1 ms] since each servo was read, NEVER without a response
 
     def _agree(self) -> None:
         _same_length(self, "position", "speed", "load", "voltage", "temperature", "error", "age")
@@ -228,11 +243,11 @@ class State(Message):
 
 @dataclass(frozen=True, slots=True)
 class Answer(Message):
-    """What became of a question."""
+    """Result of an `Ask`."""
 
     code = 131
     session: Session
-    sequence: U32  # of the question
+    sequence: U32  # of the `Ask`
     result: Annotated[Result, Choice(Result)]
     error: U8  # error bits of the servo's status packet
     data: Table
@@ -244,7 +259,10 @@ TO_HOST = frozenset((Welcome, State, Answer))
 
 
 class OtherVersion(DecodeError):  # noqa: N818  (a state of the other end, handled by the caller)
-    """A hello or welcome of another version of this wire; nothing else of it can be understood."""
+    """A hello or welcome has another protocol version.
+
+    Its other fields cannot be decoded.
+    """
 
     def __init__(self, version: int):
         super().__init__(f"version {VERSION} of the bridge's wire expected, found version {version}")
@@ -255,7 +273,7 @@ _KINDS: dict[type[Message], tuple[tuple[str, Kind], ...]] = {}
 
 
 def _kinds(message: type[Message]) -> tuple[tuple[str, Kind], ...]:
-    """Name and kind of each field, in their order on the wire; worked out once."""
+    """Return name and kind of each field in protocol order, cached."""
     known = _KINDS.get(message)
     if known is None:
         hints = get_type_hints(message, include_extras=True)
@@ -281,18 +299,18 @@ def _same_length(message: Message, *names: str) -> None:
 
 
 def encode(message: Message) -> bytes:
-    """The frame of a message, zeros around it."""
+    """Encode a message as a frame between zeros."""
     kind = type(message)
     values = [field.to_wire(getattr(message, name)) for name, field in _kinds(kind)]
     return frame(pack_values([kind.code, *values]))
 
 
 def decode(payload: bytes, expected: frozenset[type[Message]]) -> Message:
-    """The message of a frame's payload, the CRC taken off.
+    """Decode a frame's payload without its CRC.
 
     Raises:
-        OtherVersion: It greets in another version.
-        DecodeError: Anything at all is not as declared; nothing is repaired.
+        OtherVersion: It is a hello or welcome of another version.
+        DecodeError: The payload differs from the declaration; nothing is repaired.
     """
     values = unpack_values(payload, MAX_PAYLOAD)
     if type(values) is not list or not values or type(values[0]) is not int:
@@ -313,32 +331,32 @@ def decode(payload: bytes, expected: frozenset[type[Message]]) -> Message:
 
 
 class Receiver:
-    """Messages out of a byte stream that may hold anything. It keeps at most one frame's bytes."""
+    """Decoder of messages in an arbitrary byte stream; it buffers at most one frame."""
 
     def __init__(self, expected: frozenset[type[Message]]):
-        """Begin between two frames.
+        """Start between two frames.
 
         Args:
-            expected: The messages that may come from there.
+            expected: Message types that the other end may send.
         """
-        self.refused = 0  # intact frames that were no message
-        self.last_refusal = ""  # why, in words
-        self.other_version: int | None = None  # in which the other end greeted last, None when in this one
+        self.refused = 0  # intact frames without a valid message
+        self.last_refusal = ""  # reason of the last one
+        self.other_version: int | None = None  # version in the other end's last greeting, None if it is this version
         self._expected = expected
         self._frames = Deframer()
 
     @property
     def dropped(self) -> Counter[str]:
-        """Frames that were broken or refused, by reason."""
+        """Number of broken or refused frames, by reason."""
         return self._frames.broken + Counter({REFUSED: self.refused})
 
     @property
     def pending(self) -> int:
-        """Bytes kept of a frame that has not ended."""
+        """Number of buffered bytes of an incomplete frame."""
         return self._frames.pending
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take the next bytes and return the messages that they complete."""
+        """Add the next bytes, and return the completed messages."""
         decoded = (self._decoded(payload) for payload in self._frames.feed(data))
         return [message for message in decoded if message is not None]
 
@@ -360,20 +378,22 @@ class Receiver:
 
 
 class RemoteClock:
-    """How old what another clock has stamped is at least: against the quickest that has come so far.
+    """Lower bound of the age of stamps from another clock.
 
-    Two clocks differ by an offset and a slow drift; what is late beyond the quickest message is old. So bytes that have waited
-    in a buffer are known for what they are, and no clock needs setting.
+    The age is relative to the fastest message so far.
+
+    Two clocks differ by an offset and a slow drift. The delay of a message beyond that of the fastest message is its age. This
+    detects messages that have waited in a buffer, without synchronized clocks.
     """
 
-    _DRIFT = 2e-4  # [s/s] that two clocks may part; crystals do by 1e-4
+    _DRIFT = 2e-4  # [s/s] maximum drift between two clocks; that of crystals is 1e-4
 
     def __init__(self) -> None:
         self._offset_ns: float | None = None
         self._seen_ns = 0
 
     def age_ns(self, stamp_us: int, now_ns: int) -> int:
-        """Age [ns] of a stamp [us] of the other clock that arrives now [ns]."""
+        """Return the age [ns] of a stamp [us] of the other clock that arrives at `now_ns`."""
         offset = now_ns - 1000 * stamp_us
         if self._offset_ns is None:
             self._offset_ns = offset

@@ -1,7 +1,7 @@
-"""What can go wrong with the servos and their bus, as a table: the fault grid of the servo-bus emulator.
+"""Fault grid of the servo bus emulator: faults of the servos and their bus.
 
-Six kinds on four targets, and the conditions of servos and battery that health is about. `GRID` says what each cell means and
-which parameters it takes; whoever gives one that means nothing there is told.
+There are six kinds of faults on four targets, and fault conditions of servos and battery. `GRID` defines the meaning and the
+parameters of each cell. A parameter that a cell does not use is an error.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ from sextant.shared.wire.messages import BrokenPart, FaultCommand, FaultKind, Fa
 class Cell(NamedTuple):
     """One cell of the grid."""
 
-    means: str  # in words
-    takes: tuple[str, ...] = ()  # parameters of `BusFault` beside its times
+    means: str  # description of the fault
+    takes: tuple[str, ...] = ()  # parameters of `BusFault` besides its times
     needs_servo: bool = False
 
 
@@ -75,7 +75,7 @@ def _off_the_grid(target: FaultTarget, kind: FaultKind) -> Iterator[config.Misfi
 
 
 def _meaningless(target: FaultTarget, kind: FaultKind, *values: object) -> Iterator[config.Misfit]:
-    """Parameters that a cell of the grid does not take, and a servo that it lacks."""
+    """Yield parameters that a cell of the grid does not use, and a missing servo id."""
     cell = GRID.get((target, kind))
     if cell is None:
         return
@@ -95,25 +95,25 @@ _PARAMETERS = (
 
 @dataclass(frozen=True, slots=True)
 class BusFault:
-    """Something that goes wrong with the servos or their bus for a while; `GRID` says what it means."""
+    """Temporary fault of the servos or their bus; `GRID` defines its meaning."""
 
     target: FaultTarget
     kind: FaultKind
-    at_s: float  # [s] simulated; at once where that is past
-    for_s: float = 2.0  # [s] from its beginning on
-    servo: int = -1  # bus id; of packets, -1 for those of all servos
-    share: float = 0.01  # of the bytes or answers
+    at_s: float  # [s] simulated start time; a past time means at once
+    for_s: float = 2.0  # [s] duration
+    servo: int = -1  # bus id; with packets, -1 for all servos
+    share: float = 0.01  # [1] of the affected bytes or responses
     value: int = 0  # of a byte
-    part: BrokenPart = "value"  # of an answer
-    delay_ms: float = 16.0  # [ms]
-    on_ms: float = 200.0  # [ms] all is well first, ...
-    off_ms: float = 50.0  # [ms] ... and then not, again and again
-    cable: bool = False  # the servo's power goes with it: limp, and when it is back torque is off and its RAM forgotten
-    offset_ticks: int = 100
-    kelvin_per_s: float = 1.0  # [K/s]
-    celsius: int = 85  # [deg C] that its temperature register reads
-    renamed: bool = False  # the port comes back under another name
-    volts: float = 2.0  # [V] less
+    part: BrokenPart = "value"  # part of the response that is wrong
+    delay_ms: float = 16.0  # [ms] of a response
+    on_ms: float = 200.0  # [ms] healthy part of the cycle, ...
+    off_ms: float = 50.0  # [ms] ... followed by the faulty part
+    cable: bool = False  # True: the servo loses its power too; afterwards torque is off and its RAM is reset
+    offset_ticks: int = 100  # [ticks]
+    kelvin_per_s: float = 1.0  # [K/s] heating rate
+    celsius: int = 85  # [deg C] value of the temperature register
+    renamed: bool = False  # True: the port returns under another name
+    volts: float = 2.0  # [V] voltage drop
 
     checks = (
         *config.each("at_s", lambda at: 0 <= at <= 1e6, "a time from 0 to 1000000 s"),
@@ -139,14 +139,14 @@ class BusFault:
         return ", ".join((f"{self.target} {self.kind}", *given))
 
     def command(self, stamp_ns: int) -> FaultCommand:
-        """The message that has the simulator do this."""
+        """Return the message that makes the simulator inject this fault."""
         return FaultCommand(stamp_ns, **{field.name: getattr(self, field.name) for field in dataclasses.fields(self)})
 
     @classmethod
     def of(cls, command: FaultCommand) -> "BusFault":
-        """What a message asks for.
+        """Return the fault that a message requests.
 
         Raises:
-            ValueError: It makes no sense; all that is wrong.
+            ValueError: The fault is invalid; the text lists all errors.
         """
         return cls(**{field.name: getattr(command, field.name) for field in dataclasses.fields(cls)})

@@ -1,6 +1,6 @@
-"""The language of a Dynamixel Protocol 1.0 bus: registers, packets and units. Bytes in, values out; no port, no clock.
+"""Dynamixel Protocol 1.0: registers, packets and units, without port or clock.
 
-Sources: ROBOTIS e-manual, AX-12A and RX-64 control tables and Protocol 1.0; AX-12 user's manual 2006 for the ranges.
+Sources: ROBOTIS e-manual, control tables of AX-12A and RX-64, and Protocol 1.0; AX-12 user's manual 2006 for the ranges.
 """
 
 import math
@@ -15,9 +15,9 @@ from typing import NamedTuple
 HEADER = b"\xff\xff"
 BROADCAST_ID = 0xFE
 MAX_ID = 0xFD
-OVERHEAD = 6  # bytes of a packet around its parameters: header, id, length, instruction or error, checksum
+OVERHEAD = 6  # bytes of a packet besides its parameters: header, id, length, instruction or error, checksum
 MAX_PARAMETERS = 0xFD  # the length byte counts the parameters and two more bytes
-BITS_PER_BYTE = 10  # start, eight data, stop
+BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
 
 TICK_CENTRE = 512  # position register at servo angle 0
 TICK_MAX = 1023
@@ -33,7 +33,7 @@ DIRECTION_CW = 1 << 10  # direction bit of the speed and load registers
 
 
 class Access(StrEnum):
-    """Who may change a register."""
+    """Access of a register for the host."""
 
     READ = "R"
     READ_WRITE = "RW"
@@ -41,19 +41,19 @@ class Access(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One item of a control table; little-endian, one or two bytes."""
+    """One register of a control table, little-endian, one or two bytes."""
 
     name: str
     address: int
     size: int  # [bytes]
     access: Access
-    default: int  # value after a factory reset; 0 where the servo measures it
-    min: int  # least and greatest value that may be written
-    max: int
-    eeprom: bool  # kept without power, locked by the Lock register
+    default: int  # value after a factory reset; 0 for measured values
+    min: int  # lowest value that may be written
+    max: int  # highest value that may be written
+    eeprom: bool  # persists without power, locked by the Lock register
 
     def encode(self, value: int) -> bytes:
-        """Bytes of a value.
+        """Encode a value.
 
         Raises:
             ValueError: The value is outside the register's range.
@@ -118,20 +118,20 @@ REGISTERS = (
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """A servo type: the common control table with the factory values that differ."""
+    """Servo model: the common control table, and the factory values that differ."""
 
     name: str
     number: int  # value of the model number register
-    overrides: Mapping[str, int]  # register name -> factory value, where it is not the AX-12A's
+    overrides: Mapping[str, int]  # register name -> factory value, where it differs from the AX-12A
 
     def default(self, register: Register) -> int:
-        """Factory value of a register."""
+        """Return the factory value of a register."""
         if register is MODEL_NUMBER:
             return self.number
         return self.overrides.get(register.name, register.default)
 
     def factory_table(self) -> bytes:
-        """The (50,) bytes of a control table as it leaves the factory."""
+        """Return the control table (50 bytes) with its factory values."""
         table = bytearray(TABLE_SIZE)
         for register in REGISTERS:
             value = self.default(register)
@@ -141,7 +141,7 @@ class ServoModel:
 
 AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}))
 RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}))
-# The table is the AX-12A's.
+# These two models have the AX-12A's control table.
 AX_18A = ServoModel("AX-18A", 18, MappingProxyType({"temperature limit": 75, "max torque": 983}))
 AX_12W = ServoModel("AX-12W", 300, MappingProxyType({}))
 MODELS = (AX_12A, AX_18A, AX_12W, RX_64)
@@ -149,7 +149,7 @@ MODEL_NAMED = {model.name: model for model in MODELS}
 
 
 def baud_rate(value: int) -> int:
-    """Bit rate [1/s] of a baud rate register: 2e6 / (value + 1), to the nearest bit per second."""
+    """Return the bit rate [1/s] of a baud rate register: 2e6 / (value + 1), rounded."""
     return round(2_000_000 / (value + 1))
 
 
@@ -157,39 +157,50 @@ def baud_rate(value: int) -> int:
 
 
 def angle_from_ticks(ticks: float) -> float:
-    """Servo angle [rad] of a position register: 0 at the centre tick, counterclockwise positive, 300 deg over 1023."""
+    """Return the servo angle [rad] of a position register.
+
+    It is 0 at the centre tick and counterclockwise positive; 1023 ticks are 300 deg.
+    """
     return (ticks - TICK_CENTRE) * TICK_RAD
 
 
 def ticks_from_angle(angle: float) -> int:
-    """Nearest position register of a servo angle [rad]; not limited to 0..1023, callers check the range."""
+    """Return the nearest position register of a servo angle [rad], not clamped.
+
+    The caller checks the range.
+    """
     return round(angle / TICK_RAD) + TICK_CENTRE
 
 
 def signed_magnitude(value: int) -> int:
-    """Signed ticks of a speed or load register: bit 10 set means clockwise, negative here."""
+    """Return the signed ticks of a speed or load register.
+
+    Bit 10 means clockwise, which is negative here.
+    """
     magnitude = value & 0x3FF
     return -magnitude if value & DIRECTION_CW else magnitude
 
 
 def direction_magnitude(value: int) -> int:
-    """The inverse of `signed_magnitude`, saturated at 1023."""
+    """Compute the inverse of `signed_magnitude`, saturated at 1023."""
     magnitude = min(abs(value), 0x3FF)
     return magnitude | DIRECTION_CW if value < 0 and magnitude else magnitude
 
 
 def speed_from_register(value: int) -> float:
-    """Speed [rad/s] of a present speed register, counterclockwise positive."""
+    """Return the speed [rad/s] of a present speed register, counterclockwise positive."""
     return signed_magnitude(value) * SPEED_RAD_S
 
 
 def register_from_speed(speed: float) -> int:
-    """Present speed register of a speed [rad/s], counterclockwise positive."""
+    """Return the present speed register of a speed [rad/s], counterclockwise positive."""
     return direction_magnitude(round(speed / SPEED_RAD_S))
 
 
 def moving_speed_from(speed: float) -> int:
-    """Moving speed register of a speed [rad/s] > 0; at least 1, for 0 would mean as fast as the servo can.
+    """Return the moving speed register of a speed [rad/s] > 0.
+
+    It is at least 1, because 0 means maximum speed.
 
     Raises:
         ValueError: The speed is not positive.
@@ -200,12 +211,18 @@ def moving_speed_from(speed: float) -> int:
 
 
 def load_from_register(value: int) -> float:
-    """Load as a fraction of the stall torque, in [-1.023, 1.023], counterclockwise positive."""
+    """Return the load of a register as a fraction of the stall torque.
+
+    It is in [-1.023, 1.023], counterclockwise positive.
+    """
     return signed_magnitude(value) * LOAD_UNIT
 
 
 def register_from_load(load: float) -> int:
-    """Present load register of a fraction of the stall torque, counterclockwise positive."""
+    """Return the present load register of a fraction of the stall torque.
+
+    Counterclockwise is positive.
+    """
     return direction_magnitude(round(load / LOAD_UNIT))
 
 
@@ -213,7 +230,7 @@ def register_from_load(load: float) -> int:
 
 
 class Instruction(IntEnum):
-    """What a host asks of a servo."""
+    """Instruction of the host to a servo."""
 
     PING = 1
     READ = 2
@@ -225,7 +242,7 @@ class Instruction(IntEnum):
 
 
 class ServoError(IntFlag):
-    """The error byte of a status packet, also the bits of the alarm and shutdown registers."""
+    """Error bits of a status packet, and of the alarm and shutdown registers."""
 
     NONE = 0
     INPUT_VOLTAGE = 1 << 0
@@ -249,25 +266,25 @@ _ERROR_WORDS = {
 
 
 def error_words(error: int) -> str:
-    """An error byte in words, empty when no bit is set."""
+    """Return an error byte as text, empty when no bit is set."""
     return ", ".join(words for bit, words in _ERROR_WORDS.items() if error & bit)
 
 
 class Packet(NamedTuple):
-    """One packet of the wire, instruction or status: they have the same shape."""
+    """Instruction or status packet; both have the same format."""
 
     servo_id: int
     code: int  # instruction, or error bits of a status packet
     parameters: bytes
-    end: int = 0  # bytes of the stream up to and with its checksum, counted since the parser was made
+    end: int = 0  # stream offset after its checksum, counted since the parser was made
     intact: bool = True  # False only from a parser that keeps packets with a wrong checksum
 
 
 def encode(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
-    """Bytes of a packet: FF FF ID LEN CODE parameters CHECKSUM.
+    """Encode a packet: FF FF ID LEN CODE parameters CHECKSUM.
 
     Raises:
-        ValueError: The id is not 0 to 254 or there are more than 253 parameters.
+        ValueError: The id is not 0 to 254, or there are more than 253 parameters.
     """
     if not 0 <= servo_id <= BROADCAST_ID:
         raise ValueError(f"servo id 0 to 253, or 254 for all, expected, found {servo_id}")
@@ -278,37 +295,39 @@ def encode(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
 
 
 def ping(servo_id: int) -> bytes:
-    """Ask a servo whether it is there."""
+    """Encode a ping of a servo."""
     return encode(servo_id, Instruction.PING)
 
 
 def read(servo_id: int, address: int, size: int) -> bytes:
-    """Ask a servo for `size` bytes from an address."""
+    """Encode a read of `size` bytes from an address."""
     return encode(servo_id, Instruction.READ, bytes((address, size)))
 
 
 def write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Write bytes from an address on."""
+    """Encode a write of bytes, starting at an address."""
     return encode(servo_id, Instruction.WRITE, bytes((address,)) + data)
 
 
 def reg_write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Register a write that waits for `action`."""
+    """Encode a registered write, which waits for `action`."""
     return encode(servo_id, Instruction.REG_WRITE, bytes((address,)) + data)
 
 
 def action(servo_id: int = BROADCAST_ID) -> bytes:
-    """Carry out the registered writes."""
+    """Encode the instruction that executes the registered writes."""
     return encode(servo_id, Instruction.ACTION)
 
 
 def reset(servo_id: int) -> bytes:
-    """Return a servo to its factory values, id and baud rate included."""
+    """Encode a reset of a servo to its factory values, including id and baud rate."""
     return encode(servo_id, Instruction.RESET)
 
 
 def sync_write(address: int, size: int, rows: Iterable[tuple[int, bytes]]) -> bytes:
-    """Write `size` bytes at one address of several servos in one packet; nobody answers.
+    """Encode a write of `size` bytes at one address of several servos.
+
+    The servos do not respond.
 
     Raises:
         ValueError: A row is not `size` bytes long, or the rows do not fit one packet.
@@ -323,7 +342,7 @@ def sync_write(address: int, size: int, rows: Iterable[tuple[int, bytes]]) -> by
 
 
 def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """A servo's answer."""
+    """Encode a status packet, the response of a servo."""
     return encode(servo_id, error, parameters)
 
 
@@ -331,27 +350,27 @@ PRESENT_STATE = struct.Struct("<HHHBB")  # position, speed, load, voltage, tempe
 
 
 class Dropped(StrEnum):
-    """Why a parser threw bytes away."""
+    """Reason for which a parser dropped bytes."""
 
-    NOISE = "noise"  # bytes, not packets: they belong to no header
+    NOISE = "noise"  # counts bytes outside packets, not packets
     LENGTH = "bad length"
     CHECKSUM = "bad checksum"
     TRUNCATED = "truncated"
 
 
 class PacketParser:
-    """Packets out of a byte stream that may hold noise, broken packets and packets cut anywhere.
+    """Parser of packets in a byte stream with noise and broken or truncated packets.
 
-    After a broken packet the search goes on right behind its header, so an intact packet that noise had swallowed is
-    found. A packet that noise announced longer than what follows is given up by `flush`.
+    After a broken packet the search continues right after its header, so an intact packet inside it is found. `flush` gives up
+    a packet whose length byte exceeds the received data.
     """
 
     def __init__(self, max_length: int = 0xFF, *, keep_broken: bool = False) -> None:
         """Start at stream offset 0.
 
         Args:
-            max_length: Greatest length byte believed; a bus whose packets are known to be short recovers sooner.
-            keep_broken: Return packets with a wrong checksum too, with `intact` False: a servo answers those.
+            max_length: Largest accepted length byte; a lower value recovers sooner on a bus with short packets.
+            keep_broken: Also return packets with a wrong checksum, with `intact` False: a servo responds to those.
         """
         self.dropped: Counter[str] = Counter()  # by `Dropped`; bytes for NOISE, else packets
         self._max_length = max_length
@@ -361,25 +380,25 @@ class PacketParser:
 
     @property
     def pending(self) -> int:
-        """Bytes held back because their packet is not complete."""
+        """Number of buffered bytes of an incomplete packet."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take the next bytes of the stream and return the packets they complete."""
-        if not self._buffer and self._is_one_packet(data):  # as it is nearly always
+        """Add the next bytes of the stream, and return the completed packets."""
+        if not self._buffer and self._is_one_packet(data):  # the usual case
             self._offset += len(data)
             return [Packet(data[2], data[4], bytes(data[5:-1]), self._offset)]
         self._buffer += data
         return self._parse()
 
     def _is_one_packet(self, data: bytes) -> bool:
-        """Whether bytes are one intact packet and nothing else."""
+        """Return whether the bytes are exactly one intact packet."""
         if len(data) < OVERHEAD or data[:2] != HEADER or data[2] == 0xFF:
             return False
         return data[3] <= self._max_length and len(data) == data[3] + 4 and sum(data[2:]) & 0xFF == 0xFF
 
     def flush(self) -> list[Packet]:
-        """Give up on an incomplete packet; return the intact packets that its claimed length had hidden."""
+        """Give up an incomplete packet, and return the intact packets inside it."""
         found: list[Packet] = []
         while len(self._buffer) > 1:
             if len(self._buffer) >= 4:
@@ -395,7 +414,7 @@ class PacketParser:
         while buffer:
             start = buffer.find(HEADER)
             if start:
-                # All noise; but a last FF may be the first half of a header.
+                # All of it is noise, but a final FF may be the first half of a header.
                 self._skip(start if start > 0 else len(buffer) - buffer.endswith(b"\xff"))
                 if start < 0:
                     return found
@@ -404,7 +423,7 @@ class PacketParser:
                     self._skip(1)
                 return found
             servo_id, length = buffer[2], buffer[3]
-            if servo_id == 0xFF:  # a run of FF: the header is its last two
+            if servo_id == 0xFF:  # in a run of FF, the header is the last two
                 self._skip(1)
                 continue
             if not 2 <= length <= self._max_length:
@@ -414,7 +433,7 @@ class PacketParser:
             size = length + 4
             if len(buffer) < size:
                 return found
-            intact = (sum(buffer[2:size]) & 0xFF) == 0xFF  # the checksum is the complement of the rest
+            intact = (sum(buffer[2:size]) & 0xFF) == 0xFF  # the checksum is the complement of the sum
             if not intact:
                 self.dropped[Dropped.CHECKSUM] += 1
             if intact or self._keep_broken:

@@ -1,10 +1,9 @@
-"""Frames on a serial line: consistent overhead byte stuffing between zeros, closed by a CRC.
+"""Frames on a serial line: byte stuffing (COBS) between zeros, with a CRC.
 
     00 | COBS( payload | CRC-32, little-endian ) | 00
 
-A zero byte stands nowhere but around a frame, so a receiver that has lost its place finds it at the next one, and any one
-broken byte spoils at most one frame. CRC-32 (zlib's) lets one broken frame in four thousand million through. Bytes in, bytes
-out; no port, no clock.
+Zero bytes occur only around frames. A receiver that is out of sync recovers at the next zero, and one broken byte damages at
+most one frame. CRC-32 (zlib's) misses one broken frame in four thousand million. The module has no port and no clock.
 """
 
 import struct
@@ -12,16 +11,16 @@ import zlib
 from collections import Counter
 from enum import StrEnum
 
-MAX_PAYLOAD = 400  # [bytes] with the CRC
+MAX_PAYLOAD = 400  # [bytes] including the CRC
 MAX_FRAME = MAX_PAYLOAD + MAX_PAYLOAD // 254 + 1  # [bytes] between the zeros
 
 _CRC = struct.Struct("<I")
 _ZERO = b"\0"
-_BLOCK = 254  # most bytes behind one code
+_BLOCK = 254  # maximum bytes after one code byte
 
 
 class Broken(StrEnum):
-    """Why what stood between two zeros is no frame."""
+    """Reason for which the bytes between two zeros are not a frame."""
 
     LONG = "frame too long"
     STUFFING = "frame cut or broken"
@@ -29,10 +28,10 @@ class Broken(StrEnum):
 
 
 def frame(payload: bytes) -> bytes:
-    """A payload with its CRC, stuffed, between zeros.
+    """Return the frame of a payload: with its CRC, stuffed, between zeros.
 
     Raises:
-        ValueError: It is too long.
+        ValueError: The payload is too long.
     """
     if len(payload) + _CRC.size > MAX_PAYLOAD:
         raise ValueError(f"at most {MAX_PAYLOAD - _CRC.size} bytes of payload expected, found {len(payload)}")
@@ -40,7 +39,10 @@ def frame(payload: bytes) -> bytes:
 
 
 def stuffed(data: bytes) -> bytes:
-    """Consistent overhead byte stuffing: the same bytes without a zero, a code byte before each run of others."""
+    """Encode bytes without zeros, by consistent overhead byte stuffing (COBS).
+
+    A code byte precedes each run of other bytes.
+    """
     out = bytearray()
     block = b""
     for run in data.split(_ZERO):
@@ -51,13 +53,13 @@ def stuffed(data: bytes) -> bytes:
             block = block[_BLOCK:]
         out.append(len(block) + 1)
         out += block
-    if not block and run:  # the last run ends with a full block, behind which no zero is meant
+    if not block and run:  # the last run ends with a full block, which implies no zero
         out.pop()
     return bytes(out)
 
 
 def unstuffed(data: bytes) -> bytes | None:
-    """The inverse of `stuffed`; None where it is cut. Zeros must not be in it."""
+    """Decode `stuffed` bytes without zeros; None if they are truncated."""
     out = bytearray()
     at = 0
     while at < len(data):
@@ -73,21 +75,21 @@ def unstuffed(data: bytes) -> bytes | None:
 
 
 class Deframer:
-    """Payloads out of a byte stream that may hold anything. It keeps at most one frame's bytes."""
+    """Decoder of payloads in an arbitrary byte stream; it buffers at most one frame."""
 
     def __init__(self) -> None:
-        """Begin between two frames."""
-        self.broken: Counter[str] = Counter()  # frames, by `Broken`
+        """Start between two frames."""
+        self.broken: Counter[str] = Counter()  # number of broken frames, by `Broken`
         self._buffer = bytearray()
         self._overlong = False
 
     @property
     def pending(self) -> int:
-        """Bytes kept of a frame that has not ended."""
+        """Number of buffered bytes of an incomplete frame."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the next bytes of the stream and return the payloads that they complete."""
+        """Add the next bytes of the stream, and return the completed payloads."""
         payloads: list[bytes] = []
         start = 0
         while (end := data.find(0, start)) >= 0:
@@ -107,7 +109,10 @@ class Deframer:
             self._buffer += data
 
     def _complete(self) -> bytes | None:
-        """The payload of the frame that has just ended, or None, counted where there was something."""
+        """Return the payload of the frame that just ended, or None.
+
+        Broken frames are counted.
+        """
         stuffing, overlong = bytes(self._buffer), self._overlong
         self._buffer.clear()
         self._overlong = False

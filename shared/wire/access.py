@@ -1,8 +1,8 @@
-"""Who may say and hear what on the network: roles of certificates, and the Zenoh configuration that holds clients to them.
+"""Access control: certificate roles, and the Zenoh configuration to enforce them.
 
-Deny by default. What a role may put and read is written down here by hand, for a robot has not all services installed that
-would have to be asked; a test holds it to what the processes of the role write and read. Keys of the simulator are nobody's but
-the machine's on which it runs, and a servo has none. What may be put is limited in size and rate at the listener, too.
+Everything is denied by default. The topics of each role are listed here by hand, because a robot does not have all services
+installed that could be queried; a test compares the lists with the topics of the services. No role includes the simulator's
+topics, so they stay on the simulator's machine. The listener also limits the size and rate of publications.
 """
 
 import ipaddress
@@ -16,17 +16,17 @@ from sextant.shared.files import input_file
 from sextant.shared.wire import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
-CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a folder of keys
-PROXY = "proxy"  # folder within it: certificates between the TLS proxy and the router of one machine
-ROUTER = "router"  # name of the router's own certificate there
-SITE = "site"  # role of a router between others
-ROUTER_OF = "router of "  # a role: name of a router among the services
-PLAIN = ("tcp",)  # links without certificates, on loopback alone
+CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a key folder
+PROXY = "proxy"  # subfolder with the certificates between the TLS proxy and the router of one machine
+ROUTER = "router"  # name of the router's own certificate in that subfolder
+SITE = "site"  # role of a router between other routers
+ROUTER_OF = "router of "  # followed by a role: name of a router among the services
+PLAIN = ("tcp",)  # links without certificates, on loopback only
 SECURE = ("tls",)
-_SLACK = 10.0  # times the rate of a topic that a client may put at
-_LEAST_HZ = 200.0  # that it may put at, however slow the topic is
-_EVENTS_HZ = 1000.0  # likewise, of topics all of whose messages count: a link that stalled delivers some at once
-_ROOM = 1 << 16  # [B] of a message beside its payload
+_SLACK = 10.0  # factor of a topic's rate up to which a client may publish
+_LEAST_HZ = 200.0  # publication rate that is always allowed, even for slow topics
+_EVENTS_HZ = 1000.0  # the same for EVERY topics: a stalled link delivers several messages at once
+_ROOM = 1 << 16  # [B] of a message besides its payload
 _ALL_MESSAGES = (
     *("put", "delete", "declare_subscriber", "query", "reply", "declare_queryable"),
     *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
@@ -34,21 +34,21 @@ _ALL_MESSAGES = (
 
 
 class AccessError(ValueError):
-    """Keys that cannot be used or do not suffice, with what was expected and what to do."""
+    """The keys are unusable or insufficient; the text gives what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What the holder of a certificate may do."""
+    """Permissions of a certificate."""
 
-    name: str  # common name of its certificate
-    what: str  # who holds it, in words
+    name: str  # common name of the certificate
+    what: str  # description of the machine that has it
     puts: tuple[AnyTopic, ...]
     reads: tuple[AnyTopic, ...]
-    relays: tuple[AnyTopic, ...] = ()  # that its router passes on for others
+    relays: tuple[AnyTopic, ...] = ()  # published by other roles and forwarded by this role's router
 
     def refusal(self, written: Sequence[AnyTopic]) -> str:
-        """Why what is to be put will not be let through, in words, or nothing."""
+        """Return why this role may not publish these topics, or an empty text."""
         barred = [topic.key for topic in written if topic not in self.puts]
         if not barred:
             return ""
@@ -65,13 +65,16 @@ def _of_roles(of: Mapping[str, AnyTopic], *names: str) -> tuple[AnyTopic, ...]:
 
 
 def _own(name: str) -> tuple[AnyTopic, ...]:
-    """How the processes of a role's machines fare, and which they are; a viewer's stay on its machine."""
+    """Return the health and presence topics of a role.
+
+    Those of a viewer stay on its own machine.
+    """
     return (t.HEALTH_OF[name], t.PRESENCE_OF[name])
 
 
-_HEARD_OF = ("robot", "base", "console", "site")  # on other machines
+_HEARD_OF = ("robot", "base", "console", "site")  # roles whose health and presence other machines read
 _HEALTHS, _PRESENCES = _of_roles(t.HEALTH_OF, *_HEARD_OF), _of_roles(t.PRESENCE_OF, *_HEARD_OF)
-_SEEN: tuple[AnyTopic, ...] = (  # what a page shows, and what is small
+_SEEN: tuple[AnyTopic, ...] = (  # topics that the console displays, and small ones
     *(t.ACTUATOR_STATE, t.BODY_POSE, t.ODOMETRY, t.STEP_PLAN, t.PLANNER_STATUS, t.PASSAGE_PLAN, t.PASSAGE_REQUEST),
     *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
     *(t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD),
@@ -80,7 +83,7 @@ _SEEN: tuple[AnyTopic, ...] = (  # what a page shows, and what is small
 )
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
 _LED = (t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD)
-_ENDS = (  # whoever is at an end of what is said
+_ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
@@ -117,18 +120,18 @@ ROLE_NAMED: Mapping[str, Role] = {role.name: role for role in ROLES}
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The folder with the certificate of this machine, its private key, and the authority whose certificates it takes."""
+    """Key folder of this machine: certificate, private key and trusted authority."""
 
     folder: Path
     role: Role
-    ends: datetime  # when the certificate does
+    ends: datetime  # expiry of the certificate
 
     @classmethod
     def load(cls, folder: Path) -> "Keys":
-        """Read a folder that `sextant keys new` has made.
+        """Read a key folder made by `sextant keys new`.
 
         Raises:
-            AccessError: Something is missing, or the certificate has ended.
+            AccessError: A file is missing or invalid, or the certificate has expired.
         """
         missing = [name for name in (AUTHORITY, CERTIFICATE, KEY, ROLE) if not (folder / name).is_file()]
         if missing:
@@ -154,33 +157,36 @@ class Keys:
         return found
 
     def days_left(self, now: datetime) -> float:
-        """For how many days the certificate is good."""
+        """Return the days until the certificate expires."""
         return (self.ends - now).total_seconds() / 86400.0
 
     def refusal(self, written: Sequence[AnyTopic]) -> str:
-        """Why what is to be put will not be let through, in words, or nothing."""
+        """Return why this machine may not publish these topics, or an empty text."""
         return self.role.refusal(written)
 
     def connecting(self) -> dict[str, Any]:
-        """Zenoh configuration of who connects."""
+        """Return the Zenoh configuration of a client."""
         return {"transport": {"link": {"tls": self._tls("connect")}}}
 
     def hosting(self, namespace: str, limited: bool = True) -> dict[str, Any]:
-        """Zenoh configuration of a router: mutual TLS to both sides, and each certificate that comes held to its role.
+        """Return the Zenoh configuration of a router.
 
-        What comes is `limited` in rate and size, but where it comes from the one router alone that this one has chosen.
+        It uses mutual TLS in both directions and enforces the role of each connecting certificate. `limited` also limits the
+        rate and size of incoming messages; it is False where they come only from the chosen upstream router.
 
-        Links without certificates must be on loopback (`plain_elsewhere`): who is on this machine may do everything.
+        Links without certificates must be on loopback (`plain_elsewhere`), because local processes may do everything.
         """
         limits = _limits(namespace, {"link_protocols": list(SECURE)})
         transport = {"link": {"tls": self._tls("connect", "listen"), "rx": limits.pop("rx")}}
         return {"transport": transport, "access_control": _control(namespace), **(limits if limited else {})}
 
     def proxy_file(self, name: str) -> Path:
-        """Return the certificate and private key of a role, or of the router, between the TLS proxy and the router.
+        """Return the file with certificate and private key of a role, or of the router.
+
+        It is for links between the TLS proxy and the router.
 
         Raises:
-            AccessError: The folder has none.
+            AccessError: The file is missing.
         """
         file = self.folder / PROXY / f"{name}.pem"
         if not file.is_file():
@@ -188,18 +194,22 @@ class Keys:
         return file
 
     def behind_proxy(self, port: int) -> str:
-        """Return the endpoint on which the router listens for the TLS proxy alone, on a port of 127.0.0.1.
+        """Return the endpoint on which the router listens for the TLS proxy only.
+
+        It is a port of 127.0.0.1.
 
         Raises:
-            AccessError: The folder has no certificates for it, or a path that cannot be part of an endpoint.
+            AccessError: The folder has no certificates for it, or its path cannot be part of an endpoint.
         """
         return self._on_loopback("listen", port)
 
     def to_dialer(self, port: int) -> str:
-        """Return the endpoint at which the router connects to the dialer of another machine, on a port of 127.0.0.1.
+        """Return the endpoint for the router's connection to another machine's dialer.
+
+        It is a port of 127.0.0.1.
 
         Raises:
-            AccessError: The folder has no certificates for it, or a path that cannot be part of an endpoint.
+            AccessError: The folder has no certificates for it, or its path cannot be part of an endpoint.
         """
         return self._on_loopback("connect", port)
 
@@ -220,19 +230,23 @@ class Keys:
         return str(self.folder / name)
 
 
-LOCAL_ROLES = tuple(role for role in ROLES if t.HEALTH_OF[role.name] not in role.puts)  # no other machine reads their health
+LOCAL_ROLES = tuple(role for role in ROLES if t.HEALTH_OF[role.name] not in role.puts)  # their health stays on their machine
 
 
 def refusal_here(roles: Iterable[str], written: Sequence[AnyTopic]) -> str:
-    """Why this machine's router refuses a publication, by the roles whose health is read here; empty if it does not.
+    """Return why this machine's router refuses a publication, or an empty text.
 
-    The health of a role in `LOCAL_ROLES` crosses no router, so the router that publishes it is this machine's own.
+    `roles` are the roles whose health messages arrive here. The health of a role in `LOCAL_ROLES` does not cross routers, so
+    its presence shows that this machine's own router has that role.
     """
     return next((why for role in LOCAL_ROLES if role.name in roles and (why := role.refusal(written))), "")
 
 
 def plain_elsewhere(endpoints: Iterable[str]) -> tuple[str, ...]:
-    """The endpoints that need no certificate and are not on loopback, e.g. tcp/0.0.0.0:7447."""
+    """Return the endpoints without certificates that are not on loopback.
+
+    An example is tcp/0.0.0.0:7447.
+    """
     return tuple(endpoint for endpoint in endpoints if not endpoint.startswith("tls/") and not _on_loopback(endpoint))
 
 
@@ -245,11 +259,13 @@ def _on_loopback(endpoint: str) -> bool:
 
 
 def opened(namespace: str, interfaces: Iterable[str]) -> dict[str, Any]:
-    """Zenoh configuration of who listens to anybody: only size and rate of messages are limited, where they come from outside.
+    """Return the Zenoh configuration of a router for clients without certificates.
+
+    Messages from other machines are limited in size and rate, and to the topics of a site router.
 
     Args:
         namespace: Prefix of every key.
-        interfaces: Network interfaces of this machine beside loopback; through others nobody is let in.
+        interfaces: Network interfaces of this machine besides loopback; all others are denied.
     """
     names = list(interfaces)
     anybody = Role("anybody", "", ROLE_NAMED[SITE].puts, ROLE_NAMED[SITE].reads)
@@ -293,7 +309,10 @@ def _everything() -> dict[str, Any]:
 
 
 def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
-    """A message goes one way, the declaration that it is wanted the other."""
+    """Return the rules of a role.
+
+    Messages pass in one direction, and subscriptions in the other.
+    """
     rows = (
         ("puts", "put", "ingress", role.puts + role.relays),
         ("puts-wanted", "declare_subscriber", "egress", role.puts + role.relays),
@@ -318,7 +337,10 @@ def _policies(role: Role, namespace: str) -> list[dict[str, Any]]:
 
 
 def most_hz(topic: AnyTopic) -> float:
-    """How often a client may put a message of a topic; what comes sooner behind another is dropped at the listener."""
+    """Return the maximum rate [Hz] of a client on a topic.
+
+    The listener drops faster messages.
+    """
     return max(_SLACK * topic.rate_hz, _EVENTS_HZ if topic.delivery is t.Delivery.EVERY else _LEAST_HZ)
 
 
@@ -338,7 +360,7 @@ def _limits(namespace: str, where: Mapping[str, Any]) -> dict[str, Any]:
                 **incoming,
                 "id": f"size-{topic.key.replace('/', '-')}",
                 "key_exprs": [topic.address(namespace)],
-                "size_limit": topic.max_bytes + len(topic.address(namespace).encode()),  # which goes with a frame
+                "size_limit": topic.max_bytes + len(topic.address(namespace).encode()),  # a frame carries its address
             }
             for topic in t.TOPICS
         ],

@@ -1,18 +1,18 @@
-"""Message <-> bytes; the only file that knows msgpack.
+"""Codec between messages and frames (bytes); the only file that uses msgpack.
 
-A frame is a msgpack header and behind it the raw bytes of the arrays, 8-byte aligned:
+A frame is a msgpack header, followed by the raw bytes of the arrays, 8-byte aligned:
 
     uint32 little-endian header length | header | padding | array | padding | array ...
 
     header = [schema, began_ns, sent_ns, [field, ...]]   an array field is [dtype, [length, ...], offset into the arrays]
 
-Sending copies an array once, into the frame; receiving does not copy: arrays are read-only views of the frame. Arrays declared
-as packed are the exception: [dtype, [length, ...], offset, bytes] names a Zstandard frame of their differences along the first
-axis, zigzag coded, low bytes before high ones, which unpacking turns into an array of its own. `schema` is a hash of the
-message's declaration, so two versions that disagree refuse each other by name instead of misreading.
+Encoding copies each array once, into the frame. Decoding does not copy: arrays are read-only views of the frame. Packed arrays
+are the exception. Their field [dtype, [length, ...], offset, bytes] refers to a Zstandard frame of the differences along the
+first axis, zigzag coded, with low bytes before high ones; unpacking creates a new array. `schema` is a hash of the message's
+declaration, so two versions with different declarations refuse each other's messages instead of misreading them.
 
-What a frame holds is a claim. Decoding refuses, beyond what a message checks by itself, poses that are no rotation and
-translation or lie 1000 km away, and numbers so large that whatever is computed with them overflows.
+Frames are not trusted. Besides the checks of the message class, decoding refuses poses that are not rigid or lie more than
+1000 km away, and numbers so large that computing with them may overflow.
 """
 
 import hashlib
@@ -35,24 +35,24 @@ M = TypeVar("M", bound=Message)
 _PREFIX = struct.Struct("<I")
 _ALIGNMENT = 8
 _MAX_HEADER = 1 << 20  # [bytes]
-_INTEGER = frozenset([int])  # and not bool
+_INTEGER = frozenset([int])  # excludes bool
 _HEADER = [str, int, int, list]
-_FEW = 256  # bytes: up to there an array is not worth making
+_FEW = 256  # [bytes] up to which testing the bytes is faster than making an array
 _TRUTH_VALUES = b"\0\1"
 _MAX_UNPACKED = 1 << 24  # [bytes] of a packed array
-MAX_NUMBER = 1e12  # size of a number from a frame, where it must be finite: products of such numbers are finite, too
+MAX_NUMBER = 1e12  # largest absolute value of a finite number in a frame; products of such numbers are finite too
 MAX_DISTANCE = 1e6  # [m] of a pose from the origin of its frame
-_RIGID = 1e-4  # by which the rotation of a pose from a frame may be none
+_RIGID = 1e-4  # tolerance of the rotation matrix of a received pose
 _compress, _decompress = zstandard.ZstdCompressor(level=1).compress, zstandard.ZstdDecompressor().decompress
 
 
 class DecodeError(ValueError):
-    """A frame that is not what its topic says, with the reason in words."""
+    """The frame does not match its topic's declaration; the text gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When the sender began the step that made a message, and when it sent it [ns, sender's clock]."""
+    """Start of the sender's step and time of sending [ns, sender's clock]."""
 
     began_ns: int
     sent_ns: int
@@ -60,15 +60,15 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a frame says of itself, whichever version made it."""
+    """Header of a frame, readable for every version of Sextant."""
 
     schema_id: str
-    stamp_ns: int  # [ns] of its message; -1 where there is none
+    stamp_ns: int  # [ns] of the message; -1 without one
     timing: Timing
 
 
 def schema_id(kind: type[Message]) -> str:
-    """Name and hash of a message's declaration."""
+    """Return the name and hash of a message's declaration."""
     return _layout(kind).schema_id
 
 
@@ -105,7 +105,7 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     """Decode a frame as a message of one type; arrays are read-only views of it.
 
     Raises:
-        DecodeError: Anything at all is not as declared; nothing is repaired.
+        DecodeError: The frame differs from the declaration; nothing is repaired.
     """
     if len(frame) > max_bytes:
         raise DecodeError(f"{kind.__name__}: frame of at most {max_bytes} bytes expected, found {len(frame)}")
@@ -132,34 +132,37 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
 
 
 def label(frame: bytes) -> Label:
-    """What a frame says of itself, without a look at its arrays.
+    """Decode the header of a frame, without its arrays.
 
     Raises:
-        DecodeError: It has no header.
+        DecodeError: The frame has no valid header.
     """
     _, found, began_ns, sent_ns, values = _header(frame, "a frame")
     stamp_ns = values[0] if values and type(values[0]) is int else -1
     return Label(found, stamp_ns, Timing(began_ns, sent_ns))
 
 
-_FieldDecoder: TypeAlias = Callable[[bytes, int, Any], Any]  # frame, where its arrays begin, what the header has
+_FieldDecoder: TypeAlias = Callable[[bytes, int, Any], Any]  # frame, offset of its arrays, value in the header
 
 
 @dataclass(frozen=True, slots=True)
 class _Field:
     name: str
-    dtype: str  # of an array, in the array interface's notation; empty for anything else
+    dtype: str  # of an array, in the notation of NumPy's array interface; empty for other fields
     decode: _FieldDecoder
     packed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """What the frames of one message type look like: worked out once, since a frame comes every millisecond."""
+    """Frame layout of one message type.
+
+    It is computed once, because a frame arrives every millisecond.
+    """
 
     schema_id: str
     fields: tuple[_Field, ...]
-    claims: tuple[tuple[str, Callable[[Any], str], int], ...]  # name of a field, what is wrong with its value, its number
+    claims: tuple[tuple[str, Callable[[Any], str], int], ...]  # name of a field, check of its value, index of the field
 
 
 _LAYOUTS: dict[type[Message], _Layout] = {}
@@ -178,7 +181,10 @@ def _layout(kind: type[Message]) -> _Layout:
 
 
 def _claim_check(base: Any, detail: Any) -> Callable[[Any], str] | None:
-    """What says how a value of a frame cannot be meant, beyond what its message checks; None where everything may be."""
+    """Return the additional check of a received value, or None without one.
+
+    The message's constructor makes the other checks.
+    """
     if base is float:
         return lambda value: "" if abs(value) <= MAX_NUMBER else f"a number of at most {MAX_NUMBER:g} expected, found {value:g}"
     if base is np.ndarray and detail[0].kind == "f" and detail[1].finite:
@@ -187,14 +193,17 @@ def _claim_check(base: Any, detail: Any) -> Callable[[Any], str] | None:
 
 
 def _size_problem(value: NDArray[Any]) -> str:
-    # A small sum of squares proves it at a third of the cost; a large one proves nothing.
+    # A small sum of squares proves that all values are small, at a third of the cost. A large sum needs the full test.
     if np.vdot(value, value) <= MAX_NUMBER**2 or not (largest := float(np.abs(value).max(initial=0.0))) > MAX_NUMBER:
         return ""
     return f"numbers of at most {MAX_NUMBER:g} expected, found {largest:g}"
 
 
 def _pose_problem(value: NDArray[Any]) -> str:
-    """As plain floats: a pose comes every few milliseconds."""
+    """Return the error in a pose, or an empty text.
+
+    It uses plain floats, because poses arrive every few milliseconds.
+    """
     x, y, z, last = value.tolist()
     (a, b, c, _), (d, e, f, _), (g, h, i, _) = x, y, z
     off = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
@@ -217,19 +226,24 @@ def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:
 
 
 def pack_values(values: list[Any]) -> bytes:
-    """Plain values (whole numbers, texts, bytes) as a msgpack array: for wires whose other end knows no frames."""
+    """Encode plain values (integers, texts, bytes) as a msgpack array.
+
+    This is for protocols without frames.
+    """
     return bytes(msgpack.packb(values, use_bin_type=True))
 
 
 def unpack_values(data: bytes, max_bytes: int = 0) -> Any:
-    """What msgpack data holds; arrays, texts and bytes are bounded, tables and extensions refused.
+    """Decode msgpack data with bounded arrays, texts and bytes.
+
+    Maps and extensions are refused.
 
     Args:
         data: One msgpack value.
-        max_bytes: That a run of raw bytes in it may have.
+        max_bytes: Maximum length of raw bytes in it.
 
     Raises:
-        DecodeError: It is not such data.
+        DecodeError: The data is not msgpack, or exceeds a bound.
     """
     try:
         return msgpack.unpackb(
@@ -247,7 +261,7 @@ def unpack_values(data: bytes, max_bytes: int = 0) -> Any:
 
 
 def _header(frame: bytes, name: str) -> tuple[int, str, int, int, list[Any]]:
-    """Where a frame's header ends, and what is in it: schema, two times, fields."""
+    """Decode a frame's header: return its end, the schema, two times and the fields."""
     if len(frame) < _PREFIX.size:
         raise DecodeError(f"{name}: frame of {len(frame)} bytes is shorter than its prefix")
     (length,) = _PREFIX.unpack_from(frame)
@@ -258,18 +272,21 @@ def _header(frame: bytes, name: str) -> tuple[int, str, int, int, list[Any]]:
         unpacked = unpack_values(frame[_PREFIX.size : end])
     except DecodeError as error:
         raise DecodeError(f"{name}: header is {error}") from None
-    if type(unpacked) is not list or [*map(type, unpacked)] != _HEADER:  # matching a pattern costs as much as unpacking
+    if type(unpacked) is not list or [*map(type, unpacked)] != _HEADER:  # a match statement takes as long as unpacking
         raise DecodeError(f"{name}: header of schema, two times and fields expected")
     found, began_ns, sent_ns, values = unpacked
     return end, found, began_ns, sent_ns, values
 
 
 def _value_decoder(where: str, base: Any) -> _FieldDecoder:
-    """What takes a value out of a header; whether it is as declared, the message's construction says."""
+    """Return the decoder of a plain value.
+
+    The message's constructor checks the value afterwards.
+    """
     enum = base if base is not Literal and isinstance(base, type) and issubclass(base, StrEnum) else None
 
     def decode_value(_frame: bytes, _arrays: int, value: Any) -> Any:
-        if isinstance(value, list | dict):  # perhaps so deeply nested that not even its repr could be had
+        if isinstance(value, list | dict):  # may be nested so deeply that even its repr fails
             raise DecodeError(f"{where}: a single value expected, found a {type(value).__name__}")
         if enum is not None:
             try:
@@ -292,13 +309,13 @@ def _value_decoder(where: str, base: Any) -> _FieldDecoder:
 
 
 def _check_length(where: str, text: str) -> None:
-    """Refuse a text that no message may have; of the sender's own it would have been cut."""
+    """Refuse a text that is too long; a Sextant sender would have truncated it."""
     if len(text) > MAX_TEXT:
         raise DecodeError(f"{where}: a text of at most {MAX_TEXT} characters expected, found {len(text)}")
 
 
 def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:
-    """What makes a view of the frame out of an array's dtype, shape and offset."""
+    """Return the decoder of an array, which makes a view of the frame."""
     code, itemsize, truth = dtype.str, dtype.itemsize, dtype.kind == "b"
 
     def decode_array(frame: bytes, arrays: int, value: Any) -> Any:
@@ -317,7 +334,7 @@ def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder
 
 
 def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:
-    """What makes an array out of a packed one's dtype, shape, offset and bytes."""
+    """Return the decoder of a packed array."""
     code, itemsize = dtype.str, dtype.itemsize
     if dtype.kind not in "iu":
         raise TypeError(f"{where}: a packed array of whole numbers expected, found {code}")
@@ -338,22 +355,25 @@ def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecode
 
 
 def _count(where: str, code: str, ndim: int, found: str, shape: list[Any]) -> int:
-    """How many values an array of a declared dtype and dimension has, by the header."""
+    """Return the number of values of an array.
+
+    Its dtype and shape in the header are checked first.
+    """
     if found != code:
         raise DecodeError(f"{where}: an array of {code} expected, found {found[:10]!r}")
     if len(shape) != ndim:
         raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
-    # Types first: a list from the wire may be so deeply nested that not even its repr could be had.
+    # Check the types first, because a received list may be nested so deeply that even its repr fails.
     if not _INTEGER.issuperset(map(type, shape)) or min(shape) < 0 or max(shape) > MAX_LENGTH:
         raise DecodeError(f"{where}: whole numbers from 0 to {MAX_LENGTH} expected as lengths")
     return prod(shape)  # Python integers do not overflow
 
 
 def _packed(array: NDArray[Any]) -> bytes:
-    """The differences of an array along its first axis, small ones of either sign as small numbers, compressed."""
-    steps = np.empty((prod(array.shape[1:]), len(array)), dtype=array.dtype)  # a column of the array is alike
+    """Compress an array as zigzag-coded differences along its first axis."""
+    steps = np.empty((prod(array.shape[1:]), len(array)), dtype=array.dtype)  # values of one column are similar
     steps.T[:] = array.reshape(steps.shape[::-1])
-    steps[:, 1:] -= steps[:, :-1].copy()  # whole numbers wrap around, and back
+    steps[:, 1:] -= steps[:, :-1].copy()  # integers wrap around here, and back when unpacked
     signed = steps.view(f"i{array.itemsize}")
     numbers = (signed + signed) ^ (signed >> (8 * array.itemsize - 1))  # 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4
     return _compress(numbers.view(np.uint8).reshape(numbers.size, array.itemsize).T.tobytes())
@@ -361,7 +381,7 @@ def _packed(array: NDArray[Any]) -> bytes:
 
 def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[Any], size: int) -> NDArray[Any]:
     try:
-        if zstandard.frame_content_size(data) != size:  # before anything is unpacked: it may claim to be any size
+        if zstandard.frame_content_size(data) != size:  # check before unpacking: the data may claim any size
             raise DecodeError(f"{where}: {size} bytes expected when unpacked, found another number")
         planes = np.frombuffer(_decompress(data), np.uint8)
     except zstandard.ZstdError:
@@ -374,7 +394,7 @@ def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[A
         numbers |= plane.astype(numbers.dtype) << (8 * k)
     steps = ((numbers >> 1) ^ -(numbers & 1)).view(dtype).reshape(prod(shape[1:]), shape[0])
     out: NDArray[Any] = np.empty((shape[0], len(steps)), dtype=dtype)
-    for column, values in enumerate(np.cumsum(steps, axis=1, dtype=dtype)):  # transposing takes several times as long
+    for column, values in enumerate(np.cumsum(steps, axis=1, dtype=dtype)):  # several times faster than transposing
         out[:, column] = values
     out = out.reshape(shape)
     out.flags.writeable = False
@@ -382,7 +402,7 @@ def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[A
 
 
 def _truth_values(frame: bytes, begin: int, count: int) -> bool:
-    """Whether bytes of a frame are 0 or 1 each."""
+    """Return whether all of these bytes of a frame are 0 or 1."""
     if count <= _FEW:
         return not frame[begin : begin + count].strip(_TRUTH_VALUES)
     return bool(np.frombuffer(frame, np.uint8, count, begin).max() <= 1)

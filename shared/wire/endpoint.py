@@ -1,4 +1,4 @@
-"""Endpoints such as tls/hexapod.local:7448, and why one cannot be reached or listened on: cause, and what to do."""
+"""Endpoints such as tls/hexapod.local:7448, and causes of their failures."""
 
 import errno
 import socket
@@ -7,15 +7,15 @@ from typing import Any
 
 _CONNECT_S = 3.0
 _USUAL = "7447 for tcp, 7448 for tls"
-_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # of Zenoh; Sextant itself needs the first two
+_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # of Zenoh; Sextant itself uses the first two
 _UNKNOWN = "check its name, or give its IP address"
 
 
 def place(endpoint: str) -> tuple[str, int]:
-    """Return host and port of an endpoint, e.g. of tls/robot.local:7448.
+    """Return host and port of an endpoint such as tls/robot.local:7448.
 
     Raises:
-        ValueError: It has none.
+        ValueError: The endpoint has no host or port.
     """
     protocol, slash, rest = endpoint.partition("/")
     address = rest.partition("?")[0].partition("#")[0]
@@ -28,7 +28,7 @@ def place(endpoint: str) -> tuple[str, int]:
 
 
 def fault(endpoints: Iterable[str]) -> str:
-    """Return what is wrong with the first endpoint that is not written as one, or an empty text."""
+    """Return the error in the first malformed endpoint, or an empty text."""
     for endpoint in endpoints:
         try:
             place(endpoint)
@@ -40,15 +40,15 @@ def fault(endpoints: Iterable[str]) -> str:
 
 
 def resolved(endpoint: str) -> tuple[socket.AddressFamily, Any]:
-    """Return the family and address of an endpoint, as `socket.connect` and `bind` take it.
+    """Return family and address of an endpoint, for `socket.connect` and `bind`.
 
     Raises:
-        socket.gaierror: Its host is not known.
+        socket.gaierror: The host is unknown.
     """
     host, port = place(endpoint)
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except UnicodeError:  # no host can have this name
+    except UnicodeError:  # not a valid host name
         raise socket.gaierror(socket.EAI_NONAME, "not a host name") from None
     return family, address
 
@@ -57,7 +57,7 @@ def connected(endpoint: str) -> socket.socket:
     """Connect to an endpoint.
 
     Raises:
-        OSError: It cannot be reached (`cannot_connect`).
+        OSError: The endpoint cannot be reached (`cannot_connect` gives the reason).
     """
     family, address = resolved(endpoint)
     link = socket.socket(family)
@@ -88,7 +88,10 @@ def cannot_connect(endpoint: str, error: OSError) -> str:
 
 
 def obstacle(endpoint: str) -> str:
-    """Return why no connection to an endpoint can be made, or an empty text; takes a few seconds at most."""
+    """Return why an endpoint cannot be reached, or an empty text.
+
+    The call takes a few seconds at most.
+    """
     try:
         connected(endpoint).close()
     except OSError as error:
@@ -97,7 +100,7 @@ def obstacle(endpoint: str) -> str:
 
 
 def unknown_host(endpoint: str) -> str:
-    """Return that the host of an endpoint is not known, or an empty text."""
+    """Return an error text if the host of an endpoint is unknown, or an empty text."""
     try:
         resolved(endpoint)
     except socket.gaierror as error:
@@ -106,7 +109,7 @@ def unknown_host(endpoint: str) -> str:
 
 
 def cannot_listen(endpoint: str, error: OSError) -> str:
-    """Return why an endpoint cannot be listened on."""
+    """Return why listening on an endpoint failed."""
     host, port = place(endpoint)
     if isinstance(error, socket.gaierror):
         return f"cannot listen on {endpoint}: the host {host!r} is not known; {_UNKNOWN}"
@@ -123,7 +126,7 @@ def cannot_listen(endpoint: str, error: OSError) -> str:
 
 
 def occupied(endpoint: str) -> str:
-    """Return why an endpoint cannot be listened on, or an empty text."""
+    """Return why listening on an endpoint is impossible, or an empty text."""
     try:
         listener(endpoint).close()
     except OSError as error:
@@ -135,12 +138,12 @@ def listener(endpoint: str) -> socket.socket:
     """Return a socket that is bound to an endpoint.
 
     Raises:
-        OSError: It cannot be listened on (`cannot_listen`).
+        OSError: Listening is impossible (`cannot_listen` gives the reason).
     """
     family, address = resolved(endpoint)
     bound = socket.socket(family)
     try:
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # closed connections that linger do not count
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ignore closed connections in TIME_WAIT
         bound.bind(address)
     except OSError:
         bound.close()

@@ -1,13 +1,16 @@
-"""Whether a listener lets a certificate in, found out by a handshake: Zenoh itself only says that it cannot connect."""
+"""TLS handshake that finds out why a listener refuses a certificate.
+
+Zenoh only reports that it cannot connect.
+"""
 
 import ssl
 
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, Keys
 from sextant.shared.wire.endpoint import cannot_connect, connected, place
 
-_VERDICT_S = 0.25  # after its own handshake is done a client hears within a round trip that its certificate was refused
+_VERDICT_S = 0.25  # [s] a refusal of the certificate arrives within one round trip after the client's own handshake
 
-_ALERTS = (  # what a listener sends, and what it means
+_ALERTS = (  # alert of a listener, and its meaning
     ("EXPIRED", "this machine's certificate has expired, or its clock is wrong; make new ones with `sextant keys new`"),
     ("UNKNOWN_CA", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
     ("DECRYPT_ERROR", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
@@ -17,7 +20,7 @@ _ALERTS = (  # what a listener sends, and what it means
 
 
 def refusal(endpoint: str, keys: Keys) -> str:
-    """Why a listener refuses these keys, or these keys the listener, in words; nothing where both agree."""
+    """Return why the handshake with a listener fails for these keys, or an empty text."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_verify_locations(keys.folder / AUTHORITY)
@@ -28,7 +31,10 @@ def refusal(endpoint: str, keys: Keys) -> str:
 
 
 def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT_S) -> str:
-    """Why a handshake fails, in words, or nothing where no refusal comes within a time [s]."""
+    """Return why a handshake fails, or an empty text.
+
+    The listener accepts if no refusal arrives within `patience_s` [s].
+    """
     host, _ = place(endpoint)
     try:
         plain = connected(endpoint)
@@ -39,7 +45,7 @@ def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT
             link.settimeout(patience_s)
             link.recv(1)
     except TimeoutError:
-        return ""  # it waits for us to speak
+        return ""  # the listener accepted the handshake and waits for data
     except ssl.SSLCertVerificationError as error:
         return f"{endpoint} is not who it should be: {error.verify_message}; {_of_certificate(error, host)}"
     except ssl.SSLError as error:

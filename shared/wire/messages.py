@@ -1,10 +1,11 @@
-"""Every message on the wire: frozen dataclasses and nothing else.
+"""All messages on the wire, as frozen dataclasses.
 
-A field's annotation is its contract: `Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]` is a float32 array whose
-two lengths agree wherever the same names stand in the message. Construction checks it, so a message that exists is well
-formed, on the sending side as on the receiving one.
+The annotation of a field is its schema. `Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]` is a float32 array.
+Dimensions with the same name have the same length within one message. The constructor checks every field, so every message
+object is well formed, for the sender and for the receiver.
 
-Poses are (4, 4) [m]; {world} is fixed where the robot started, {odom} is what the legs alone believe, {body} moves along.
+Poses are (4, 4) matrices [m]. {world} is fixed at the robot's start, {odom} is the frame of leg odometry, {body} moves with
+the robot.
 """
 
 import dataclasses
@@ -22,30 +23,30 @@ from sextant.shared.geometry import from_millimetres
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
-UNKNOWN = 127  # of the evaluation function: never seen
-HAZARDS = ("", "water", "loose ground", "no ground by touch")  # by the numbers of TerrainMap.hazard
-MAX_LENGTH = 4_000_000  # elements along an array
+UNKNOWN = 127  # value of the evaluation function in cells that were never seen
+HAZARDS = ("", "water", "loose ground", "no ground by touch")  # indexed by TerrainMap.hazard
+MAX_LENGTH = 4_000_000  # elements along one dimension of an array
 MAX_WAYPOINTS = 32  # of a goal
-MAX_PATH = 64  # corners of a planned way
-MAX_SECTION = 512  # steps of a planned section of a passage
-MAX_PREVIEW = 1 << 17  # bytes of a picture for people
-MAX_TREE = 8000  # edges of the tree it was found in, as far as they are sent
+MAX_PATH = 64  # corners of a planned path
+MAX_SECTION = 512  # steps in a planned section of a passage
+MAX_PREVIEW = 1 << 17  # bytes of a preview image
+MAX_TREE = 8000  # edges of the search tree that are sent
 
 
 @dataclass(frozen=True, slots=True)
 class Dims:
-    """Shape of an array field: numbers are exact lengths, names are free lengths that agree within one message.
+    """Shape of an array field: exact lengths, or names of free lengths.
 
-    A packed array of whole numbers crosses the wire as its differences along the first axis, compressed. An optional one may be
-    left empty: all its free lengths are then 0, whatever they are elsewhere.
+    A name stands for the same length everywhere in one message. A packed integer array is sent as compressed differences along
+    its first axis. An optional array may be empty: all its free lengths are then 0, even if other arrays use the same names.
     """
 
     shape: tuple[int | str, ...]
     finite: bool
     packed: bool
     optional: bool
-    most: int | None = dataclasses.field(repr=False)  # its largest value; no part of what the wire looks like
-    lengths: tuple[int, int] | None = dataclasses.field(repr=False)  # within which the free ones lie; no part of it either
+    most: int | None = dataclasses.field(repr=False)  # largest allowed value; not part of the wire format
+    lengths: tuple[int, int] | None = dataclasses.field(repr=False)  # range of the free lengths; not part of the wire format
 
     def __init__(
         self,
@@ -84,29 +85,32 @@ _NO_INPUTS = np.zeros(0)
 
 
 class Mode(StrEnum):
-    """What the actuator is doing; it alone decides."""
+    """Mode of the actuator; only the actuator sets it."""
 
-    OFF = "off"  # no torque; only an operator's act leads out
-    READY = "ready"  # torque on, the legs stay where they are; `stand` leads on
+    OFF = "off"  # torque off; only an operator command leaves this mode
+    READY = "ready"  # torque on, the legs hold their positions; `stand` is the next command
     STAND = "stand"  # moving to the resting stance
     WALK = "walk"  # executing an accepted plan
     HOLD = "hold"  # standing where the last step ended, torque on, ready for the next plan
     SIT = "sit"  # lowering the body to the ground
-    FAULT = "fault"  # something is broken; holding as far as it can, until it is whole again
+    FAULT = "fault"  # hardware fault; holds position as far as possible until the fault clears
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Base of all messages: what is checked is what the annotations say.
+    """Base class of all messages; the constructor checks the annotations.
 
-    A text that is too long is cut: reasons quote names and reasons of others, and must not end the service that gives them. A
-    frame with such a text is refused (`sextant.shared.wire.codec`).
+    The constructor truncates a text that is too long: a reason may quote other texts, and must not crash the service that
+    sends it. A received frame with such a text is refused (`sextant.shared.wire.codec`).
     """
 
-    stamp_ns: int  # [ns] when the world was as described; copied through every stage
+    stamp_ns: int  # [ns] time at which the content was true; every stage copies it from its input
 
     def contradiction(self) -> str:
-        """How fields contradict each other, or empty; a frame with such a message is refused (`sextant.shared.wire.codec`)."""
+        """Return how fields contradict each other, or an empty text.
+
+        A frame with such a message is refused (`sextant.shared.wire.codec`).
+        """
         return ""
 
     def __post_init__(self) -> None:
@@ -122,38 +126,45 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Tick(Message):
-    """The beat of a service that is paced by its own clock; never on the wire."""
+    """Clock tick of a service that is paced by its own clock; never sent."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthImage(Message):
-    """One frame of the depth camera; camera -> perception. The intrinsics are the profile's."""
+    """One depth frame; camera -> perception.
+
+    The robot profile has the intrinsics.
+    """
 
     depth: Annotated[NDArray[np.uint16], Dims("h", "w")]  # raw units of the sensor's depth_scale, 0 = no return
 
 
 @dataclass(frozen=True, slots=True)
 class ColorImage(Message):
-    """One colour frame, pixel for pixel over the depth frame of the same stamp; camera -> perception."""
+    """One colour frame, registered to the depth frame; camera -> perception.
+
+    Both frames have the same stamp.
+    """
 
     rgb: Annotated[NDArray[np.uint8], Dims("h", "w", 3)]
 
 
 @dataclass(frozen=True, slots=True)
 class Preview(Message):
-    """What the camera sees, small and for people's eyes, as JPEG; perception -> console. The colour is empty without one."""
+    """Small JPEG images of the camera's view for display; perception -> console."""
 
-    depth_jpeg: Annotated[NDArray[np.uint8], Dims("depth", lengths=(0, MAX_PREVIEW))]  # near red, far blue, black unknown
-    color_jpeg: Annotated[NDArray[np.uint8], Dims("color", lengths=(0, MAX_PREVIEW))]
+    # JPEG, near red, far blue, unknown black
+    depth_jpeg: Annotated[NDArray[np.uint8], Dims("depth", lengths=(0, MAX_PREVIEW))]
+    color_jpeg: Annotated[NDArray[np.uint8], Dims("color", lengths=(0, MAX_PREVIEW))]  # JPEG; empty without a colour camera
 
 
 @dataclass(frozen=True, slots=True)
 class CameraState(Message):
-    """How the depth camera fares, a few times a second; camera -> planner, console."""
+    """State of the depth camera, a few times a second; camera -> planner, console."""
 
-    device: str  # what it is, in words
-    ok: bool  # False: no pictures come, or what comes is of no use and is held back
-    reason: str  # why, in words; empty when all is well
+    device: str  # description of the camera
+    ok: bool  # False: no images arrive, or they are unusable and are not published
+    reason: str  # of the fault; empty when ok
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,139 +177,147 @@ class Imu(Message):
 
 @dataclass(frozen=True, slots=True)
 class Odometry(Message):
-    """How the body moved by the measured joints of its stance legs; actuator -> perception, planner."""
+    """Leg odometry from the stance legs' joints; actuator -> perception, planner."""
 
     T_odom_body: Pose
     travelled: float  # [m] path length so far
     turned: float  # [rad] summed absolute heading change so far
-    stance: LegFlags  # legs it stood on
-    reliable: bool  # False while fewer than three legs carry
+    stance: LegFlags  # legs that the odometry used as stance legs
+    reliable: bool  # False while fewer than three legs carry load
 
 
 @dataclass(frozen=True, slots=True)
 class ActuatorState(Message):
-    """What the legs do and how far the plan is; actuator -> planner, console."""
+    """State of the legs and progress of the plan; actuator -> planner, console."""
 
     mode: Mode
-    reason: str  # why this mode, in words
-    lease: str  # who may move the legs; empty while nobody may
-    epoch: int  # of {odom}: plans that were made before it began are refused
-    pace: float  # [1] share of the usual speed that the servos can bear for long
-    refused: str  # why the last plan was refused, in words; empty when the last was accepted
-    refused_ns: int  # stamp of the newest plan that was refused for what it asks of the legs; -1 for none
-    plan_ns: int  # stamp of the plan that is being walked, or was last; -1 before the first
-    step: int  # number of the step being walked, or of the last one finished
-    phase: float  # [1] 0 to 1 through the step, 1 when it is done
-    swing: LegFlags  # legs in the air by plan
-    contact: LegFlags  # legs that carry by their measured load
-    q: PerJoint  # [rad] measured
-    load_nm: PerJoint  # [N m] motor torque behind present load
+    reason: str  # of this mode
+    lease: str  # holder that may move the legs; empty when the lease is free
+    epoch: int  # of {odom}; plans of an earlier epoch are refused
+    pace: float  # [1] share of normal speed that the servos can sustain
+    refused: str  # why the last plan was refused; empty if it was accepted
+    refused_ns: int  # [ns] stamp of the newest plan that the legs cannot execute; -1 for none
+    plan_ns: int  # [ns] stamp of the current or last plan; -1 before the first
+    step: int  # number of the current step, or of the last finished one
+    phase: float  # [1] progress of the step, 0 to 1; 1 when it is finished
+    swing: LegFlags  # legs that swing according to the plan
+    contact: LegFlags  # legs that carry load according to the measured load
+    q: PerJoint  # [rad] measured joint angles
+    load_nm: PerJoint  # [N m] motor torque, from the servos' present load
     feet: PerJoint  # (6, 3) [m] {body} measured foot centres
-    T_odom_body: Pose  # measured, the same as the odometry's
-    body_ref: Pose  # {odom} where the body should be now
-    T_world_odom: Pose  # correction under which the newest accepted plan was made; what a perception that begins anew goes by
-    voltage: float  # [V] lowest seen
-    temperature: float  # [deg C] highest seen
-    warnings: tuple[str, ...]  # in words: servos by leg and joint
-    # What each foot found when it last came down; it stays here until it comes down again.
-    touch_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)  # -1 nothing yet
+    T_odom_body: Pose  # measured, the same as in Odometry
+    body_ref: Pose  # {odom} current reference of the body pose
+    T_world_odom: Pose  # correction that the newest accepted plan used; a restarted perception starts from it
+    voltage: float  # [V] lowest of all servos
+    temperature: float  # [deg C] highest of all servos
+    warnings: tuple[str, ...]  # with servos named by leg and joint
+    # [ns] stamp of each foot's last touchdown, -1 before the first; the next two fields describe it until the next touchdown
+    touch_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)
     touch: PerJoint = dataclasses.field(
         default_factory=lambda: _NOWHERE
-    )  # (6, 3) [m] {odom} underside of the foot: where it met ground, or the deepest that it looked for some
-    touch_carries: LegFlags = dataclasses.field(default_factory=lambda: _NONE)  # False: there is no ground
-    slip: float = 0.0  # [m] by which the standing feet have moved against each other, the worst of them
+    )  # (6, 3) [m] {odom} underside of the foot where it touched the ground, or the lowest point that it probed
+    touch_carries: LegFlags = dataclasses.field(default_factory=lambda: _NONE)  # False: the foot found no ground
+    slip: float = 0.0  # [m] largest displacement of a stance foot relative to the others
 
 
 @dataclass(frozen=True, slots=True)
 class BodyPose(Message):
-    """Where the body is; perception -> mapper, planner, operator."""
+    """Estimated body pose; perception -> mapper, planner, operator."""
 
     T_world_body: Pose
-    T_world_odom: Pose  # correction: T_world_odom @ T_odom_body is where the body is at any time near, its tilt averaged
+    T_world_odom: Pose  # correction: T_world_odom @ T_odom_body is the body pose at nearby times, with averaged tilt
     covariance: Annotated[
         NDArray[np.float64], Dims(6, 6)
-    ]  # [m^2, m rad, rad^2] of the body's position, then rotation, {world}, against the ground as it was mapped lately
-    overlap: float  # [1] share of the scan that met the reference
-    ok: bool  # False: registration failed and odometry alone stands behind the pose
-    reason: str  # what is wrong, in words; empty when nothing is
-    degenerate: Annotated[NDArray[np.float64], Dims("k", 6)]  # unit twists, as above, that the scene leaves to odometry
+    ]  # [m^2, m rad, rad^2] of body position, then rotation, in {world}, relative to the recently mapped ground
+    overlap: float  # [1] share of the scan that overlaps the reference
+    ok: bool  # False: registration failed, the pose is odometry alone
+    reason: str  # of the failure; empty when ok
+    degenerate: Annotated[NDArray[np.float64], Dims("k", 6)]  # unit twists, as above, that only odometry constrains
 
 
 @dataclass(frozen=True, slots=True)
 class Scan(Message):
-    """The ground as one frame saw it, a point per map cell; perception -> mapper."""
+    """Ground points of one depth frame, one point per map cell; perception -> mapper."""
 
     origin: Vector3  # [m] {world}
-    points_mm: Annotated[NDArray[np.int16], Dims("n", 3, packed=True)]  # [mm] from the origin, neighbours behind each other
-    count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels behind a point, 255 for more
-    spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] from the lowest to the highest of them, 255 for more
-    p_world_camera: Vector3  # [m] where the camera was
+    points_mm: Annotated[NDArray[np.int16], Dims("n", 3, packed=True)]  # [mm] from the origin; neighbours are consecutive
+    count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels per point, 255 for more
+    spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] height range of these pixels, 255 for more
+    p_world_camera: Vector3  # [m] camera position
     pose_covariance: Annotated[
         NDArray[np.float64], Dims(6, 6)
-    ]  # [m^2, m rad, rad^2] of the camera's position, then rotation, {world}, by which the points were placed
+    ]  # [m^2, m rad, rad^2] of the camera position, then rotation, in {world}, that placed the points
     color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True, most=63)] = dataclasses.field(
         default_factory=lambda: _POINTS_WITHOUT_COLOR
-    )  # codes of `sextant.shared.color`, a row per point, or none at all
+    )  # codes of `sextant.shared.color`, one row per point, or empty
     sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
         default_factory=lambda: _NO_SIGHTS
-    )  # [mm] from the origin: points up to which the camera saw nothing, beside those of the scan
+    )  # [mm] from the origin: ends of additional rays that are free of obstacles
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """(n, 3) [m] {world}"""
+        """Ground points (n, 3) [m] {world}."""
         return from_millimetres(self.points_mm, self.origin)
 
     @property
     def sights(self) -> NDArray[np.float64]:
-        """(m, 3) [m] {world}"""
+        """Ends of the additional free rays (m, 3) [m] {world}."""
         return from_millimetres(self.sights_mm, self.origin)
 
 
 @dataclass(frozen=True, slots=True)
 class ScanReceipt(Message):
-    """That a scan has come, by its stamp; mapper -> perception, which sends no more than the link carries."""
+    """Receipt for the scan with this stamp; mapper -> perception.
+
+    Perception limits its rate by these receipts.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class TerrainMap(Message):
-    """Terrain around the robot; mapper -> planner, console. Cell (i, j) is centred at origin + resolution * (i, j)."""
+    """Terrain around the robot; mapper -> planner, console.
+
+    Cell (i, j) is centred at origin + resolution * (i, j).
+    """
 
     resolution: float  # [m] cell edge
     origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} centre of cell (0, 0)
     elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] {world}, NaN where never seen
     variance: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m^2] of elevation, NaN where never seen
-    score: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # 0 best, above 1 no foothold, NaN unknown
+    score: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # 0 is best, above 1 no foothold, NaN unknown
     assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # filled in at the start, not measured
-    # Masri's evaluation function [cells]: -1 and less where a foot may stand, the least being best; 1 and more elsewhere, the
-    # distance from there; 127 where nothing is known.
+    # Masri's evaluation function [cells]: -1 and less is a foothold, the lowest is best; 1 and more is the distance to the
+    # nearest foothold; 127 is unknown.
     evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
-    # Without a colour camera these are empty.
+    # Empty without a colour camera, as are the next two fields
     color: Annotated[NDArray[np.uint8], Dims("nx", "ny", 3, optional=True)] = dataclasses.field(
         default_factory=lambda: _CELLS_WITHOUT_COLOR
     )  # R, G, B
     hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=len(HAZARDS) - 1)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
-    )  # 1 water, 2 loose ground, 3 none at all under a foot here, which is then no foothold; 0 nothing of these
+    )  # 0 none, 1 water, 2 loose ground, 3 a foot found no ground; a cell with a hazard is no foothold
     confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=100)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
-    )  # [%] of the type of ground that is the most probable, 0 where nothing is known
+    )  # [%] probability of the most likely ground type, 0 where unknown
 
 
 @dataclass(frozen=True, slots=True)
 class PassageRequest(Message):
-    """A strip of ground to be surveyed, as long as this is repeated; planner, operator -> mapper."""
+    """Request to survey a strip, repeated while it holds; planner, operator -> mapper."""
 
-    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of its near side
-    heading: float  # [rad] {world} of its length
-    length: float  # [m] a whole number of the map's cells, as the width
-    width: float  # [m]
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of the near side
+    heading: float  # [rad] {world} of the long axis
+    length: float  # [m] a whole number of map cells
+    width: float  # [m] a whole number of map cells
 
 
 @dataclass(frozen=True, slots=True)
 class PassageMap(Message):
-    """A strip as it was surveyed, in 1 cm cells along and across it; mapper -> planner, console.
+    """Map of a surveyed strip, in 1 cm cells; mapper -> planner, console.
 
-    Cell (i, j) is centred at origin + resolution * R(heading) (i, j). Unseen is a cell whose elevation is NaN.
+    The cells are along and across the strip.
+
+    Cell (i, j) is centred at origin + resolution * R(heading) (i, j). The elevation of an unseen cell is NaN.
     """
 
     resolution: float  # [m] cell edge
@@ -307,217 +326,227 @@ class PassageMap(Message):
     elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] {world}, NaN where unknown
     normals: Annotated[
         NDArray[np.int16], Dims("nx", "ny", 3, packed=True)
-    ]  # {world} upward, of length 32767; zero where there is none
-    roughness: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] rms of points around off their plane
-    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # taken for the plane under the feet, not measured
-    # Masri's evaluation function [cells], as the terrain map's; what lies beside the strip counts as vacant.
+    ]  # {world} upward normals of length 32767; zero where unknown
+    roughness: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] rms distance of nearby points to a plane
+    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # set to the plane through the feet, not measured
+    # Masri's evaluation function [cells], as in TerrainMap; cells outside the strip count as vacant
     evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
-    unseen: float  # [1] share of the cells
-    reason: str  # what is unseen and why, or why there is no map, in words; empty when all is seen
-    T_world_look: Pose  # body pose, reachable from here without a step, from which most of what is unseen would show
-    look_shows: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that would; none: no look is worth it
+    unseen: float  # [1] share of unseen cells
+    reason: str  # what is unseen and why, or why there is no map; empty when all is seen
+    T_world_look: Pose  # body pose, reachable without a step, that shows the most unseen cells
+    look_shows: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that it shows; none if no pose is worth it
 
 
 @dataclass(frozen=True, slots=True)
 class PassagePlan(Message):
-    """What planning at one stop of a passage came to; planner -> console, scorer.
+    """Result of planning at one stop of a passage; planner -> console, scorer.
 
-    Its steps are the section that is walked; where there is no way, those to the furthest configuration, which nobody walks.
+    The robot walks these steps as one section. With the state "no way" they lead to the furthest configuration found, and are
+    not walked.
     """
 
     section: int  # counts up from 1 within a passage
-    state: Literal["complete", "partial", "no way"]  # up to the goal; as far as the map or the cycles asked for go; nowhere
-    reason: str  # why it ends where it does, in words; where there is no way, which test stops it
-    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of the near side of the strip that was planned on
-    heading: float  # [rad] {world} of its length
-    goal: float  # [m] from the origin along the strip, where the body is to get
-    furthest: float  # [m] likewise, where it gets in the furthest configuration found
+    state: Literal["complete", "partial", "no way"]  # reaches the goal; ends with the map or the requested cycles; no path
+    reason: str  # why the plan ends there; with "no way", the test that stops it
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of the near side of the planned strip
+    heading: float  # [rad] {world} of its long axis
+    goal: float  # [m] goal of the body along the strip, from the origin
+    furthest: float  # [m] furthest body position found, along the strip from the origin
     generated: int  # nodes of the tree, Masri's n_g
-    expanded: int  # expansions of the budget that were spent, his n_e
-    planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
-    leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]  # that swings, 6: the body moves alone
-    # [m] {world} centre of that leg's foot at the end of the step, or then the body
+    expanded: int  # expanded nodes, Masri's n_e
+    planning_ms: float  # [ms] wall time of planning; differs between runs
+    leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]  # swing leg; 6 if only the body moves
+    # [m] {world} centre of that foot at the end of the step; with leg 6 the body position
     footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]
-    body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body at its end
+    body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body position at its end
     edges: Annotated[
         NDArray[np.float32], Dims("edge", 2, 3, lengths=(0, MAX_TREE))
-    ]  # [m] {world} body positions of nodes and of those expanded from them
-    # [m] {world} foot whose leg fails the test that stops the furthest configuration, or the body; none where there is a way
+    ]  # [m] {world} body positions of parent and child nodes
+    # [m] {world} foot of the leg that fails the test at the furthest configuration, or the body; empty if there is a path
     stopped: Annotated[NDArray[np.float64], Dims("stop", 3, lengths=(0, 1))]
 
 
 @dataclass(frozen=True, slots=True)
 class StepPlan(Message):
-    """One step: which legs swing where, and where the body goes meanwhile; planner -> actuator.
+    """One step: swing legs, touchdowns and body motion; planner -> actuator.
 
-    It ends in a statically stable stance, so the actuator can always finish it alone. A higher revision of the running step
-    moves its touchdowns; the next step number queues behind it.
+    A step ends in a statically stable stance, so the actuator can finish it without another plan. A higher revision of the
+    current step moves its touchdowns. The next step number is queued after it.
     """
 
-    epoch: int  # of the actuator state it was planned on
+    epoch: int  # of the actuator state that the plan uses
     step: int  # counts up by one
     revision: int  # counts up within a step
-    T_world_odom: Pose  # the correction the planner planned under; ties {world} to what the legs know
+    T_world_odom: Pose  # correction that the planner used; relates {world} to leg odometry
     swing: LegFlags
-    touchdown: Annotated[
-        NDArray[np.float64], Dims(6, 3)
-    ]  # [m] {world} foot centres; for legs that do not swing, where they stand
-    clearance: PerLeg  # [m] of a swinging foot over both its ends
+    touchdown: Annotated[NDArray[np.float64], Dims(6, 3)]  # [m] {world} foot centres; for stance legs their present position
+    clearance: PerLeg  # [m] height of a swing foot over both ends of its swing
     body_goal: Pose  # {world} body at the end of the step
     duration: float  # [s]
-    stop: bool  # True: come to rest at its end
+    stop: bool  # True: come to rest at the end of the step
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerStatus(Message):
-    """What the planner is doing and why it does not go on; planner -> operator, console."""
+    """State of the planner and the reason for it; planner -> operator, console."""
 
     state: Literal["waiting", "resting", "stepping", "blocked", "arrived"]
-    reason: str  # in words
+    reason: str  # of this state
     step: int
-    moved_footholds: int  # touchdowns of the newest plan that are not at their nominal place
+    moved_footholds: int  # touchdowns of the newest plan that differ from their nominal position
     blocked_leg: int  # index of the leg without a foothold, -1 for none
     path: Annotated[NDArray[np.float64], Dims("path", 2, lengths=(0, MAX_PATH))] = dataclasses.field(
         default_factory=lambda: _NO_PATH
-    )  # [m] {world} corners of the way to the goal that is being walked, from the robot on; empty without one
+    )  # [m] {world} corners of the path from the robot to the goal; empty without a path
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(Message):
-    """What the operator asks of the walk, repeated while it holds; operator -> planner."""
+    """Commanded velocity and gait, repeated while it holds; operator -> planner."""
 
     velocity: Annotated[NDArray[np.float64], Dims(2)]  # [m/s] {body} forward, left
     yaw_rate: float  # [rad/s]
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"  # from the next step on
-    by_touch: bool = False  # True: no map is asked for; feet find the ground, slowly
+    by_touch: bool = False  # True: walk slowly without a map, the feet detect the ground
 
 
 @dataclass(frozen=True, slots=True)
 class Goal(Message):
-    """Where the operator wants the robot, repeated while it holds; operator -> planner. A fresh VelocityCommand comes first."""
+    """Goal of the walk, repeated while it holds; operator -> planner.
 
-    waypoints: Annotated[NDArray[np.float64], Dims("waypoint", 2, lengths=(1, MAX_WAYPOINTS))]  # [m] {world} in their order
-    tolerance: float  # [m] from the last one, within which it has arrived
-    speed: float  # [m/s] at most
+    A fresh VelocityCommand overrides it.
+    """
+
+    waypoints: Annotated[NDArray[np.float64], Dims("waypoint", 2, lengths=(1, MAX_WAYPOINTS))]  # [m] {world} in order
+    tolerance: float  # [m] distance from the last waypoint that counts as arrived
+    speed: float  # [m/s] maximum
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"
-    passage: bool = False  # True: from here straight to the last waypoint, deliberately, one leg at a time
+    passage: bool = False  # True: straight to the last waypoint, one planned leg at a time
 
 
 @dataclass(frozen=True, slots=True)
 class ModeCommand(Message):
-    """What the operator orders of the legs; operator -> actuator."""
+    """Mode command for the legs; operator -> actuator."""
 
     mode: Literal["off", "stop", "ready", "stand", "walk", "sit"]
-    sequence: int  # [ns] by the robot's clock when it was given: an order counts once, however often it is repeated
-    holder: str = "operator"  # who orders: one at a time may move the legs, everybody may stop them
-    take: bool = False  # True: take over from whoever may move them now; with `stop` without moving anything
+    sequence: int  # [ns] robot clock time of the command; the actuator executes each sequence once, repeats are ignored
+    holder: str = "operator"  # sender; only the lease holder may move the legs, any client may stop them
+    take: bool = False  # True: take the lease from its holder; with `stop` nothing moves
 
 
 @dataclass(frozen=True, slots=True)
 class StopOrder(Message):
-    """That the legs are to stop or to let go; whoever is there -> actuator. For those who may not lead it is the only key."""
+    """Stop or torque-off command; any client -> actuator.
+
+    Clients that may not drive can publish only this command.
+    """
 
     mode: Literal["off", "stop"]
-    sequence: int  # an order counts once, however often it is repeated: another number is another order
-    holder: str = "operator"  # who orders
+    sequence: int  # the actuator executes each sequence once, repeats are ignored
+    holder: str = "operator"  # sender
 
 
 @dataclass(frozen=True, slots=True)
 class RecordCommand(Message):
-    """What the operator wants of the recorder; console -> recorder."""
+    """Command to start or stop recording; console -> recorder."""
 
     record: bool
-    sequence: int  # [ns] when it was given; counts up: an order counts once, however often it is repeated
+    sequence: int  # [ns] time of the command, increasing; the recorder executes each once, repeats are ignored
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderState(Message):
-    """Whether what is said is being recorded, and where; recorder -> console."""
+    """State of the recorder; recorder -> console."""
 
     recording: bool
-    sequence: int  # of the order that it follows, -1 before the first
-    file: str  # that is being written, or was last; empty before the first
-    seconds: float  # [s] recorded since it began
-    size: int  # [B] of its files together
-    free: int  # [B] that are free where they are, -1 where that is not known
-    dropped: int  # messages that came faster than the disk took them
-    reason: str  # why it ended before it was told to, in words; empty when all is well
+    sequence: int  # of the last executed command, -1 before the first
+    file: str  # current or last file; empty before the first
+    seconds: float  # [s] duration of the recording
+    size: int  # [B] total size of its files
+    free: int  # [B] free disk space, -1 if unknown
+    dropped: int  # messages lost because the disk was too slow
+    reason: str  # why recording ended without a command; empty otherwise
 
 
 @dataclass(frozen=True, slots=True)
 class FaultCommand(Message):
-    """What to break in the simulated servos or on their bus, as `sextant.shared.servo.bus_fault` has it; tests -> simulator."""
+    """Fault to inject into the simulated servos or bus; tests -> simulator.
+
+    `sextant.shared.servo.bus_fault` defines the faults.
+    """
 
     target: FaultTarget
     kind: FaultKind
-    at_s: float  # [s] simulated; at once where that is past
-    for_s: float  # [s] from its beginning on
-    servo: int  # bus id, -1 for none in particular
-    share: float  # of the bytes or answers
+    at_s: float  # [s] simulated start time; a past time means at once
+    for_s: float  # [s] duration
+    servo: int  # bus id, -1 for no particular servo
+    share: float  # [1] of the affected bytes or responses
     value: int  # of a byte
-    part: BrokenPart  # of an answer
-    delay_ms: float  # [ms]
-    on_ms: float  # [ms] all is well
-    off_ms: float  # [ms] and then not
-    cable: bool  # the servo's power goes with it
-    offset_ticks: int
-    kelvin_per_s: float  # [K/s]
-    celsius: int  # [deg C] that a servo reports
-    renamed: bool  # the port comes back under another name
-    volts: float  # [V] less
+    part: BrokenPart  # part of the response that is wrong
+    delay_ms: float  # [ms] of a response
+    on_ms: float  # [ms] healthy part of the cycle
+    off_ms: float  # [ms] faulty part of the cycle
+    cable: bool  # True: the servo loses its power too
+    offset_ticks: int  # [ticks]
+    kelvin_per_s: float  # [K/s] heating rate
+    celsius: int  # [deg C] temperature that the servo reports
+    renamed: bool  # True: the port returns under another name
+    volts: float  # [V] voltage drop
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth(Message):
-    """What the simulator knows; simulator -> scorer and nobody else."""
+    """True state of the simulation; simulator -> scorer only."""
 
     T_world_body: Pose
     q: PerJoint  # [rad]
     torque: PerJoint  # [N m] of the motors
     feet: PerJoint  # (6, 3) [m] {world} foot centres
-    contact: LegFlags  # feet that bear load
-    bears: LegFlags  # legs that do, by the foot or by a shank that leans on an edge
+    contact: LegFlags  # legs whose foot carries load
+    bears: LegFlags  # legs that carry load, by the foot or by a tibia on an edge
     shutdown: Annotated[NDArray[np.bool_], Dims(6, 3)]  # servos that have latched an error
     voltage: float  # [V]
     temperature: float  # [deg C] hottest servo
-    scenario: str  # name of what is simulated
-    seed: int  # and of everything random in it
+    scenario: str  # name of the scenario
+    seed: int  # random seed of the scenario
     robot: str  # name of the profile
 
 
 @dataclass(frozen=True, slots=True)
 class Health(Message):
-    """How one service fares, once a second; every service -> launcher, console."""
+    """State of one service, once a second; every service -> launcher, console."""
 
     service: str
-    doing: str  # in words
+    doing: str  # current activity
     steps: int
-    refused: int  # messages that did not decode, or were sent to another key
-    dropped: int  # messages that came faster than they were read
+    refused: int  # messages that did not decode, or arrived under another key
+    dropped: int  # messages that arrived faster than they were read
     last_refusal: str
     stages: tuple[str, ...]  # names of the timed stages and streams
-    stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
-    stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
-    robot_ahead_s: float = 0.0  # [s] the robot's clock is ahead of its machine's; 0 on the robot
-    # Inputs with an age limit, by topic key, "beat" or "stall"; see `shared.runtime.lateness`. Each since the last report:
+    stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]  # [ms] median
+    stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]  # [ms] 99th percentile
+    robot_ahead_s: float = 0.0  # [s] offset of the robot's clock from this machine's clock; 0 on the robot
+    # Inputs with an age limit: topic keys, "beat" or "stall" (`shared.runtime.lateness`); the ages are since the last report
     inputs: tuple[str, ...] = ()
-    input_age_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)  # worst
+    # [s] worst age
+    input_age_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)
     input_arrived_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
         default_factory=lambda: _NO_INPUTS
-    )  # [s] the worst age when it arrived
+    )  # [s] worst age on arrival
+    # [s] age limit
     input_limit_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)
     input_late: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
         default_factory=lambda: _NO_INPUTS
-    )  # [1] share of the uses beyond the limit
+    )  # [1] share of the uses over the limit
 
-    missed_beats: int = 0  # beats that its own clock left out since it started
+    missed_beats: int = 0  # clock ticks skipped since the start
 
     def contradiction(self) -> str:
-        """Whether there is a number for each name."""
+        """Return a text if the numbers of names and values differ."""
         named = (len(self.stages), len(self.inputs))
         numbers = (len(self.stage_p50_ms), len(self.input_age_s))
         return "" if named == numbers else f"{named} numbers of stages and inputs expected, as there are names, found {numbers}"
@@ -525,15 +554,15 @@ class Health(Message):
 
 @dataclass(frozen=True, slots=True)
 class Presence(Message):
-    """What one machine of a robot runs, once a second; whoever starts processes on it -> the same on the others."""
+    """Services of one machine, once a second; launcher -> launchers elsewhere."""
 
-    machine: str  # unlike any other, also of an earlier start
+    machine: str  # unique id, new at each start
     role: str
     version: str  # of Sextant
-    up_s: float  # [s] since it started
-    services: tuple[str, ...]  # that it has started
+    up_s: float  # [s] since the start
+    services: tuple[str, ...]  # started on this machine
     keys: tuple[str, ...]  # of its topic table
-    schemas: tuple[str, ...]  # of their messages, in the same order
+    schemas: tuple[str, ...]  # of the messages of these keys, in the same order
 
 
 FieldSchema: TypeAlias = tuple[str, Any, Any]
@@ -543,7 +572,10 @@ _SCHEMAS: dict[type[Message], tuple[FieldSchema, ...]] = {}
 
 
 def schema(kind: type[Message]) -> tuple[FieldSchema, ...]:
-    """Fields of a message class as (name, type, detail): an array's type is np.ndarray and its detail (dtype, Dims)."""
+    """Return the fields of a message class as (name, type, detail).
+
+    The type of an array is np.ndarray and its detail is (dtype, Dims).
+    """
     known = _SCHEMAS.get(kind)
     if known is None:
         known = _SCHEMAS[kind] = _schema(kind)
@@ -568,13 +600,16 @@ def _schema(kind: type[Message]) -> tuple[FieldSchema, ...]:
     return tuple(fields)
 
 
-Check: TypeAlias = Callable[[Any, dict[str, int]], str]  # what is wrong with a value, or nothing
+Check: TypeAlias = Callable[[Any, dict[str, int]], str]  # returns the error in a value, or an empty text
 
 _CHECKS: dict[type[Message], tuple[tuple[str, Check], ...]] = {}
 
 
 def _checks(kind: type[Message]) -> tuple[tuple[str, Check], ...]:
-    """The checks of a message's fields, made once: they run for every message sent and received."""
+    """Return the checks of a message's fields, cached.
+
+    They run for every message.
+    """
     known = _CHECKS.get(kind)
     if known is None:
         known = _CHECKS[kind] = tuple((name, _check(base, detail)) for name, base, detail in schema(kind))
@@ -595,7 +630,10 @@ def _check(kind: Any, detail: Any) -> Check:
 
 
 def _fitted(value: Any) -> str | tuple[str, ...] | None:
-    """A text, or a tuple of texts, with what a message cannot carry left out; None for any other value."""
+    """Truncate a text, or a tuple of texts, to the limits of a message.
+
+    Returns None for other values.
+    """
     if isinstance(value, str):
         text = value.encode("utf-8", "replace").decode("utf-8")
         return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 3]}..."
@@ -626,7 +664,7 @@ def _check_text(value: Any, _: dict[str, int]) -> str:
 def _is_text(value: object) -> bool:
     if not isinstance(value, str) or len(value) > MAX_TEXT:
         return False
-    return value.isascii() or not any("\ud800" <= c <= "\udfff" for c in value)  # half a surrogate pair has no UTF-8
+    return value.isascii() or not any("\ud800" <= c <= "\udfff" for c in value)  # a lone surrogate has no UTF-8 form
 
 
 def _check_bool(value: Any, _: dict[str, int]) -> str:
@@ -634,7 +672,7 @@ def _check_bool(value: Any, _: dict[str, int]) -> str:
 
 
 def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
-    """The check of an array field; arrays of fixed shape take the short way."""
+    """Return the check of an array field; a fixed shape needs one comparison."""
     expected, names = dims.shape, any(isinstance(n, str) for n in dims.shape)
     finite = dims.finite and dtype.kind == "f"
     empty = tuple(0 if isinstance(n, str) else n for n in expected) if dims.optional else None
@@ -652,7 +690,8 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
                 return problem
         elif value.shape != expected:
             return f"shape {expected} expected, found {value.shape}"
-        # A finite sum of squares proves it at a third of the cost; one that overflows proves nothing.
+        # A finite sum of squares proves that all values are finite, at a third of the cost. The sum may overflow, so a sum
+        # that is not finite needs the full test.
         if finite and not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             return "finite numbers expected, found NaN or infinity"
         if dims.most is not None and value.size and value.max() > dims.most:
@@ -663,7 +702,10 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
 
 
 def _shape_misfit(shape: tuple[int, ...], dims: Dims, lengths: dict[str, int]) -> str:
-    """What is wrong with the shape of an array that has free lengths, or nothing; notes what they are."""
+    """Return the error in the shape of an array with free lengths, or an empty text.
+
+    `lengths` stores the free lengths found so far.
+    """
     if len(shape) != len(dims.shape):
         return f"shape {dims.shape} expected, found {shape}"
     low, high = dims.lengths or (0, MAX_LENGTH)

@@ -1,8 +1,9 @@
-"""The topic table: what travels under which key, how often, how it is delivered, and how long it takes.
+"""Topic table: key, type, rate, delivery, lane, size limit and latency per topic.
 
-`latency_s` is what lockstep delays a message by: from the start of the step that makes it to its receipt, computing included.
-The defaults are the 99th percentiles of live runs on two cores, the median of five (`sextant run steps --json` prints a run's
-under stages_ms); of what such a run does not carry (colour, IMU) or does not time (health), that of its like.
+Lockstep delays each message by `latency_s`: the time from the start of the step that makes it to its receipt, including
+computation. The defaults are 99th percentiles of live runs on two cores, the median of five runs. `sextant run steps --json`
+prints these percentiles under stages_ms. Topics that such a run does not carry (colour, IMU) or does not time (health) have
+the latency of a similar topic.
 """
 
 import math
@@ -17,18 +18,24 @@ import numpy as np
 from sextant.shared.wire import messages as m
 
 M = TypeVar("M", bound=m.Message)
-ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by their certificates (`sextant.shared.wire.access`)
+ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by certificate (`sextant.shared.wire.access`)
 
 
 class Delivery(Enum):
-    """LATEST keeps one message and drops the old (state); EVERY keeps all in order (events, increments)."""
+    """Delivery of a topic.
+
+    LATEST keeps only the newest message (state). EVERY keeps all messages in order (events, increments).
+    """
 
     LATEST = "latest"
     EVERY = "every"
 
 
 class Lane(Enum):
-    """BULK and CONTROL travel in sessions of their own, so that a large frame never delays a command."""
+    """Lane of a topic.
+
+    Each lane has its own session, so a large frame never delays a command.
+    """
 
     BULK = "bulk"
     CONTROL = "control"
@@ -36,23 +43,26 @@ class Lane(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Topic(Generic[M]):
-    """One row of the table."""
+    """One row of the topic table."""
 
     key: str
     type: type[M]
     rate_hz: float
     delivery: Delivery
     lane: Lane
-    max_bytes: int  # larger frames are refused unread
+    max_bytes: int  # larger frames are refused without decoding
     latency_s: float
 
     @property
     def fresh_for_ns(self) -> int:
-        """A message older than three periods is stale."""
+        """Age [ns] from which a message is stale: three periods."""
         return int(3e9 / self.rate_hz)
 
     def address(self, namespace: str) -> str:
-        """Its key behind the namespace of a robot; it goes with every frame (`sextant.shared.wire.transport`)."""
+        """Return the key with a robot's namespace as its prefix.
+
+        Every frame carries this address (`sextant.shared.wire.transport`).
+        """
         return f"{namespace}/{self.key}"
 
 
@@ -85,7 +95,10 @@ TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK,
 
 
 def _per_role(key: str, type_: type[M]) -> Mapping[str, Topic[M]]:
-    """A key per role: the access rules let a certificate put the one of its own role, so a reader knows who says it."""
+    """Return one topic per role.
+
+    The access rules let a certificate publish only the key of its own role, so a subscriber knows the sender's role.
+    """
     rows = (Topic(f"{key}/{role}", type_, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003) for role in ROLE_NAMES)
     return MappingProxyType(dict(zip(ROLE_NAMES, rows, strict=True)))
 
@@ -122,16 +135,16 @@ TOPICS: tuple[Topic[Any], ...] = (
     *HEALTH_OF.values(),
     *PRESENCE_OF.values(),
 )
-_HEADER_BYTES = 2048  # of a message that is mostly an array, at most
+_HEADER_BYTES = 2048  # maximum size of a map or image message without its arrays
 
 
 def cells_that_fit(topic: Topic[Any]) -> int:
-    """Cells of a map, or pixels of a picture, that a message of a topic has room for with all of its layers."""
+    """Return how many map cells or pixels, with all layers, fit into a message."""
     arrays = [detail for _, base, detail in m.schema(topic.type) if base is np.ndarray]
     layers = [(dtype, dims.shape) for dtype, dims in arrays if dims.shape[:2] in (("nx", "ny"), ("h", "w"))]
     per_cell = sum(dtype.itemsize * math.prod(shape[2:]) for dtype, shape in layers)
     return int((topic.max_bytes - _HEADER_BYTES) // per_cell)
 
 
-OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's, where each role has a key
+OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's topic where each role has its own
 RENAMED: Mapping[str, str] = MappingProxyType({"health": HEALTH.key, "machine/presence": PRESENCE.key})  # old key -> key

@@ -1,11 +1,11 @@
-"""Frames over Zenoh; the only file that imports zenoh.
+"""Zenoh transport of frames; the only file that imports zenoh.
 
-Bulk and control travel in two sessions: a session whose subscriber falls behind stalls as a whole. Every subscription has a
-ring or a bounded queue and a thread that empties it at once; nothing is put with blocking congestion control, since a put to
-a frozen peer would block for seconds. Sessions are closed under all circumstances: a process that ends without it hangs.
+Bulk and control use separate sessions, because one slow subscriber stalls its whole session. Every subscription has a ring or a
+bounded queue, and a thread that empties it at once. No publication uses blocking congestion control: publishing to a frozen
+peer would block for seconds. Sessions are always closed, because a process that exits without closing them hangs.
 
-Every frame travels with its address, and is dropped where that is not where it has come: what waits in a router that is frozen
-for longer than the lease may come under keys of others once it goes on (seen with Zenoh 1.10, where numbers stand for keys).
+Every frame carries its address, and is dropped if it arrives under another key. This happens after a router was frozen for
+longer than the lease: it may deliver waiting frames under wrong keys (seen with Zenoh 1.10, which replaces keys by numbers).
 """
 
 import json
@@ -27,40 +27,40 @@ from sextant.shared.wire.endpoint import fault, obstacle, occupied, unknown_host
 from sextant.shared.wire.handshake import refusal
 from sextant.shared.wire.topics import Delivery, Lane, Topic
 
-CLOSE_TIMEOUT_S = 1.5  # closing waits for peers, a frozen one would hold it for 13 s
-LEASE_MS = 1000  # a frozen process is noticed after this, ...
-GIVEN_UP_S = 0.75e-3 * LEASE_MS  # ... or sooner: its signs of life are a quarter of that apart
-# Batches that may wait for the network, of each priority (16 is Zenoh's limit). With its default for control, a burst of
-# three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
+CLOSE_TIMEOUT_S = 1.5  # closing waits for peers; a frozen peer would delay it by 13 s
+LEASE_MS = 1000  # peers detect a frozen process after this time, ...
+GIVEN_UP_S = 0.75e-3 * LEASE_MS  # ... or up to a quarter earlier: keep-alives are a quarter of the lease apart
+# Batches that may wait for the network, per priority (16 is Zenoh's limit). With Zenoh's default for control, a burst of
+# three frames on a busy machine lost one frame in 500: the sending thread was not scheduled within the 1 ms that Zenoh waits.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
-_RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
-_CONNECT_MS = 10_000  # in which what is connected to may still start
-# A router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds.
+_RX_BYTES = 1 << 20  # read buffer; with Zenoh's default of 64 kB a map arrives in 14 reads
+_CONNECT_MS = 10_000  # time for the other side to start
+# A router that lost another one retries soon, because the kernel's own SYN retries take seconds.
 _ATTEMPT_MS, _RETRY_MS = 500, 100
-# Connections that have not opened a session yet. With Zenoh's defaults, 100 for 10 s, 100 silent ones keep all others out.
+# Connections without a session yet. With Zenoh's defaults (100 for 10 s), 100 silent connections lock out all others.
 _ACCEPT_PENDING, _ACCEPT_MS = 8192, 4000
-_SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
-_LOOK_S = 0.05  # between two looks of a router at the time
-_KEPT = 256  # frames of an EVERY topic that may wait to be taken
+_SEND_BUFFER = 64 * 1024  # [bytes] for bulk over a radio; frames that wait in the kernel are already late
+_LOOK_S = 0.05  # [s] between two reads of the clock by a router
+_KEPT = 256  # frames of an EVERY topic that may wait in a queue
 
-_SOURCE = re.compile(r" at /\S+?\.rs:\d+(?::\d+)*[.:]?")  # that Zenoh adds to its errors
+_SOURCE = re.compile(r" at /\S+?\.rs:\d+(?::\d+)*[.:]?")  # source location in Zenoh's error texts
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """How a service finds the others: through the router it connects to, or by scouting.
+    """How a service finds the others: through a router, or by scouting.
 
-    With `scouting` off only `connect` counts, so parallel runs on one machine do not meet; with it on, processes of one
-    `namespace` find each other by multicast.
+    Without `scouting` a service uses only the routers in `connect`, so parallel runs on one machine stay separate. With
+    scouting, processes with the same `namespace` find each other by multicast.
     """
 
     connect: tuple[str, ...] = ()  # e.g. tcp/127.0.0.1:7447
     scouting: bool = False
     namespace: str = "sextant"
-    keys: Keys | None = None  # of this machine, for endpoints of tls
-    loopback: bool = False  # scout and listen on this machine alone
+    keys: Keys | None = None  # of this machine, for TLS endpoints
+    loopback: bool = False  # scout and listen on this machine only
 
     def __post_init__(self) -> None:
         if wrong := fault(self.connect):
@@ -72,7 +72,10 @@ class Endpoints:
             raise ValueError(f"{', '.join(secure)} asks for a certificate: give the folder of this machine's with --keys DIR")
 
     def zenoh_config(self) -> dict[str, Any]:
-        """The Zenoh configuration, complete: defaults would listen everywhere and scout."""
+        """Return the complete Zenoh configuration.
+
+        Zenoh's defaults would scout and listen on all interfaces.
+        """
         return _config(
             mode="peer" if self.scouting else "client",
             connect=self.connect,
@@ -110,7 +113,7 @@ def _config(
 
 
 def merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with more in it, tables within tables likewise."""
+    """Return a configuration with the entries of another merged into it, recursively."""
     made = dict(config)
     for key, value in more.items():
         there = made.get(key)
@@ -119,7 +122,10 @@ def merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[str, Any]:
-    """Of a router: two links to each that it is chained to, so that bulk which fills the radio delays no command."""
+    """Return the configuration of a router.
+
+    It has two links to each upstream router, so that bulk on a saturated radio does not delay commands.
+    """
     config = _config("router", _lanes(upstream), listen, scouting=False, namespace=None)
     accepting = {"accept_pending": _ACCEPT_PENDING, "accept_timeout": _ACCEPT_MS}
     config["transport"]["unicast"] = {"max_links": len(Lane), "open_timeout": _ATTEMPT_MS, **accepting}
@@ -129,35 +135,35 @@ def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[s
 
 
 def _lanes(endpoints: tuple[str, ...]) -> tuple[str, ...]:
-    """Each endpoint twice, once for the priorities of each lane.
+    """Return each endpoint twice, once for the priorities of each lane.
 
-    What routers tell each other of themselves (priority 0) is in neither, so it stays on the link that was first: where it
-    could change to the other in between, its first words were overtaken now and then, and the routers never met.
+    Neither link includes the routers' own protocol messages (priority 0), so these stay on the link that opened first. When
+    they could change links, the first ones sometimes arrived out of order, and the routers never connected.
     """
     lanes: list[str] = []
     for endpoint in endpoints:
         address, _, settings = endpoint.partition("#")
         small = ";".join(filter(None, (settings, f"so_sndbuf={_SEND_BUFFER}")))
-        # Of the priorities, REAL_TIME is 1 and DATA 5.
+        # REAL_TIME has priority 1 and DATA has priority 5.
         lanes += [f"{address}?prio=1-3{'#' if settings else ''}{settings}", f"{address}?prio=4-7#{small}"]
     return tuple(lanes)
 
 
 class TransportError(RuntimeError):
-    """The network could not be opened, with what was tried and what to do."""
+    """The network could not be opened; the text gives the cause and what to do."""
 
 
 def _open(config: Mapping[str, Any]) -> zenoh.Session:
     """Open a session.
 
     Raises:
-        TransportError: Why it could not be opened, and what to do.
+        TransportError: The session could not be opened; the text gives the cause and what to do.
     """
     connect, listen = config["connect"]["endpoints"], config["listen"]["endpoints"]
     if wrong := fault((*connect, *listen)):
         raise TransportError(wrong)
     if connect and config["connect"]["exit_on_failure"] and all(unknown := [unknown_host(one) for one in connect]):
-        raise TransportError("; ".join(unknown))  # at once: waiting does not help
+        raise TransportError("; ".join(unknown))  # at once, because waiting does not help
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
@@ -165,7 +171,7 @@ def _open(config: Mapping[str, Any]) -> zenoh.Session:
 
 
 def _cause(connect: Sequence[str], listen: Sequence[str]) -> str:
-    """Why endpoints cannot be listened on or connected to, as far as the system says."""
+    """Return why endpoints cannot be used, as far as the system reports it."""
     if taken := [*filter(None, map(occupied, listen))]:
         return "; ".join(taken)
     if not connect:
@@ -178,12 +184,15 @@ def _cause(connect: Sequence[str], listen: Sequence[str]) -> str:
 
 
 def without_source(text: str) -> str:
-    """Return a text of Zenoh without the places in its source code."""
+    """Return a text of Zenoh without its source locations."""
     return _SOURCE.sub("", text).strip()
 
 
 def _close(sessions: list[zenoh.Session], pumps: Sequence["_Pump"] = ()) -> None:
-    """Close sessions, and wait for their pumps, in bounded time: with a frozen peer closing would take 13 s."""
+    """Close sessions and wait for their pumps, in bounded time.
+
+    With a frozen peer, closing alone would take 13 s.
+    """
 
     def close() -> None:
         for session in sessions:
@@ -198,39 +207,42 @@ def _close(sessions: list[zenoh.Session], pumps: Sequence["_Pump"] = ()) -> None
 
 
 def log_to_stdout(levels: str) -> None:
-    """Have Zenoh log to this process's standard output, once and for all; `levels` as RUST_LOG has them, which goes first."""
+    """Make Zenoh log to standard output for the rest of the process.
+
+    `levels` has the syntax of RUST_LOG; the environment variable RUST_LOG takes precedence.
+    """
     zenoh.init_log_from_env_or(levels)
 
 
 class Router:
-    """Hosts the router in this process, so that no zenohd binary is needed; a context manager.
+    """Zenoh router in this process, in place of zenohd; a context manager.
 
-    Where the process was stopped for about as long as links last, as by Ctrl-Z, it begins anew: all who met there have given it
-    up and come again, and Zenoh 1.10 takes some for those whom it knew, and talks to them in the words that it had with these;
-    then they misunderstand it, or panic and hear nothing any more. It hears that the process goes on by SIGCONT, which it takes
-    for that where it is entered in the main thread.
+    The router restarts after the process was stopped (e.g. by Ctrl-Z) for about as long as the lease. By then its clients
+    have dropped it and reconnect. Zenoh 1.10 confuses some of them with their old sessions and uses the old key numbers; these
+    clients then read wrong keys, or panic and receive nothing. SIGCONT signals that the process continues. The router handles
+    this signal only if the main thread enters it.
     """
 
     def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = (), access: Mapping[str, Any] | None = None):
-        """Prepare.
+        """Prepare the configuration.
 
         Args:
             listen: Endpoints to listen on, e.g. tcp/127.0.0.1:7447.
-            upstream: Endpoints of routers that this one is chained to, whenever they are there.
-            access: Configuration that says who may do what (`sextant.shared.wire.access`).
+            upstream: Endpoints of routers to connect to whenever they are available.
+            access: Access control configuration (`sextant.shared.wire.access`).
         """
         self.configuration: Mapping[str, Any] = merged(_router_config(listen, upstream), access or {})
-        self._session: zenoh.Session | None = None  # None while it begins anew
+        self._session: zenoh.Session | None = None  # None during a restart
         self._ended = False
-        self._woken = threading.Event()  # by SIGCONT, or to end
-        self._before: Any = None  # who took SIGCONT
-        self._awake_s = 0.0  # when it was last known to be
+        self._woken = threading.Event()  # set by SIGCONT, and to end the thread
+        self._before: Any = None  # previous handler of SIGCONT
+        self._awake_s = 0.0  # last time at which the process was known to run
         self._watch = threading.Thread(target=self._begin_anew_when_stopped, name="router", daemon=True)
 
     def __enter__(self) -> Self:
         self._awake_s = time.monotonic()
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGCONT, self._go_on)  # before anybody can meet here
+            self._before = signal.signal(signal.SIGCONT, self._go_on)  # before a client can connect
         try:
             self._session = _open(self.configuration)
         except TransportError:
@@ -249,12 +261,12 @@ class Router:
 
     @property
     def chained(self) -> bool:
-        """Whether it is connected to any other router."""
+        """Whether this router is connected to another router."""
         session = self._session
         return session is not None and bool(list(session.info.routers_zid()))
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
-        self._woken.set()  # whose lock this thread never holds
+        self._woken.set()  # safe in a signal handler: the main thread never holds the lock of this event
         if callable(self._before):  # another router of this process
             self._before(number, frame)
 
@@ -266,7 +278,7 @@ class Router:
         while not self._ended:
             continued = self._woken.wait(_LOOK_S)
             away_s = time.monotonic() - self._awake_s
-            if continued and not self._ended:  # without a signal it was others who had the processor
+            if continued and not self._ended:  # a gap without SIGCONT means only that other processes had the processor
                 self._woken.clear()
                 if away_s > GIVEN_UP_S:
                     _log.warning("this process was stopped for %.1f s: the router begins anew", away_s)
@@ -279,31 +291,34 @@ class Router:
         while self._session is None and not self._ended:
             try:
                 self._session = _open(self.configuration)
-            except TransportError as error:  # its port is not free yet
+            except TransportError as error:  # the port is not free yet
                 _log.warning("%s", error)
                 self._woken.wait(_LOOK_S)
 
 
 class ForeignPublisher:
-    """Puts payloads on one key that is somebody else's."""
+    """Publisher on one key of a foreign (non-Sextant) system."""
 
     def __init__(self, publisher: Any):
         self._publisher = publisher
 
     def send(self, payload: bytes, attachment: bytes) -> None:
-        """Publish a payload with what goes with it; under congestion it is dropped, never waited for."""
+        """Publish a payload and its attachment, without blocking.
+
+        Under congestion the payload is dropped.
+        """
         self._publisher.put(payload, attachment=attachment)
 
     def wanted(self) -> bool:
-        """Whether anybody is subscribed."""
+        """Return whether the key has subscribers."""
         return bool(self._publisher.matching_status.matching)
 
 
 class ForeignLink:
-    """A session among others than our services, by their keys and conventions; a context manager."""
+    """Session with a foreign system, with its keys and conventions; a context manager."""
 
     def __init__(self, connect: tuple[str, ...]):
-        """Meet them at routers, e.g. tcp/127.0.0.1:7447."""
+        """Prepare a connection to routers, e.g. tcp/127.0.0.1:7447."""
         self._config = _config(mode="client", connect=connect, listen=(), scouting=False, namespace=None)
 
     def __enter__(self) -> Self:
@@ -317,40 +332,43 @@ class ForeignLink:
 
     @property
     def id(self) -> str:
-        """Of the session."""
+        """Zenoh id of the session."""
         return str(self._session.info.zid())
 
     def announce(self, token: str) -> None:
-        """Declare a liveliness token, which lasts as long as the session."""
+        """Declare a liveliness token for the lifetime of the session."""
         self._tokens.append(self._session.liveliness().declare_token(token))
 
     def publisher(self, key: str) -> ForeignPublisher:
-        """Declare a publisher."""
+        """Declare a publisher on a key."""
         drop = zenoh.CongestionControl.DROP
         return ForeignPublisher(self._session.declare_publisher(key, congestion_control=drop))
 
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
-        """Hand every payload of a key to `receive` from a thread of this link."""
+        """Pass every payload of a key to `receive`, from a thread of this link."""
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256))
         self._pumps.append(_Pump(subscriber, lambda sample: receive(sample.payload.to_bytes()), f"receive {key}"))
 
 
 class _Pump:
-    """Hands every sample of a subscriber on at once, from a thread that ends with its session."""
+    """Thread that passes on every sample of a subscriber, and ends with its session."""
 
     def __init__(self, subscriber: Any, take: Callable[[Any], None], name: str):
-        # Taken once: `undeclare` borrows the subscriber for itself, and asking it for its handler meanwhile is an error.
+        # Store the handler: reading it from the subscriber during `undeclare` is an error.
         self._subscriber, self._handler, self._take = subscriber, subscriber.handler, take
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Listen no longer."""
+        """Undeclare the subscriber and end the thread."""
         self._subscriber.undeclare()
         self._thread.join()
 
     def join(self, timeout_s: float) -> None:
-        """Wait for the thread, whose session has been closed: one that is left when Python ends brings the process down."""
+        """Wait for the thread after its session was closed.
+
+        A thread that still runs when Python exits crashes the process.
+        """
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
@@ -358,17 +376,17 @@ class _Pump:
             try:
                 sample = self._handler.recv()
             except zenoh.ZError:
-                return  # it has been ended, or the session closed
+                return  # the subscriber was undeclared, or the session closed
             self._take(sample)
 
 
 class ZenohLink:
-    """A process's connection to the others; a context manager."""
+    """Zenoh connection of a process to the others; a context manager."""
 
     def __init__(self, endpoints: Endpoints):
-        self.astray = 0  # frames that came under the key of others, and were dropped
-        self.last_astray = ""  # where the last was to go, and where it came, in words
-        self._counting = threading.Lock()  # between subscriptions
+        self.astray = 0  # frames dropped because they arrived under another key
+        self.last_astray = ""  # intended address and key of the last such frame
+        self._counting = threading.Lock()  # guards `astray`, which the threads of all subscriptions increment
         self._endpoints = endpoints
         self._sessions: dict[Lane, zenoh.Session] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -389,23 +407,27 @@ class ZenohLink:
         _close(list(self._sessions.values()), self._pumps)
 
     def _see_whether_let_in(self) -> None:
-        """Say why at once, where opening would only say after its timeout that it could not be."""
+        """Raise the cause of a refused TLS connection at once, without the timeout."""
         keys, endpoints = self._endpoints.keys, self._endpoints.connect
         refusals = [refusal(endpoint, keys) if keys and endpoint.startswith("tls/") else "" for endpoint in endpoints]
         if refusals and all(refusals):
             raise TransportError("; ".join(refusals))
 
     def send(self, topic: Topic[Any], frame: bytes) -> None:
-        """Publish a frame; under congestion it is dropped, never waited for."""
+        """Publish a frame; it is dropped under congestion and never blocks."""
         self._publisher(topic).put(frame, attachment=topic.address(self._endpoints.namespace))
 
     def wanted(self, topic: Topic[Any]) -> bool:
-        """Whether anybody is subscribed to a topic."""
-        status: Any = self._publisher(topic).matching_status  # an object that is always true, though the stubs say bool
+        """Return whether a topic has subscribers."""
+        status: Any = self._publisher(topic).matching_status  # the stubs declare bool, but it is an object that is always true
         return bool(status.matching)
 
     def subscribe(self, topic: Topic[Any], receive: Callable[[Topic[Any], bytes], None]) -> Callable[[], None]:
-        """Hand every frame of a topic to `receive` from a thread of this link, until what is returned is called."""
+        """Pass every frame of a topic to `receive`, from a thread of this link.
+
+        Returns:
+            A function that ends the subscription.
+        """
         latest = topic.delivery is Delivery.LATEST
         channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(_KEPT)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
@@ -425,9 +447,14 @@ class ZenohLink:
         return end
 
     def collect(self, topic: Topic[Any]) -> Callable[[], list[bytes]]:
-        """Keep what comes of a topic, the newest frame or some hundred, until it is fetched, with no thread; what fetches it.
+        """Queue the frames of a topic without a thread.
 
-        Where nobody fetches, the oldest go: a queue that is full would hold up all of the session.
+        The queue holds the newest frame (LATEST) or 256 frames (EVERY).
+
+        A full queue drops its oldest frame, because blocking would stall the whole session.
+
+        Returns:
+            A function that fetches and removes the queued frames.
         """
         ring: Any = zenoh.handlers.RingChannel(1 if topic.delivery is Delivery.LATEST else _KEPT)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, ring)
@@ -442,9 +469,9 @@ class ZenohLink:
         return come
 
     def _meant(self, topic: Topic[Any], sample: Any) -> bytes | None:
-        """The frame of a sample that was sent to where it has come; one without an address, of another's program, is believed.
+        """Return the frame of a sample if its address is the key that it arrived under.
 
-        Others are counted, and come to nothing.
+        A sample without an address (from a foreign program) is accepted. A sample with another address is counted and dropped.
         """
         address = topic.address(self._endpoints.namespace).encode()
         sent_to = address if sample.attachment is None else sample.attachment.to_bytes()
@@ -470,10 +497,13 @@ class ZenohLink:
 
 
 def overhear(endpoint: str, seconds: float) -> dict[str, int]:
-    """What somebody hears who connects to an endpoint without keys and asks for everything: key -> messages.
+    """Subscribe to all keys at an endpoint without a certificate, and count messages.
+
+    Returns:
+        Key -> number of messages received.
 
     Raises:
-        TransportError: Nobody is let in there.
+        TransportError: The endpoint refuses the connection.
     """
     config = _config("client", (endpoint,), (), scouting=False, namespace=None)
     config["connect"]["timeout_ms"] = round(1e3 * seconds)
@@ -488,7 +518,7 @@ def overhear(endpoint: str, seconds: float) -> dict[str, int]:
 
 
 def scout(seconds: float) -> list[str]:
-    """Endpoints of routers and peers that answer to scouting by multicast."""
+    """Return the endpoints of routers and peers that answer multicast scouting."""
     config = _config("client", (), (), scouting=True, namespace=None)
     found: set[str] = set()
     answers: Any = zenoh.scout(zenoh.handlers.RingChannel(_KEPT), "router|peer", zenoh.Config.from_json5(json.dumps(config)))
@@ -500,7 +530,7 @@ def scout(seconds: float) -> list[str]:
 
 
 def _look_for(seconds: float, source: Any, take: Callable[[Any], object]) -> None:
-    """Take what comes for some time [s]."""
+    """Pass items of a source to `take` for some time [s]."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""The ground: maps, scans and pictures."""
+"""Translation of maps, scans and images."""
 
 from typing import Any
 
@@ -17,14 +17,14 @@ _LAYERS = np.dtype([("elevation", "<f4"), ("score", "<f4"), ("variance", "<f4"),
 _CELL = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("score", "<f4"), ("evaluation", "<f4")])
 _COLORED = np.dtype([*_CELL.descr, ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1")])
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("pixels", "u1")])
-# Steps to which values are rounded: fractions of two, so that most of their bits are zero and pack well. The wire's own frames,
-# which lie beside them, are exact.
+# Rounding steps. They are powers of two, so that most bits of the values are zero and compress well. The original frames in the
+# same recording are exact.
 _LENGTH, _SCORE = 2.0**-11, 2.0**-7  # [m], [1]
 _TYPES = {"<f4": PackedElementField.FLOAT32, "|u1": PackedElementField.UINT8}
 
 
 def grid(terrain: TerrainMap) -> Grid:
-    """The map; its rows run along y, its columns along x, as Foxglove has them."""
+    """Return the map as a Grid, with rows along y and columns along x."""
     nx, ny = terrain.elevation.shape
     packed = np.empty((ny, nx), dtype=_LAYERS)
     packed["elevation"], packed["score"] = _rounded(terrain.elevation.T, _LENGTH), _rounded(terrain.score.T, _SCORE)
@@ -46,7 +46,7 @@ def grid(terrain: TerrainMap) -> Grid:
 
 
 def cells(terrain: TerrainMap) -> PointCloud:
-    """The cells of a map that are known, where they are; in their colours, where it has some."""
+    """Return the known cells of a map as points, with colours if available."""
     known = np.isfinite(terrain.elevation)
     xy = terrain.origin + terrain.resolution * np.argwhere(known)
     packed = np.empty(len(xy), dtype=_COLORED if terrain.color.size else _CELL)
@@ -60,7 +60,7 @@ def cells(terrain: TerrainMap) -> PointCloud:
 
 
 def points(scan: Scan) -> PointCloud:
-    """The points of a scan, with the pixels behind each."""
+    """Return the points of a scan, with the number of pixels of each."""
     packed = np.empty(len(scan.points_mm), dtype=_POINT)
     packed["x"], packed["y"], packed["z"] = _rounded(scan.points, _LENGTH).T
     packed["pixels"] = scan.count
@@ -68,12 +68,12 @@ def points(scan: Scan) -> PointCloud:
 
 
 def image(stamp_ns: int, jpeg: NDArray[np.uint8]) -> CompressedImage:
-    """A picture of the camera."""
+    """Return a camera image."""
     return CompressedImage(timestamp=parts.time(stamp_ns), frame_id="camera", data=jpeg.tobytes(), format="jpeg")
 
 
 def _rounded(values: NDArray[Any], step: float) -> NDArray[Any]:
-    """In double precision: what is stored as float32 may overflow when it is divided."""
+    """Round to a step in double precision, because dividing a float32 may overflow."""
     return np.rint(np.asarray(values, dtype=np.float64) / step) * step
 
 
@@ -93,6 +93,6 @@ def _cloud(stamp_ns: int, packed: NDArray[Any]) -> PointCloud:
 
 
 def _fields(dtype: np.dtype[Any]) -> list[PackedElementField]:
-    """The fields of a structured type as Foxglove declares them."""
+    """Return Foxglove's declaration of the fields of a structured dtype."""
     declared = [(name, *dtype.fields[name]) for name in dtype.names or ()] if dtype.fields else []
     return [PackedElementField(name=name, offset=offset, type=_TYPES[kind.str]) for name, kind, offset, *_ in declared]

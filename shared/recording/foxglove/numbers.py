@@ -1,4 +1,7 @@
-"""Numbers to plot over a walk: the one schema that Foxglove does not have, `sextant.Walk`."""
+"""Numbers to plot over a walk, in the schema `sextant.Walk`.
+
+It is the only schema here that is not one of Foxglove's.
+"""
 
 from collections.abc import Callable
 
@@ -16,17 +19,17 @@ _NUMBERS = (
     "height",  # [m] of the body in the world
     "roll",  # [rad]
     "pitch",  # [rad]
-    "pace",  # [1] share of the usual speed that the servos can bear for long
-    "phase",  # [1] through the step
-    "slip",  # [m] of the standing feet against each other
-    "voltage",  # [V] lowest seen
-    "temperature",  # [deg C] highest seen
-    "torque",  # [N m] of the joint that bears most
+    "pace",  # [1] share of normal speed that the servos can sustain
+    "phase",  # [1] progress of the step
+    "slip",  # [m] largest displacement of a stance foot relative to the others
+    "voltage",  # [V] lowest of all servos
+    "temperature",  # [deg C] highest of all servos
+    "torque",  # [N m] largest absolute value of all joints
 )
 
 
 def walk(state: ActuatorState, T_world_body: Array) -> Message:
-    """What a walk is judged by, as numbers."""
+    """Return the main numbers of a walk."""
     roll, pitch, _ = rpy_from_rotation(T_world_body[:3, :3]).tolist()
     seconds, nanos = divmod(state.stamp_ns, 1_000_000_000)
     return _WALK(

@@ -1,4 +1,4 @@
-"""What Foxglove's larger messages are made of."""
+"""Constructors of the parts of Foxglove messages."""
 
 from collections.abc import Sequence
 
@@ -19,38 +19,38 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 def time(stamp_ns: int) -> Timestamp:
-    """A stamp [ns]."""
+    """Return the Timestamp of a stamp [ns]."""
     seconds, nanos = divmod(stamp_ns, 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
 def pose(T: Array) -> Pose:
-    """A rigid transform (4, 4)."""
+    """Return the Pose of a rigid transform (4, 4)."""
     w, x, y, z = (float(v) for v in quaternion_from_rotation(T[:3, :3]))
     return Pose(position=vector(T[:3, 3]), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
 def place(p: Sequence[float] | Array) -> Pose:
-    """A point (3,), as a transform that turns nothing."""
+    """Return the Pose of a point (3,), without rotation."""
     return Pose(position=vector(p), orientation=Quaternion(w=1.0))
 
 
 def vector(v: Sequence[float] | Array) -> Vector3:
-    """Three numbers."""
+    """Return the Vector3 of three numbers."""
     return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
 def color(rgba: Rgba) -> Color:
-    """Red, green, blue and opacity within 0..1."""
+    """Return the Color of red, green, blue and opacity within 0..1."""
     return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
 
 
 def ball(p: Array, diameter: float, rgba: Rgba) -> SpherePrimitive:
-    """A ball [m] at a point (3,)."""
+    """Return a sphere with a diameter [m] at a point (3,)."""
     return SpherePrimitive(pose=place(p), size=vector((diameter, diameter, diameter)), color=color(rgba))
 
 
 def lines(kind: LinePrimitive.Type.ValueType, corners: Array, rgba: Rgba, width: float) -> LinePrimitive:
-    """Lines of a width [m] through points (n, 3)."""
+    """Return lines with a width [m] through points (n, 3)."""
     ends = [Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()]
     return LinePrimitive(type=kind, pose=place(_ORIGIN), thickness=width, points=ends, color=color(rgba))

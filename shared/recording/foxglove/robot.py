@@ -1,4 +1,4 @@
-"""The robot and its plans, for the eye and for plots."""
+"""Translation of the robot's state and plans, for scenes and plots."""
 
 import numpy as np
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
@@ -28,13 +28,13 @@ _FOOTHOLD_SIZE = 0.025  # [m]
 
 
 def frames(state: ActuatorState, T_world_odom: Array, T_body_camera: Array) -> FrameTransforms:
-    """Where odom, body and camera are, each in the one before."""
+    """Return the transforms world -> odom -> body -> camera."""
     tree = (("world", "odom", T_world_odom), ("odom", "body", state.T_odom_body), ("body", "camera", T_body_camera))
     return FrameTransforms(transforms=[_frame(state.stamp_ns, *branch) for branch in tree])
 
 
 def body(state: ActuatorState, T_world_body: Array) -> Odometry:
-    """Where the body is, and what the legs are doing."""
+    """Return the body pose, with the mode of the actuator as metadata."""
     words = {"mode": str(state.mode), "reason": state.reason, "lease": state.lease, "refused": state.refused}
     return Odometry(
         timestamp=parts.time(state.stamp_ns),
@@ -46,14 +46,14 @@ def body(state: ActuatorState, T_world_body: Array) -> Odometry:
 
 
 def joints(state: ActuatorState) -> JointStates:
-    """Angles [rad], and the torques [N m] behind their load."""
+    """Return measured joint angles [rad] and torques [N m]."""
     measured = zip(JOINT_NAMES, state.q.ravel().tolist(), state.load_nm.ravel().tolist(), strict=True)
     found = [JointState(name=name, position=q, effort=torque) for name, q, torque in measured]
     return JointStates(timestamp=parts.time(state.stamp_ns), joints=found)
 
 
 def drawn(state: ActuatorState, profile: RobotProfile) -> SceneUpdate:
-    """Body, legs, feet and support polygon in {body}, as they are measured."""
+    """Return a scene of the measured body, legs, feet and support polygon in {body}."""
     legs, radius = leg_points(profile, state.q), profile.foot.radius
     links = np.stack([legs[:, :-1], legs[:, 1:]], axis=2).reshape(-1, 3)
     colors = [_CARRIES if on else _IN_AIR if up else _STANDS for on, up in zip(state.contact, state.swing, strict=True)]
@@ -70,13 +70,13 @@ def drawn(state: ActuatorState, profile: RobotProfile) -> SceneUpdate:
 
 
 def footholds(plan: StepPlan) -> SceneUpdate:
-    """Where the swinging feet are to come down."""
+    """Return a scene of the planned touchdowns."""
     feet = plan.touchdown[plan.swing]
     return SceneUpdate(entities=[_entity(plan.stamp_ns, "world", "footholds", feet, [_FOOTHOLD] * len(feet), _FOOTHOLD_SIZE)])
 
 
 def way(status: PlannerStatus) -> SceneUpdate:
-    """The way to the goal that is being walked."""
+    """Return a scene of the current path to the goal."""
     entity = _entity(status.stamp_ns, "world", "way")
     corners = np.column_stack([status.path, np.zeros(len(status.path))])
     entity.lines.append(parts.lines(LinePrimitive.LINE_STRIP, corners, _WAY, _WAY_WIDTH))
@@ -84,7 +84,7 @@ def way(status: PlannerStatus) -> SceneUpdate:
 
 
 def section(plan: PassagePlan) -> SceneUpdate:
-    """A planned section of a passage: its footholds, and the body's way over them."""
+    """Return a scene of a planned section of a passage: footholds and body path."""
     feet = plan.footholds[plan.leg < len(LEGS)]
     entity = _entity(plan.stamp_ns, "world", "passage", feet, [_FOOTHOLD] * len(feet), _FOOTHOLD_SIZE)
     if len(plan.body):
@@ -98,7 +98,10 @@ _NOWHERE = np.zeros((0, 3))
 def _entity(
     stamp_ns: int, frame: str, name: str, points: Array = _NOWHERE, colors: list[parts.Rgba] | None = None, size: float = 0.0
 ) -> SceneEntity:
-    """Something that is drawn in place of what had its name before, with balls at points (n, 3) of a frame."""
+    """Return an entity that replaces the last one of this name.
+
+    It has spheres at points (n, 3) of a frame.
+    """
     balls = [parts.ball(p, size, rgba) for p, rgba in zip(points, colors or [], strict=True)]
     return SceneEntity(timestamp=parts.time(stamp_ns), frame_id=frame, id=name, spheres=balls)
 

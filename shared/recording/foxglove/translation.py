@@ -1,4 +1,4 @@
-"""Follows a walk and tells it in Foxglove's schemas."""
+"""Translator of the messages of a walk to Foxglove schemas."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -31,21 +31,21 @@ from sextant.shared.wire.messages import (
 Told = tuple[str, Message]  # topic of Foxglove, message
 
 _MAP_NS = 1_000_000_000  # [ns] between two maps
-_SCAN_NS = 400_000_000  # [ns] likewise of scans
-_SCENE_NS = 80_000_000  # [ns] likewise of the robot, and of its next footholds, as they are drawn
-_SERVICES_NS = 1_000_000_000  # [ns] likewise of looks for services that have gone silent
+_SCAN_NS = 400_000_000  # [ns] between two scans
+_SCENE_NS = 80_000_000  # [ns] between two scenes of the robot, and between two of its footholds
+_SERVICES_NS = 1_000_000_000  # [ns] between two checks for silent services
 
 
 class Foxglove:
-    """Tells what comes, larger things more seldom than they come."""
+    """Translates frames to Foxglove messages, large ones at a reduced rate."""
 
     def __init__(self, profile: RobotProfile):
-        """Begin with nothing known of the robot but its profile."""
+        """Start with the profile of the robot, before any message."""
         self._profile = profile
         self._T_world_odom = np.eye(4)
         self._due_ns: dict[str, int] = {}
         self._diary = Diary()
-        self._logged = 0  # entries of the diary that were told
+        self._logged = 0  # number of log entries already returned
         self._health = HealthTable()
         self._tells: Mapping[AnyTopic, Callable[[Any, int], Iterator[Told]]] = {
             topics.ACTUATOR_STATE: self._legs,
@@ -63,7 +63,10 @@ class Foxglove:
         }
 
     def translate(self, topic: AnyTopic, frame: bytes, at_ns: int) -> Sequence[Told]:
-        """(Foxglove's topic, message) of a frame that came at a time [ns]; of one that does not decode a line in the log."""
+        """Return (Foxglove topic, message) pairs for a frame received at a time [ns].
+
+        A frame that does not decode adds an entry to the log.
+        """
         if topic not in self._tells and topic not in self._follows:
             return ()
         if (topic is topics.TERRAIN and not self._due("map", at_ns, _MAP_NS)) or (
@@ -83,7 +86,7 @@ class Foxglove:
         return [*told, *self._log()]
 
     def _due(self, what: str, at_ns: int, apart_ns: int) -> bool:
-        """Whether it is time for the next one; notes that it is made."""
+        """Return whether the next output is due, and if so schedule the one after it."""
         if at_ns < self._due_ns.get(what, at_ns):
             return False
         self._due_ns[what] = at_ns + apart_ns
@@ -138,7 +141,7 @@ class Foxglove:
             self._diary.services(at_ns, self._health.named())
 
     def _log(self) -> Iterator[Told]:
-        """What is new in the diary."""
+        """Yield the new entries of the event log."""
         entries = self._diary.entries
         new = min(self._diary.count - self._logged, len(entries))
         self._logged = self._diary.count

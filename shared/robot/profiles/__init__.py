@@ -1,4 +1,4 @@
-"""Robot profiles: those that come with Sextant, one TOML file each, and any other by the path of its file."""
+"""Robot profiles: the bundled ones, one TOML file each, and others by file path."""
 
 from collections.abc import Iterator
 from importlib import resources
@@ -15,12 +15,13 @@ from sextant.shared.spelling import hint
 
 
 def load_profile(name_or_path: str) -> RobotProfile:
-    """Read a profile that comes with Sextant by its name, or any other by the path of its TOML file.
+    """Read a bundled profile by its name, or another one by the path of its TOML file.
 
-    A file may say `extends = "phantomx_mk2"`, or a path beside it, and give only what is different.
+    A file may extend another profile with `extends = "phantomx_mk2"`, or with a path relative to the file. It then contains
+    only the values that differ.
 
     Raises:
-        ConfigError: No such profile, or what is wrong in it, all at once.
+        ConfigError: The profile does not exist, or is invalid; the text lists all errors.
     """
     if name_or_path.endswith(".toml"):
         return config.build(_table(Path(name_or_path)), RobotProfile, name_or_path, also=(_STANDS,))
@@ -29,7 +30,10 @@ def load_profile(name_or_path: str) -> RobotProfile:
 
 
 def _shipped(name: str, asked_by: str) -> Traversable:
-    """Where a profile that comes with Sextant is kept; what asked for it is named where there is none."""
+    """Return the file of a bundled profile.
+
+    The error for an unknown name mentions `asked_by`.
+    """
     known = profile_names()
     if name not in known:
         ways = f"{hint(name, known)}; or give a path that ends in .toml"
@@ -38,7 +42,7 @@ def _shipped(name: str, asked_by: str) -> Traversable:
 
 
 def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """A profile's plain values: its own, over those of the profile that it extends."""
+    """Return the values of a profile, merged over those of its base profile."""
     table = config.read(path)
     base = table.pop("extends", None)
     if base is None:
@@ -55,13 +59,16 @@ def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """The values of a table over those of another; tables are joined, all else is replaced."""
+    """Merge a table over a base table.
+
+    Subtables are merged, and other values are replaced.
+    """
     joined = {k: _over(base[k], v) for k, v in table.items() if isinstance(v, dict) and isinstance(base.get(k), dict)}
     return {**base, **table, **joined}
 
 
 def profile_names() -> list[str]:
-    """Names of the profiles that come with Sextant."""
+    """Return the names of the bundled profiles."""
     files = resources.files("sextant.shared.robot.profiles").iterdir()
     return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
 
@@ -69,13 +76,16 @@ def profile_names() -> list[str]:
 def _beyond_reach(
     links: LegLinks, legs: tuple[Leg, ...], horns_deg: tuple[float, float, float], foot: Foot, stance: Stance
 ) -> Iterator[config.Misfit]:
-    """Whether a leg does not reach the ground in the resting stance, where all that decides about it is known."""
+    """Yield an error if a leg cannot reach the ground in the resting stance.
+
+    Values that are missing or invalid are skipped, because other checks report them.
+    """
     try:
         size = LegLinks(links.coxa, links.femur, links.tibia)
         down, (front, middle, rear) = foot.radius - stance.body_height, stance.foot_radius_from_coxa
-    except AttributeError:  # told already
+    except AttributeError:  # already reported
         return
-    if not all(isinstance(horn, float) for horn in horns_deg):  # told already
+    if not all(isinstance(horn, float) for horn in horns_deg):  # already reported
         return
     unreached, unturned = [], []
     for leg, out in zip(legs, (front, front, middle, rear, rear, middle), strict=False):

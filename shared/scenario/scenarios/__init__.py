@@ -1,1 +1,1 @@
-"""Scenarios that come with Sextant, one TOML file each."""
+"""Bundled scenarios, one TOML file each."""

@@ -1,1 +1,1 @@
-"""Troubles that come with Sextant, one TOML file each: what goes wrong on whatever course."""
+"""Bundled troubles, one TOML file each: faults that can be added to any course."""
