@@ -1,1 +1,1 @@
-"""Owns the servos: trajectories, servo bus, and the guard that is the last gate."""
+"""Actuator service: servo bus, leg trajectories and the guard of all motion."""

@@ -8,19 +8,19 @@ SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How the servos are reached and how the legs move; defaults walk."""
+    """Servo port and leg motion; the defaults walk."""
 
-    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port; names that it may have, separated by commas
-    bridge: bool = False  # a microcontroller on the port speaks the servo bus in our place, see docs/bridge.md
-    echo: bool = False  # the adapter returns every byte sent, as some that have one wire do
+    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port; several possible names separated by commas
+    bridge: bool = False  # a microcontroller on the port drives the servo bus, see docs/bridge.md
+    echo: bool = False  # the adapter returns every byte sent, as some single-wire adapters do
     rate_hz: float = 50.0  # of the control cycle
-    read_budget_ms: float = 9.0  # [ms] of each cycle spent on reading servos: over USB six, three of which may be urgent
-    unload_s: float = 0.05  # [s] before a swing in which its legs hand over their load
-    load_s: float = 0.10  # [s] at the end of a step in which landed legs take up theirs
+    read_budget_ms: float = 9.0  # [ms] of each cycle for reading servos: over USB six, up to three of them urgent
+    unload_s: float = 0.05  # [s] before a swing in which its legs are unloaded
+    load_s: float = 0.10  # [s] at the end of a step in which landed legs are loaded
     level_gain: float = 6.0  # [1/s] of the integrator that holds height, roll and pitch
     brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
     stand_s: float = 2.5  # [s] for standing up
-    arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
+    arc: Literal["flow", "sixth_order"] = "flow"  # path of swinging feet: Lotriet's flow, or Erasmus' polynomial for reference
     plan_age_s: float = 0.6  # [s] older plans are refused
 
     def __post_init__(self) -> None:

@@ -7,10 +7,10 @@ from sextant.shared.runtime.clock import SuspendedTime, now_ns
 
 
 def live_actuator(profile: RobotProfile, settings: Settings) -> Actuator:
-    """Make the actuator of a real robot, or of one that is simulated live.
+    """Return the actuator of a real robot or of a live simulation.
 
     Raises:
-        BusSetupError: Servos are missing or wrong, all named.
+        BusSetupError: Servos are missing or wrong; the message names all of them.
         BusGone: The port cannot be opened.
     """
     return Actuator(profile, settings, None, now_ns, suspended_ns=SuspendedTime())

@@ -1,4 +1,4 @@
-"""The actuator: plans in, servo goals out, fifty times a second, and what the legs measure back to everybody."""
+"""Actuator service: step plans in, servo goals and leg measurements out, at 50 Hz."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -36,13 +36,16 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
 
 _STANDS = 0.5  # share of its load from which a leg counts as standing
-_SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
+_SLIPS = 0.01  # [m] motion against the other standing feet that counts as slip; rolling and play reach a few millimetres
 _ALL = np.ones(6, dtype=np.bool_)
-_BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which legs follow an inertial sensor
+_BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which the legs follow an inertial sensor
 
 
 class Actuator:
-    """Owns the servos. Every cycle: read, see where the body is, take plans through the guard, move on, write."""
+    """Control loop that owns the servos.
+
+    Each cycle reads the servos, estimates the body pose, passes plans through the guard, advances the step and writes goals.
+    """
 
     name = "actuator"
     reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.IMU)
@@ -58,19 +61,21 @@ class Actuator:
         permit: Permit | None = None,
         suspended_ns: Callable[[], int] = lambda: 0,
     ):
-        """Open the bus and take the servos over as they stand: torque that is on stays on, torque that is off stays off.
+        """Open the bus and take over the servos in their present torque state.
+
+        Torque that is on stays on, and torque that is off stays off.
 
         Args:
             profile: The robot.
-            settings: Of this service.
-            opener: Opens the port, in place of the one that the settings name; again, where it has gone.
-            clock: [ns] what the port's timing goes by.
-            latch: That torque is to be off, whoever has ordered it and when; that of the port, where none opens another.
-            permit: The order to walk that is in force; likewise.
+            settings: Settings of this service.
+            opener: Opens the port instead of the one that the settings name; called again after the port was lost.
+            clock: [ns] clock for the timing of the port.
+            latch: Torque-off latch. Default: the latch of the port, unless `opener` is given.
+            permit: Walk authorization. Default: that of the port, unless `opener` is given.
             suspended_ns: [ns] that this machine has spent suspended since it booted; 0 on simulated time.
 
         Raises:
-            BusSetupError: Servos are missing or wrong, all named.
+            BusSetupError: Servos are missing or wrong; the message names all of them.
             BusGone: The port cannot be opened.
         """
         self.paced_by = Every.hz(settings.rate_hz)
@@ -83,7 +88,7 @@ class Actuator:
         self._joints = Joints(profile, settings, opener, clock, lambda: self._off.holds)
         if self._off.holds:
             self._joints.let_go()
-        torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
+        torque = bool(self._joints.torque.any())  # the health monitor then reports each servo without torque as a fault
         off_ns = self._off.since_ns(clock()) if self._off.holds else -1
         self._permit = permit or (Permit() if opener else Permit.of_port(settings.port))
         handover_s = settings.unload_s + settings.load_s
@@ -95,21 +100,21 @@ class Actuator:
         self._feeler = Feeler(profile)
         self._plumb = Plumb()
         self._imu_problem = ""
-        self._q_wanted = self._joints.goals.copy()  # goals less the feed-forward: where the joints are to come to rest
+        self._q_wanted = self._joints.goals.copy()  # goals without feed-forward: where the joints should come to rest
         self._q_wanted_when_read = self._q_wanted.copy()
-        self._q_last: Array | None = None  # where the joints were to be in the last cycle of one motion, to tell their speeds
-        self._touch_ns = np.full(6, -1, dtype=np.int64)  # what feet have found, see ActuatorState
+        self._q_last: Array | None = None  # joint targets of the last cycle of the same motion, to compute joint speeds
+        self._touch_ns = np.full(6, -1, dtype=np.int64)  # contacts that feet have found, see ActuatorState
         self._touch = np.zeros((6, 3))
         self._touch_carries = np.zeros(6, dtype=np.bool_)
         self._last_ns = -1
         self._suspended_ns = suspended_ns()
         self._warning = ""
-        self._told: tuple[Mode, str, str, int] | None = None  # what the last state message said
-        self._silent = False  # whether the last cycle sent none
-        self._posing: StandUp | LieDown | None = None  # what moves the legs in place of the walk
-        self._still = False  # whether the legs stay as they are told
-        self._away = False  # whether in the last cycle nobody knew how the servos fare
-        self._eased, self._top = _ALL, GENTLE  # legs that go gently all through a gentle step, and how fast [rad/s]
+        self._told: tuple[Mode, str, str, int] | None = None  # contents of the last state message
+        self._silent = False  # whether the last cycle sent no state message
+        self._posing: StandUp | LieDown | None = None  # motion that moves the legs instead of the walk
+        self._still = False  # whether the legs hold their goals
+        self._away = False  # whether the servo states were unknown in the last cycle
+        self._eased, self._top = _ALL, GENTLE  # legs whose speed is limited during a whole gentle step, and the limit [rad/s]
         self._hung = HungLegs()
         self._T_world_odom: Array = np.eye(4)
         self._take_over(torque, self._joints.read_loads())
@@ -120,16 +125,16 @@ class Actuator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the port: the servos keep their torque and their goals, so the robot stays standing."""
+        """Close the port. The servos keep torque and goals, so the robot stays standing."""
         self._joints.close()
 
     def doing(self) -> str:
-        """Mode and why, for the operator."""
+        """Return the mode and its reason as status text."""
         refused = f"; refused: {self._guard.refused}" if self._guard.refused else ""
         return f"{self._guard.mode}: {self._guard.reason}{refused}"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """One control cycle."""
+        """Run one control cycle."""
         elapsed, dt = self._cycle_time(tick.stamp_ns)
         slept_s = self._slept_s()
         with self.stages("bus read"):
@@ -154,7 +159,7 @@ class Actuator:
         self._permit.keep(self._guard.walk_order(tick.stamp_ns))
         yield self._odometry_message(now_ns)
         news = (self._guard.mode, self._guard.reason, self._guard.refused, self._walker.plan_ns)
-        if news != self._told or self._silent:  # every other cycle, and at once when there is something to tell
+        if news != self._told or self._silent:  # every other cycle, and at once after a change
             self._told, self._silent = news, False
             yield self._state_message(now_ns)
         else:
@@ -163,7 +168,10 @@ class Actuator:
     # ---------------------------------------------------------------------------------------------------------- inputs
 
     def _obey_the_latch(self, now_ns: int) -> None:
-        """Let go where that was ordered past this process; and see to it that the latch is closed where torque is to be off."""
+        """Turn torque off if latched, and latch it when torque must be off.
+
+        Another process may have closed the latch.
+        """
         if self._guard.mode is not Mode.OFF:
             self._off.drop_old(self._clock())
             if self._off.holds:
@@ -173,7 +181,7 @@ class Actuator:
             self._off.keep(self._guard.off_ns)
 
     def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
-        """Obey what was ordered since the last cycle."""
+        """Execute the orders received since the last cycle."""
         for order in in_turn(orders, stops):
             if isinstance(order, StopOrder):
                 self._perform(self._guard.hear_stop(order, now_ns))
@@ -181,20 +189,20 @@ class Actuator:
                 self._perform(self._guard.hear(order, now_ns))
 
     def _slept_s(self) -> float:
-        """Time [s] that the computer was suspended since the last cycle; 0 for a time that does not matter."""
+        """Return the time [s] suspended since the last cycle; 0 for a short time."""
         before, self._suspended_ns = self._suspended_ns, self._read_suspended_ns()
         slept_s = (self._suspended_ns - before) * 1e-9
         return slept_s if slept_s > GAP_S else 0.0
 
     def _cycle_time(self, stamp_ns: int) -> tuple[float, float]:
-        """Time [s] since the last cycle, and as much of it as the legs may move in."""
+        """Return the time [s] since the last cycle, and the share of it for leg motion."""
         period = self.paced_by.period_ns
         elapsed = period if self._last_ns < 0 else stamp_ns - self._last_ns
         self._last_ns = stamp_ns
         return elapsed * 1e-9, min(elapsed, 2 * period) * 1e-9
 
     def _read(self) -> None:
-        """Read the legs that may meet ground, then the next servos of the rotation, and note what they say."""
+        """Read legs that may meet ground, then the next servos of the rotation."""
         awaiting = self._walker.awaiting
         self._feeler.forget(~awaiting)
         self._feeler.see(self._measured(), self._joints.goals)
@@ -209,7 +217,10 @@ class Actuator:
                 self._feeler.read(leg, femur)
 
     def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
-        """Where there is an inertial sensor {odom} is as level as that says; a body that tips over stops until a new order."""
+        """Align {odom} with gravity by the inertial sensor; stop when the body tips over.
+
+        After tipping, the robot stays stopped until a new order.
+        """
         mode = self._guard.mode
         for reading in inbox.drain(topics.IMU):
             self._plumb.take(reading, now_ns, mode is Mode.HOLD and self._walker.resting)
@@ -231,45 +242,57 @@ class Actuator:
             self._walker.turn(turn)
 
     def _measured(self) -> Array:
-        """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted since of joints that pull."""
+        """Estimate the present joint angles (6, 3) [rad].
+
+        These are the last readings, plus the commanded motion since then of joints with torque.
+        """
         moved = np.where(self._limp_legs()[:, None], 0.0, self._q_wanted - self._q_wanted_when_read)
         return np.asarray(self._joints.q + moved)
 
     def _standing(self) -> NDArray[np.bool_]:
-        """(6,) legs that stand; those that are limp, or not where they were sent, stand on nothing, unless too few are left."""
+        """(6,) legs that stand.
+
+        Legs without torque, or not yet at their goals, do not count, unless fewer than three legs would remain.
+        """
         walker = self._walker
         standing = (~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching
         firm = standing & ~self._unsure()
         return np.asarray(firm if firm.sum() >= 3 else standing)
 
     def _limp_legs(self) -> NDArray[np.bool_]:
-        """(6,) legs of which a servo does not pull."""
+        """(6,) legs with at least one servo without torque."""
         return np.asarray(self._joints.limp.any(axis=1))
 
     def _unsure(self) -> NDArray[np.bool_]:
-        """(6,) legs that nobody can say of where they stand: limp, or not yet where they were sent again."""
+        """(6,) legs with unknown foot position.
+
+        Torque is off, or they have not yet returned to their goals.
+        """
         return np.asarray(self._joints.unsure.any(axis=1) | self._hung.hung)
 
     def _see_to_health(self, now_ns: int, elapsed: float) -> None:
-        """Do what the servos, the battery and the running out of time ask for."""
+        """React to the state of the servos, the battery and the cycle timing."""
         torque = self._guard.mode is not Mode.OFF
         vitals = self._joints.vitals
         vitals = replace(vitals, behind=vitals.behind | self._behind())
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
         for index in self._verdict.revive:
-            if self._off.holds:  # it has not been let go yet
+            if self._off.holds:  # torque off has not been executed yet
                 break
             self._joints.revive(index)
-            if not self._still:  # then it has nothing to take up
+            if not self._still:  # otherwise there is no motion to resume
                 self._limits.ease(*divmod(index, 3))
 
     def _behind(self) -> NDArray[np.bool_]:
-        """(18,) joints that have not taken up their work yet, and those for which legs are put back, or wait for that."""
+        """(18,) joints that have not resumed their motion yet.
+
+        This includes joints whose legs are being recovered or wait for recovery.
+        """
         return np.asarray(self._limits.behind | self._hung.waiting).ravel()
 
     def _see_to_gaps(self, elapsed: float) -> None:
-        """Begin anew, gently, where nobody has led the legs for a while: the bus was away, or this process."""
+        """Restart gently after an interruption of the bus or of this process."""
         away, self._away = self._away, self._joints.out_of_touch
         if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
             self._joints.lose_touch()
@@ -277,26 +300,32 @@ class Actuator:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 
     def _ease(self, legs: NDArray[np.bool_], top: float = GENTLE) -> None:
-        """Let the joints of legs (6,) take up their work gently, no faster than so [rad/s]."""
+        """Limit the joint speed of legs (6,) to `top` [rad/s] until they have caught up."""
         for leg, joint in np.ndindex(6, 3):
             if legs[leg]:
                 self._limits.ease(leg, joint, top)
 
     def _put_back(self) -> None:
-        """Let legs that hung step to where they belong, once they can: from where they lie they would scrape, or jam."""
+        """Step legs that hung back to their footholds as soon as possible.
+
+        Without a step they would scrape or jam, because they start from an arbitrary position.
+        """
         back = self._hung.update(self._joints.limp, self._joints.unsure, self._walker.flying)
         if back.any() and self._walker.resting:
             self._walker.put_back(back, apply(self._odometry.T_odom_body, self._odometry.feet))
             self._eased, self._top = back, self._hung.put_back()
-            self._q_wanted[back] = self._q_wanted_when_read[back] = self._joints.goals[back]  # of them nothing else was wanted
+            self._q_wanted[back] = self._q_wanted_when_read[back] = self._joints.goals[back]  # these legs had no other target
 
     @property
     def _stay(self) -> NDArray[np.bool_]:
-        """(6,) legs that are led nowhere: a femur that came down without its tibia would lift the body; and until put back."""
+        """(6,) legs that hold their goals until they are recovered.
+
+        A femur that moves down without its tibia would lift the body.
+        """
         return np.asarray(self._hung.dangling | (self._hung.hung & ~self._limp_legs()))
 
     def _legs(self) -> Legs:
-        """How far the walk is, for the guard."""
+        """Return the state of the walk that the guard needs."""
         walker = self._walker
         body, feet = walker.stance_at_end
         return Legs(
@@ -315,14 +344,14 @@ class Actuator:
         )
 
     def _waits(self) -> str:
-        """Why no plan may be walked yet, in words, or nothing."""
+        """Return why no plan may be walked yet, or an empty string."""
         if self._walker.searching.any() or self._walker.taking_back:
             return self._walker.trouble
         takes_up = self._walker.gentle or (self._walker.resting and self._limits.easing)
         return "the joints take up their work again, slowly" if takes_up else ""
 
     def _perform(self, acts: tuple[Act, ...]) -> None:
-        """Do what the guard has decided."""
+        """Execute the acts that the guard has decided."""
         for act in acts:
             match act:
                 case Act.LET_GO:
@@ -355,7 +384,7 @@ class Actuator:
     # ------------------------------------------------------------------------------------------------------------ moves
 
     def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
-        if self._still or self._joints.deaf:  # legs that do not follow are not led on
+        if self._still or self._joints.deaf:  # do not advance legs that do not follow
             self._send(self._joints.goals)
             return
         if self._posing is not None:
@@ -364,7 +393,7 @@ class Actuator:
             self._put_back()
             if self._walker.gentle:
                 self._ease(self._eased, self._top)
-            # A leg whose servo is silent, or limp, is taken to stand where the plan says: it can be asked for nothing.
+            # A leg whose servo is silent or without torque is assumed to stand as planned, because its contact is unknown.
             stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._limp_legs()
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
@@ -378,7 +407,7 @@ class Actuator:
             self._end_pose(targets)
 
     def _end_pose(self, targets: Targets) -> None:
-        """The robot has risen, or lies."""
+        """Finish standing up or lying down."""
         risen = isinstance(self._posing, StandUp)
         self._posing = None
         if risen:
@@ -390,52 +419,58 @@ class Actuator:
             self._perform(self._guard.seated(self._last_ns))
 
     def _note_findings(self, now_ns: int) -> None:
-        """Keep what feet have found for everybody."""
+        """Store the contacts that feet have found until the next state message."""
         for found in self._walker.drain_findings():
             self._touch_ns[found.leg], self._touch_carries[found.leg] = now_ns, found.carries
             self._touch[found.leg] = found.p_odom - [0.0, 0.0, self._profile.foot.radius]
 
     def _reach_for(self, targets: Targets, dt: float) -> None:
-        """Send the goals that bring the feet where they shall be, under their load."""
+        """Send the goals that bring the loaded feet to their targets."""
         feet = nearest_reachable(self._profile, targets.feet)
         q = body_inverse(self._profile, feet)
         reached = np.isfinite(q)
         sag = sag_feed_forward(self._profile, np.where(reached, q, 0.0), feet, targets.share, targets.R_level_body)
         before = q if self._q_last is None else self._q_last
         rates = np.where(reached & np.isfinite(before), (q - before) / dt, 0.0)
-        lag = np.where(self._limits.gentle, 0.0, lag_feed_forward(self._profile, rates, dt))  # it may not run ahead of them
+        lag = np.where(self._limits.gentle, 0.0, lag_feed_forward(self._profile, rates, dt))  # must not run ahead of them
         self._q_last = q
         stays = self._stay[:, None]
         wanted = np.where(stays, self._joints.goals, q + sag + lag)
         goal, self._warning = self._limits.safe(wanted, self._joints.goals, dt)
-        rest = np.where(self._limits.gentle, goal - sag - lag, q)  # gentle joints are not asked for more than that yet
+        rest = np.where(self._limits.gentle, goal - sag - lag, q)  # limited joints have not been commanded further yet
         self._q_wanted = np.where(reached & ~stays, rest, self._q_wanted)
         self._send(goal)
 
     def _send(self, goals: Array) -> None:
-        """Send goals, unless torque is to be off or they are too old: this process may have been stopped in mid-cycle."""
+        """Send goals, unless torque must be off or the goals are too old.
+
+        Goals are too old if this process was suspended within the cycle.
+        """
         if not self._off.holds and self._clock() - self._last_ns < GAP_S * 1e9:
             self._joints.write(goals)
 
     def _take_over(self, torque: bool, load: Array) -> None:
-        """Begin where the robot stands; feet in the air, since somebody ended in mid-step, come down gently.
+        """Start at the present pose, and lower feet that were left in the air.
 
         Args:
             torque: Whether torque is on.
-            load: (6, 3) [N m] of the motors.
+            load: (6, 3) [N m] motor torques.
         """
-        q, self._q_last = self._joints.q, None  # what was wanted before is no way that the joints are on
+        q, self._q_last = self._joints.q, None  # earlier targets do not belong to the present motion
         if torque:
             self._ease(_ALL)
         self._contact.update(q, load, math.inf)
         lifted = self._contact.lifted(body_forward(self._profile, q)) if torque else np.zeros(6)
         self._stand_on(q, standing=lifted == 0.0)
         if lifted.any():
-            self._eased, self._top = _ALL, LOWERED  # whatever feet meet
+            self._eased, self._top = _ALL, LOWERED  # limits the force if a foot meets an obstacle
             self._walker.lower(lifted)
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
-        """Begin odometry and walk anew: the ground is level at z = 0 under the standing feet, the body over their middle."""
+        """Restart odometry and walk.
+
+        The ground is level at z = 0 under the standing feet, and the body is over their middle.
+        """
         measured = body_forward(self._profile, q)
         standing = np.ones(6, dtype=np.bool_) if standing is None else standing
         height = self._profile.foot.radius - float(measured[standing, 2].mean())
@@ -460,12 +495,15 @@ class Actuator:
         )
 
     def _slipping(self) -> str:
-        """Which feet have slipped, in words, or nothing: those that stand have moved against each other."""
+        """Return which feet slip, or an empty string.
+
+        Slip is motion of standing feet against each other.
+        """
         feet = [LEGS[leg] for leg in np.flatnonzero(self._odometry.slip > _SLIPS)]
         return f"slipping: {', '.join(feet)}" if feet else ""
 
     def _warnings(self) -> tuple[str, ...]:
-        """What is not as it should be, in words."""
+        """Return the texts of all warnings; some are empty."""
         guard = self._guard
         return (
             self._warning,
@@ -477,7 +515,7 @@ class Actuator:
             self._off.stuck,
             self._off.unseen,
             self._permit.trouble,
-            self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # else the reason
+            self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # in other modes this is the reason
             *self._verdict.warnings,
         )
 
@@ -514,5 +552,5 @@ class Actuator:
 
 
 def _known(value: float) -> float:
-    """A number, or zero while there is none."""
+    """Return a number, or zero if it is NaN."""
     return 0.0 if np.isnan(value) else float(value)

@@ -1,7 +1,7 @@
-"""Who is on the bus: what each servo says of itself, and what is wrong, by leg and joint. Nothing is moved.
+"""Bus scan: state and problems of each servo, by leg and joint. Nothing is moved.
 
-Two servos with one id speak at the same time. Where their return delays differ two answers come to one ping; where they are
-alike the answers fall on top of each other, and reads of what differs between the two come broken.
+Two servos with one id answer at the same time. If their return delays differ, two answers follow one ping. If they are equal,
+the answers collide, and reads of registers that differ between the two are broken.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -17,11 +17,11 @@ from sextant.shared.servo.dynamixel import Register, ServoError, ServoModel
 
 FACTORY_ID = dxl.ID.default
 ANSWER_ALL = 2  # status return level
-_ATTEMPTS = 3  # per question: a host that is busy, or a spike on the wire, loses one now and then
-_STRANGE_BYTES = 16  # that come unasked: less is noise on an open line
+_ATTEMPTS = 3  # per request: a busy host or a spike on the wire loses one occasionally
+_STRANGE_BYTES = 16  # unrequested bytes from which another device sends: fewer are noise on an open line
 _FEW = 3  # servos that are named one by one
 _MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
-_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
+_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as its own answer
 _EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
 _RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
 
@@ -32,70 +32,70 @@ class NotAServoBusError(BusGone):
     """Another device sends on the port."""
 
     def __init__(self, heard: bytes):
-        """Show the bytes that came unasked, and the ports that this machine has."""
+        """Report the unrequested bytes, and the serial ports of this machine."""
         text = "".join(letter if letter.isprintable() else "." for letter in heard.decode("ascii", "replace"))
         others = ", ".join(usb_adapter.devices()) or "none"
         super().__init__(f"no servo bus: another device sends {text!r} without being asked; serial ports here: {others}")
 
 
 class Chorus(NamedTuple):
-    """What came back on one ping."""
+    """Responses to one ping."""
 
     answers: int  # intact ones
-    garbage: bool  # bytes that are none
+    garbage: bool  # bytes that are no answer
 
     @property
     def silent(self) -> bool:
-        """Nothing came."""
+        """Whether nothing was received."""
         return not self.answers and not self.garbage
 
 
 class Problem(NamedTuple):
-    """What is wrong with a servo, and what to do."""
+    """Problem of a servo, and its remedy."""
 
     words: str
     advice: str
 
 
 class Setting(NamedTuple):
-    """A register of the EEPROM that hampers a servo, or does not protect it."""
+    """EEPROM register that limits a servo too much, or does not protect it."""
 
     register: Register
-    value: int  # that it had better hold
-    words: str  # what is wrong with the one that it holds
+    value: int  # recommended value
+    words: str  # what is wrong with the present value
 
 
 class Bus(Protocol):
-    """The part of `ServoBus` that is used here."""
+    """Part of `ServoBus` that is used here."""
 
     @property
     def garbled(self) -> int:
-        """Bytes and packets so far that were none."""
+        """Number of invalid bytes and packets so far."""
 
     def ping(self, servo_id: int) -> ServoError | None:
-        """Error bits of a servo, None when it does not answer."""
+        """Return the error bits of a servo, None when it does not answer."""
 
     def chorus(self, servo_id: int) -> Chorus:
-        """All that comes back on one ping."""
+        """Return all responses to one ping."""
 
     def unasked(self) -> bytes:
-        """The first bytes that come within a second in which nothing is asked."""
+        """Return the first bytes that arrive within a second without a request."""
 
     def read(self, servo_id: int, register: Register) -> int | None:
-        """Value of a register."""
+        """Return the value of a register."""
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
-        """Bytes of a control table."""
+        """Return bytes of a control table."""
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write a register."""
 
     def tell(self, servo_id: int, register: Register, value: int) -> None:
-        """Write a register without awaiting an answer."""
+        """Write a register without waiting for an answer."""
 
 
 class Voice(StrEnum):
-    """How an id answers."""
+    """Response type of an id."""
 
     CLEAR = "answers"
     DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
@@ -112,20 +112,20 @@ _BY_VOICE = {
     Voice.MUTE: f"its status return level is 0: {SET_ID}",
     Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
 }
-WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
+WARM = 10.0  # [deg C] below its limit from which a servo is too warm to start
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What there was to see of one id."""
+    """Scan result of one id."""
 
     servo_id: int
     voice: Voice
-    table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the voice is clear
+    table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the response is clear
     error: ServoError = ServoError.NONE
 
     def __getitem__(self, register: Register) -> int:
-        """Value of a register of a clear voice."""
+        """Return the value of a register; requires a clear response."""
         return int.from_bytes(self.table[register.address : register.address + register.size], "little")
 
     @property
@@ -146,17 +146,17 @@ class Seen:
 
     @property
     def is_wheel(self) -> bool:
-        """Whether one that has a clear voice is in wheel mode."""
+        """Whether the servo is in wheel mode; requires a clear response."""
         return not self[dxl.CW_ANGLE_LIMIT] and not self[dxl.CCW_ANGLE_LIMIT]
 
 
 def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
-    """See what there is of one id, None for nobody.
+    """Scan one id; return None if nothing answers.
 
     Args:
         bus: The bus.
-        servo_id: Whom to ask.
-        listen: Wait for a second answer to a ping, for the whole time that a servo may take.
+        servo_id: The id to scan.
+        listen: Wait for a second answer to a ping, for the whole timeout of a servo.
     """
     error = retry(lambda: bus.ping(servo_id))
     crowd = (listen or error is None) and _crowded(bus, servo_id)
@@ -172,26 +172,32 @@ def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
         return Seen(servo_id, Voice.MUTE)
     garbled = bus.garbled
     eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
-    if eeprom is None or ram is None:  # two of one model say that in one voice, and what they measure in two
+    if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
         return Seen(servo_id, Voice.DOUBLED if bus.garbled > garbled else Voice.FADING)
     return Seen(servo_id, Voice.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
-    """Whether, time and again, more than one answers a ping, or nobody in clear words: once may be an answer that is late."""
+    """Return whether pings repeatedly get several or no intact answers.
+
+    A single time may be a late answer.
+    """
     heard = (bus.chorus(servo_id) for _ in range(_ATTEMPTS))
     return all(chorus.answers != 1 and not chorus.silent for chorus in heard)
 
 
 def _refuse_another_device(bus: Bus) -> None:
-    """Raise NotAServoBusError where bytes come that nobody has asked for."""
+    """Raise NotAServoBusError if unrequested bytes arrive."""
     heard = bus.unasked()
     if len(heard) >= _STRANGE_BYTES:
         raise NotAServoBusError(heard)
 
 
 def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
-    """All of a robot's servos that are there; where one is missing it is looked for, at the factory's id and behind others'."""
+    """Scan a robot's servos.
+
+    If one is missing, also check the factory id and the found ids for a second servo.
+    """
     seen = {i: found for i in names if (found := look(bus, i, listen=False))}
     if len(seen) < len(names) and seen:
         whom = {FACTORY_ID, *seen}
@@ -200,12 +206,14 @@ def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
 
 
 def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, Problem]:
-    """What is wrong with each servo of a robot, and whose place a stranger may have left, by id.
+    """Return the problems of a robot's servos, by id.
+
+    A foreign servo with the factory id may be a missing one after a reset.
 
     Args:
-        names: Id -> leg and joint, as "left rear femur"; empty words where there is no name.
-        seen: Whom `look` has found.
-        model: The type that all are to be.
+        names: Id -> leg and joint, as "left rear femur"; empty without a name.
+        seen: Scan results by id.
+        model: The expected type of all servos.
     """
     missing = [i for i in names if i not in seen]
     found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
@@ -219,20 +227,20 @@ def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoMod
 
 
 def left_by_reset(missing: Iterable[int], names: Mapping[int, str]) -> str:
-    """Who may have become the factory's id by a reset, in words."""
+    """Return which servos may have got the factory id by a reset."""
     who = [named(i, names) for i in missing]
     words = " or ".join(who) if len(who) <= _FEW else f"any of the {len(who)} that are missing"
     return f"{FACTORY_ID} is what a reset leaves: it may be {words}"
 
 
 def named(servo_id: int, names: Mapping[int, str]) -> str:
-    """A servo in words: "servo 9 (left rear femur)"."""
+    """Return a servo's id and name: "servo 9 (left rear femur)"."""
     name = names.get(servo_id, "")
     return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
 
 
 def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
-    """What is wrong with one servo."""
+    """Return the problem of one servo, or None."""
     if seen is None:
         return Problem("does not answer", "see to its cable and power: those behind it in the chain are silent with it")
     if seen.voice is not Voice.CLEAR:
@@ -247,10 +255,12 @@ def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
 
 
 def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting]:
-    """Which limits and protections of a servo are not what its data sheet and its joint want. A robot can do with them.
+    """Return limits and protections that differ from data sheet and joint needs.
+
+    A robot can work with them.
 
     Args:
-        seen: A clear voice.
+        seen: A servo with a clear response.
         model: Its type.
         reach: Lowest and highest position register that its joint needs.
     """
@@ -271,11 +281,11 @@ def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting
 
 
 def ailing(seen: Seen, low: float) -> str:
-    """Describe what a servo reports of its voltage, heat and load that is out of order; empty where all is well.
+    """Return abnormal voltage, temperature and errors of a servo, or an empty string.
 
     Args:
         seen: The servo.
-        low: [V] least voltage, by the profile's battery.
+        low: [V] lowest voltage, from the profile's battery.
     """
     limit, error = seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
     return "; ".join(
@@ -290,14 +300,16 @@ def ailing(seen: Seen, low: float) -> str:
 
 
 def error_of(seen: Seen) -> str:
-    """What a servo has shut itself down for, complains of, or was left with, in words."""
+    """Return shutdown reason, errors and reduced torque limit, or an empty string."""
     weak = seen[dxl.TORQUE_LIMIT] < seen[dxl.MAX_TORQUE]
     left = f"a torque limit of {seen[dxl.TORQUE_LIMIT] / 10:.0f} %" if weak else ""
     return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
 
 
 def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
-    """Make a servo answer everything at once, and lock its EEPROM; what it does not take, or nothing.
+    """Configure immediate answers to all requests, and lock the EEPROM.
+
+    Return what failed, or an empty string.
 
     EEPROM is written only where it differs.
     """
@@ -309,13 +321,16 @@ def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
 
 
 def wake(bus: Bus, servo_id: int) -> Seen | None:
-    """Have a servo that answers pings only, by its status return level, speak; that write is not answered either."""
+    """Raise the status return level of a servo that answers only pings, and scan it.
+
+    The write itself is not acknowledged.
+    """
     bus.tell(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
     return look(bus, servo_id, listen=False)
 
 
 def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:
-    """Write a register unless it has the value; whether it has it in the end."""
+    """Write a register unless it has the value; return whether it has it at the end."""
     for _ in range(_ATTEMPTS):
         if bus.read(servo_id, register) == value:
             return True
@@ -324,7 +339,7 @@ def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:
 
 
 def retry(question: Callable[[], T | None]) -> T | None:
-    """Ask until there is an answer, three times at most."""
+    """Repeat a request until there is an answer, three times at most."""
     return next((answer for answer in _answers(question) if answer is not None), None)
 
 

@@ -1,6 +1,6 @@
-"""Where each horn sits: a leg is bent by hand to a stated pose, and what its servos then say is held against what they should.
+"""Horn calibration: servo angles of a leg bent to a known pose give the trims.
 
-Torque is off while the leg is bent. Only where the operator asks for it the leg is then held, gently, to be checked.
+Torque is off while the leg is bent. Only on the operator's request the leg is then held, with little torque, for a check.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -30,20 +30,22 @@ def calibrate(
     legs: Sequence[str] = LEGS,
     pose_deg: tuple[float, float, float] = STRAIGHT_OUT,
 ) -> bool:
-    """Measure the trims of legs, one after the other, and keep each at once; whether all were kept. It can be left.
+    """Measure the trims of legs, save each at once; return whether all were saved.
+
+    The operator may stop at any leg.
 
     Args:
         bus: The robot's servos.
-        profile: The robot; trims that it has already do not matter.
-        operator: Who bends the legs.
-        keep: Takes each leg's calibration as soon as the operator is content.
+        profile: The robot; its present trims do not matter.
+        operator: The person who bends the legs.
+        keep: Saves each leg's calibration as soon as the operator accepts it.
         today: The calibration's date.
-        legs: Which.
+        legs: Legs to calibrate.
         pose_deg: [deg] coxa, femur and tibia angle to which a leg is bent.
 
     Raises:
         ValueError: The pose is beyond a leg's limits.
-        ServoSilentError: A servo stopped answering; legs that were kept are.
+        ServoSilentError: A servo stopped answering; saved calibrations stay.
         BusGone: The port is gone.
     """
     for leg in legs:
@@ -66,13 +68,13 @@ def calibrate(
 
 
 def trims_deg(profile: RobotProfile, leg: int, servo: Array, pose_deg: Sequence[float]) -> Array:
-    """Trims (3,) [deg] of a leg whose servos stand at angles (3,) [rad] while its joints are at a pose (3,) [deg]."""
+    """Return trims (3,) [deg] from servo angles (3,) [rad] at a pose (3,) [deg]."""
     turned = np.degrees(profile.servo_signs[leg] * servo)
     return np.asarray(turned - pose_deg - profile.horn_offsets_deg)
 
 
 def implausible(trims: Array) -> str:
-    """Why trims (3,) [deg] cannot be those of horns put on as they should, or nothing."""
+    """Return why trims (3,) [deg] are implausible for good horns, or an empty string."""
     far = [f"{joint} {trim:+.1f} deg" for joint, trim in zip(JOINTS, trims, strict=True) if abs(trim) > MAX_TRIM_DEG]
     if not far:
         return ""
@@ -83,7 +85,7 @@ def implausible(trims: Array) -> str:
 
 
 def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None:
-    """Refuse a pose (3,) [deg] that a leg cannot be bent to, with a ValueError."""
+    """Raise ValueError for a pose (3,) [deg] beyond a leg's limits."""
     limits = np.degrees(profile.joint_limits[LEGS.index(leg)])
     for joint, angle, (low, high) in zip(JOINTS, pose_deg, limits, strict=True):
         if not low <= angle <= high:
@@ -95,7 +97,7 @@ def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None
 def _measure_leg(
     bus: ServoBus, profile: RobotProfile, operator: Operator, leg: int, pose_deg: Sequence[float]
 ) -> tuple[float, float, float] | str:
-    """Trims [deg] that the operator is content with, else whether the leg is left out, or that is all."""
+    """Return the accepted trims [deg], or the choice to skip the leg or to stop."""
     ids = profile.servo_ids[leg].tolist()
     pose = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, pose_deg, strict=True))
     straight = " (straight out, level, like a ruler)" if tuple(pose_deg) == STRAIGHT_OUT else ""
@@ -126,7 +128,7 @@ def _measure_leg(
 
 
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
-    """Keep, bend again, leave out or end; the leg is held, gently, for as long as the operator wants to check it."""
+    """Return the operator's choice; hold the leg gently while it is checked."""
     question = (
         "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out, q ends here: "
     )
@@ -138,7 +140,7 @@ def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
 
 
 def _choice(operator: Operator, question: str, choices: Collection[str]) -> str:
-    """One of some letters, empty for plain Enter; asked for until it is one."""
+    """Ask until the answer is one of some letters; plain Enter is an empty string."""
     while (answer := operator.ask(question).strip().lower()) not in choices:
         operator.say(f"Enter or one of {', '.join(filter(None, choices))} expected, found {answer!r}")
     return answer

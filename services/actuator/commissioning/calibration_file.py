@@ -1,4 +1,4 @@
-"""A robot's own TOML: calibrations are written into it leg by leg, and everything else in it stays as it was."""
+"""Robot configuration file (TOML) with calibrations; all other content stays."""
 
 import os
 import re
@@ -15,18 +15,18 @@ _BLOCK = re.compile(r"^\[\[calibration\]\][^\n]*\n(?:[ \t]*(?:leg|date|trims_deg
 
 
 def keep(path: Path, entry: Calibration, base: str) -> RobotProfile:
-    """Write one leg's calibration, in place of an earlier one; the file is whole at every moment.
+    """Write one leg's calibration atomically, replacing an earlier one.
 
     Args:
-        path: The robot's own TOML, made where there is none.
+        path: The robot's own TOML; created if it does not exist.
         entry: The calibration.
-        base: Profile that a file made here extends.
+        base: Profile that a new file extends.
 
     Returns:
-        The robot as the file has it now.
+        The robot as loaded from the new file.
 
     Raises:
-        ConfigError: The file cannot be written, or not without harm to what is in it.
+        ConfigError: The file cannot be written, or not without damage to its content.
     """
     path = path.resolve()
     if path.exists():
@@ -45,7 +45,7 @@ def keep(path: Path, entry: Calibration, base: str) -> RobotProfile:
 
 
 def with_entry(text: str, entry: Calibration) -> str:
-    """A profile's text with a leg's calibration at its end, an earlier one taken out."""
+    """Return a profile's text with a leg's calibration replaced, at the end."""
 
     def kept(block: re.Match[str]) -> str:
         return "" if re.search(rf"""^\s*leg\s*=\s*["']{entry.leg}["']""", block[0], re.MULTILINE) else block[0]
@@ -59,7 +59,7 @@ def with_entry(text: str, entry: Calibration) -> str:
 
 
 def _is_added(before: dict[str, Any], entry: Calibration, text: str) -> bool:
-    """Whether a text says all that was said before, but for the calibration of one leg, which is the entry's."""
+    """Return whether only the calibration of the entry's leg has changed."""
     try:
         after = input_file.parse_toml(Path(), text.encode())
     except input_file.FileError:
@@ -69,7 +69,7 @@ def _is_added(before: dict[str, Any], entry: Calibration, text: str) -> bool:
 
 
 def _replace(path: Path, text: str) -> RobotProfile:
-    """Put a new text in a file's place in one go, once it has been read as a robot."""
+    """Replace a file atomically, once the new text loads as a robot."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".toml", text=True)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -80,5 +80,5 @@ def _replace(path: Path, text: str) -> RobotProfile:
         robot = load_profile(name)
         Path(name).replace(path)
     finally:
-        Path(name).unlink(missing_ok=True)  # where it has not become the file
+        Path(name).unlink(missing_ok=True)  # if it was not renamed
     return robot

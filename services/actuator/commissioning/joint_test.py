@@ -1,4 +1,4 @@
-"""Each joint moved by a few degrees and back, alone, slowly and with little torque: whether it does as told, and is well."""
+"""Joint test: move each joint slightly, slowly and with little torque, and back."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,28 +15,28 @@ from sextant.shared.servo import dynamixel as dxl
 
 STEP_DEG = 6.0
 _STEP_TICKS = round(np.radians(STEP_DEG) / dxl.TICK_RAD)
-_WAY_NS, _PATIENCE_NS = 600_000_000, 2_000_000_000  # [ns] for a way of a third of a second, and at most
-_OPEN_DEG = 3.0  # that compliance and a leg's weight may leave open
-_STRAINED = 0.9  # of the torque limit
+_WAY_NS, _PATIENCE_NS = 600_000_000, 2_000_000_000  # [ns] for a motion of a third of a second, and timeout
+_OPEN_DEG = 3.0  # largest error from compliance and leg weight
+_STRAINED = 0.9  # share of the torque limit
 _STATE = range(dxl.PRESENT_POSITION.address, dxl.MOVING.address + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """What became of one joint's move."""
+    """Result of one joint's test."""
 
     name: str  # leg and joint
-    way: str  # which way it was told to move, in words
+    way: str  # commanded direction, as text
     asked_deg: float
     moved_deg: float
-    back_deg: float  # what was left open on the way back
-    load: float  # greatest, as a share of the stall torque
+    back_deg: float  # remaining error after the return
+    load: float  # maximum, as a share of the stall torque
     voltage: float  # [V]
     temperature: float  # [deg C]
-    problem: str  # in words, or nothing
+    problem: str  # problem, or an empty string
 
     def __str__(self) -> str:
-        """In a line."""
+        """Return a one-line report."""
         measured = f"load {100 * self.load:3.0f} %  {self.voltage:4.1f} V  {self.temperature:3.0f} deg C"
         line = f"{self.name:<19} {self.way:<8} {self.moved_deg:+5.1f} of {self.asked_deg:+5.1f} deg  {measured}"
         return f"{line}  -> {self.problem}" if self.problem else line
@@ -51,18 +51,20 @@ def exercise(
     legs: Sequence[str] = LEGS,
     hold_after: bool | None = False,
 ) -> list[Moved] | None:
-    """Move the joints of legs one at a time, and back, once the operator has agreed; None where nothing was to be moved.
+    """Test the joints of legs one at a time, once the operator has agreed.
+
+    Return None if nothing was moved.
 
     Args:
         bus: The robot's servos.
         profile: The robot.
-        operator: Told each joint before it moves, and what became of it.
-        clock: Monotonic time [ns], as the bus has it.
-        legs: Which.
-        hold_after: Whether the torque is turned on at the end, the legs holding where they are; None asks.
+        operator: Receives the result of each joint.
+        clock: Monotonic time [ns], the clock of the bus.
+        legs: Legs to test.
+        hold_after: Whether torque is on at the end, with the legs holding their positions; None asks.
 
     Raises:
-        ServoSilentError: A servo stopped answering; torque is off as far as the bus goes.
+        ServoSilentError: A servo stopped answering; torque is off, as far as servos can be reached.
         BusGone: The port is gone.
     """
     if not ready(bus, profile, operator):
@@ -84,7 +86,10 @@ def exercise(
 
 
 def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: int, joint: int) -> Moved:
-    """Move one limp joint and back; it is limp again."""
+    """Move one joint without torque by the test step and back.
+
+    Its torque is off again afterwards.
+    """
     servo_id = int(profile.servo_ids[leg, joint])
     with gently(bus, [servo_id]):
         start = get(bus, servo_id, dxl.PRESENT_POSITION)
@@ -111,7 +116,7 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
 
 
 def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
-    """Send a servo to a goal; position register where it came to rest, and the greatest load on the way."""
+    """Move a servo to a goal; return its final position register and maximum load."""
     put(bus, servo_id, dxl.GOAL_POSITION, goal)
     began, load = clock(), 0.0
     while True:
@@ -126,7 +131,7 @@ def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tu
 
 
 def _problem(asked: float, moved: float, left: float, load: float) -> str:
-    """What is wrong with a move [deg], in words, or nothing."""
+    """Return what is wrong with a motion [deg], or an empty string."""
     if abs(asked - moved) > _OPEN_DEG:
         return "did not get there: something blocks it, or the horn slips"
     if abs(left) > _OPEN_DEG:
@@ -137,7 +142,10 @@ def _problem(asked: float, moved: float, left: float, load: float) -> str:
 
 
 def _way(profile: RobotProfile, leg: int, joint: int, start: int) -> tuple[int, int]:
-    """The servo's sign, and which way of the joint is free: up and outwards where its limit leaves room, else back."""
+    """Return the servo's sign and the free direction of the joint.
+
+    The direction is positive if the limit allows, else negative.
+    """
     sign = int(profile.servo_signs[leg, joint])
     servo = np.tile(dxl.angle_from_ticks(start), (len(LEGS), len(JOINTS)))
     q = profile.joint_angles(servo)[leg, joint]
@@ -145,7 +153,7 @@ def _way(profile: RobotProfile, leg: int, joint: int, start: int) -> tuple[int, 
 
 
 def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
-    """Which way a foot goes, seen by whoever stands beside the robot."""
+    """Return the direction of the foot's motion, as seen from next to the robot."""
     if JOINTS[joint] != "coxa":
         return "up" if up > 0 else "down"
     ahead = -np.sin(np.radians(profile.legs[leg].neutral_yaw_deg)) * up  # the coxa turns about the body's z axis
@@ -153,7 +161,7 @@ def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
 
 
 def _leave(bus: ServoBus, operator: Operator, hold_after: bool | None) -> None:
-    """Leave the torque as the operator wants it, and say so."""
+    """Set the torque as the operator wants it, and report it."""
     if hold_after is None:
         hold_after = operator.agree("Shall the torque be on, the legs holding where they are? No leaves it off.")
     if hold_after:

@@ -1,4 +1,7 @@
-"""Moving servos gently: torque limited, slow, and off at the end, whatever happens; registers are then as they were."""
+"""Gentle servo motion with limited torque and speed; torque is off afterwards.
+
+Registers are restored at the end.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,18 +17,21 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Register
 
-TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air, and a finger stops it
+TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air; a finger can stop it
 MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))
-_READS = 5  # of a position, for its median
-_STILL_TICKS = 3  # a position that changes more than this in so many reads is not at rest
+_READS = 5  # position readings, for their median
+_STILL_TICKS = 3  # largest position change over these readings for a servo at rest
 
 
 class ServoSilentError(RuntimeError):
-    """A servo that was there stopped answering, or refused."""
+    """A servo that was present stopped answering, or refused."""
 
 
 def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
-    """Whether every servo is there, well and without torque, so that legs may be moved; the operator is told why not."""
+    """Return whether all servos are present, healthy and without torque.
+
+    Report problems to the operator.
+    """
     seen = call(bus, profile.servo_names)
     wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
     low = profile.battery.warn_voltage
@@ -38,7 +44,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
 
 
 def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> bool:
-    """Whether no servo holds any more; their torque is taken off only where the operator says so."""
+    """Return whether no servo has torque; turn it off only if the operator agrees."""
     if not holding:
         return True
     question = (
@@ -54,7 +60,10 @@ def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> boo
 
 @contextmanager
 def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
-    """Limit torque and speed of limp servos within; at the end their torque is off and their registers are as before."""
+    """Limit torque and speed of servos; turn torque off and restore at the end.
+
+    The servos must be without torque.
+    """
     before = {(i, r): get(bus, i, r) for i in servo_ids for r in (dxl.MOVING_SPEED, dxl.TORQUE_LIMIT)}
     again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
     try:
@@ -65,13 +74,13 @@ def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
     finally:
         try:
             _restore(bus, again)
-        except KeyboardInterrupt:  # in the midst of it, and a command raises it but once
+        except KeyboardInterrupt:  # interrupted here; a command raises it only once
             _restore(bus, again)
             raise
 
 
 def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> None:
-    """Take the torque of all servos off at once, whoever answers, and have registers as they were."""
+    """Broadcast torque off to all servos, and restore registers."""
     bus.set_torque(False)
     left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
     if left:
@@ -79,14 +88,17 @@ def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> No
 
 
 def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
-    """Turn the torque of servos on where they are: the goal first, for not every firmware holds where it is."""
+    """Turn torque on at the present positions.
+
+    Goals are sent first, because not every firmware holds its position.
+    """
     for i in servo_ids:
         put(bus, i, dxl.GOAL_POSITION, get(bus, i, dxl.PRESENT_POSITION))
         put(bus, i, dxl.TORQUE_ENABLE, 1)
 
 
 def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
-    """Servo angles (n,) [rad] of servos at rest, None while one moves."""
+    """Return angles (n,) [rad] of servos at rest, None while one moves."""
     ticks = np.array([[get(bus, i, dxl.PRESENT_POSITION) for i in servo_ids] for _ in range(_READS)])
     if (np.ptp(ticks, axis=0) > _STILL_TICKS).any():
         return None
@@ -94,7 +106,7 @@ def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
 
 
 def get(bus: ServoBus, servo_id: int, register: Register) -> int:
-    """Value of a register; raises ServoSilentError where there is no answer."""
+    """Return the value of a register; raise ServoSilentError without an answer."""
     value = retry(lambda: bus.read(servo_id, register))
     if value is None:
         raise silent(bus, servo_id, f"its {register.name} was read")
@@ -102,18 +114,18 @@ def get(bus: ServoBus, servo_id: int, register: Register) -> int:
 
 
 def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
-    """Write a register until the servo says that it took it; raises ServoSilentError where it does not."""
+    """Write a register until it is acknowledged; else raise ServoSilentError."""
     if not took(bus, servo_id, register, value):
         raise silent(bus, servo_id, f"its {register.name} was set to {value}")
 
 
 def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
-    """Write a register, three times at most; whether the servo says that it took it."""
+    """Write a register, three times at most; return whether the servo acknowledges it."""
     return retry(lambda: bus.write(servo_id, register, value) or None) is not None
 
 
 def silent(bus: ServoBus, servo_id: int, when: str) -> ServoSilentError:
-    """The error of a servo that stopped answering."""
+    """Return the error for a servo that stopped answering."""
     name = named(servo_id, bus.names)
     return ServoSilentError(
         f"{name} did not answer, or refused, when {when}; see to cable and power, then `sextant servos scan`"

@@ -1,6 +1,7 @@
-"""From a box of servos to a robot's: who is on the bus, and each servo given the id of its joint, one at a time.
+"""Bus scan and id assignment: each servo gets the id of its joint, one at a time.
 
-Terminal and port are somebody else's: an `Operator` is asked, a `Line` opened. Nothing is moved and no torque turned on.
+Terminal and port are interfaces: an `Operator` answers questions, and a `Line` opens the port. Nothing is moved, and no torque
+is turned on.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -30,39 +31,42 @@ from sextant.shared.servo import dynamixel as dxl
 
 ALL_IDS = range(dxl.MAX_ID + 1)
 USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))
-_SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: new servos are told by the delay
+_SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: the return delay identifies new servos
 _LEAVE = "q"
 _NOBODY = "see to their power and to the cable at the adapter, or try --echo; through a bridge nobody hears, see docs/bridge.md"
 _UNLESS_MEANT = f"{SET_ID}, its leg and joint typed, sets what is safe; leave it where it is meant"
 
 
 class Operator(Protocol):
-    """Who builds the robot."""
+    """Person who builds the robot."""
 
     @property
     def absent(self) -> bool:
-        """Whether nobody is there: every question has its plain answer, and nothing changes by being asked again."""
+        """Whether no person is present: every question gets its default answer.
+
+        Repeating a question changes nothing.
+        """
         ...
 
     def say(self, text: str) -> None:
-        """Tell something."""
+        """Show a message."""
 
     def ask(self, question: str) -> str:
-        """An answer in words, empty for plain Enter."""
+        """Return the typed answer, empty for plain Enter."""
 
     def agree(self, question: str) -> bool:
-        """Whether the answer is yes."""
+        """Return whether the answer is yes."""
 
 
 class Line:
-    """A servo port that is opened at one baud rate after another."""
+    """Servo port that can be opened at several baud rates."""
 
     def __init__(self, open_bus: Callable[[int], ServoBus], rates: Sequence[int] = USUAL_RATES) -> None:
-        """Nothing is opened yet.
+        """Store the opener; nothing is opened yet.
 
         Args:
             open_bus: Opens the port at a rate [1/s].
-            rates: What may be tried, the robot's own first; a network port knows no rates, so only one.
+            rates: Rates to try, the robot's own first. A network port has no rates, so give only one.
         """
         self.rates = tuple(rates)
         self._open_bus = open_bus
@@ -70,7 +74,7 @@ class Line:
         self._bus: ServoBus | None = None
 
     def at(self, rate: int) -> ServoBus:
-        """The bus at a rate [1/s]."""
+        """Return the bus at a rate [1/s]."""
         if self._bus is None or rate != self._rate:
             self.close()
             self._rate, self._bus = rate, self._open_bus(rate)
@@ -84,7 +88,7 @@ class Line:
 
 
 class Found(NamedTuple):
-    """A servo, and at which baud rate [1/s] it talks."""
+    """Servo, and its baud rate [1/s]."""
 
     rate: int
     seen: Seen
@@ -94,12 +98,14 @@ class Found(NamedTuple):
 
 
 def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None = None) -> list[Found]:
-    """Everybody who answers to one of the ids at one of the line's rates. An id that nobody has costs a timeout a rate.
+    """Return all servos that answer at one of the ids and rates.
+
+    An unused id costs a timeout per rate.
 
     Args:
-        line: Where to look.
-        ids: Whom to ask.
-        known: Whom to ask three times before they count as silent; None is all of the robot's.
+        line: The port.
+        ids: Ids to scan.
+        known: Ids to try three times before they count as silent; None means all of the robot's.
     """
     asked = list(ids)
     found = []
@@ -114,7 +120,7 @@ def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None
 
 
 def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
-    """A table of the servos, one a line."""
+    """Return a table of the servos, one per line."""
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
@@ -127,7 +133,7 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
 
 
 def holding(found: Sequence[Found], profile: RobotProfile) -> str:
-    """Whose torque is on, in words, or nothing."""
+    """Return which servos have torque on, or an empty string."""
     pulling = [one.seen.servo_id for one in found if one.seen.voice is Voice.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
     if not pulling:
         return ""
@@ -138,13 +144,13 @@ def holding(found: Sequence[Found], profile: RobotProfile) -> str:
 def verdict(
     found: Sequence[Found], profile: RobotProfile, asked: Collection[int] = ALL_IDS, *, each: bool = True
 ) -> list[Problem]:
-    """What keeps these from being the robot's servos, and what to do.
+    """Return problems that keep these from being the robot's servos, with remedies.
 
     Args:
-        found: Who answered.
+        found: Servos that answered.
         profile: The robot.
-        asked: Who could: nobody else is missing.
-        each: Name everyone who is missing, also where all are; else that is one problem.
+        asked: Scanned ids: only these can be missing.
+        each: Name each missing servo even if all are missing; otherwise that is one problem.
     """
     names = {i: name for i, name in profile.servo_names.items() if i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
@@ -165,7 +171,10 @@ def verdict(
 
 
 def hampered(seen: Iterable[Seen], profile: RobotProfile) -> list[Problem]:
-    """Which servos have limits or protections that are not as they should be. It is advice: the actuator does with them."""
+    """Return servos with unusual limits or protections.
+
+    This is advice: the actuator works with them.
+    """
     model, reach, found = dxl.MODEL_NAMED[profile.servo.model], _reach(profile), []
     for one in seen:
         if one.voice is Voice.CLEAR and one[dxl.MODEL_NUMBER] == model.number and not one.is_wheel:
@@ -175,7 +184,7 @@ def hampered(seen: Iterable[Seen], profile: RobotProfile) -> list[Problem]:
 
 
 def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
-    """Lowest and highest position register that the joint of each servo needs, by id."""
+    """Return lowest and highest position register for each servo's joint, by id."""
     ends = np.sort([profile.servo_angles(profile.joint_limits[..., end]) for end in (0, 1)], axis=0)
     ticks = np.clip(np.vectorize(dxl.ticks_from_angle)(ends), 0, dxl.TICK_MAX)
     return {int(i): (int(low), int(high)) for i, low, high in zip(profile.servo_ids.flat, *map(np.ravel, ticks), strict=True)}
@@ -185,13 +194,13 @@ def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
 
 
 def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
-    """Give every servo of a robot the id of its joint; whether all have one in the end.
+    """Give every servo the id of its joint; return whether all have one at the end.
 
-    Servos are plugged in one after the other, each alone or behind those that are done. It can be left at any question, and
-    gone on with: servos that have their ids are found, and those that were cut off while they were set. The joint with the
-    factory's id, if there is one, comes last, since new servos have that id too.
+    Servos are plugged in one after the other, each alone or behind finished ones. The operator can stop at any question and
+    continue later: servos with their ids are found, and so are those that were interrupted during setup. The joint with the
+    factory id, if there is one, comes last, because new servos have that id too.
     """
-    done: set[int] = set()  # in this sitting, plugged in or not
+    done: set[int] = set()  # in this session, plugged in or not
     found = _completed(line, _likely(line, profile), profile, operator)
     while True:
         done |= {one.seen.servo_id for one in found if _is_set(one, profile)}
@@ -216,12 +225,12 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
 
 
 def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> list[Found]:
-    """Who is at the ids that new servos and the robot's have."""
+    """Scan the ids of new servos and of the robot."""
     return scan(line, sorted({FACTORY_ID, *profile.servo_names}), known={FACTORY_ID, *done})
 
 
 def _collide(found: Sequence[Found], operator: Operator) -> bool:
-    """Whether two servos have one id, which the operator is told."""
+    """Return whether two servos have one id, and report it to the operator."""
     doubled = [one.seen.servo_id for one in found if one.seen.voice is Voice.DOUBLED]
     for servo_id in doubled:
         operator.say(
@@ -232,7 +241,7 @@ def _collide(found: Sequence[Found], operator: Operator) -> bool:
 
 
 def _has_place(one: Found, profile: RobotProfile) -> bool:
-    """Whether a servo is of the robot's kind and has the id of a joint, set up or not."""
+    """Return whether a servo has the robot's type and the id of a joint."""
     seen = one.seen
     if seen.voice is not Voice.CLEAR or seen[dxl.MODEL_NUMBER] != dxl.MODEL_NAMED[profile.servo.model].number:
         return False
@@ -240,7 +249,10 @@ def _has_place(one: Found, profile: RobotProfile) -> bool:
 
 
 def _is_set(one: Found, profile: RobotProfile) -> bool:
-    """Whether a servo has all that makes it that of a joint: one with the id alone was cut off, or comes from elsewhere."""
+    """Return whether a servo has all settings of a joint.
+
+    A servo with only the id was interrupted or is foreign.
+    """
     seen = one.seen
     if one.rate != BAUD_RATE or not _has_place(one, profile) or seen.is_wheel:
         return False
@@ -249,7 +261,10 @@ def _is_set(one: Found, profile: RobotProfile) -> bool:
 
 
 def _completed(line: Line, found: list[Found], profile: RobotProfile, operator: Operator) -> list[Found]:
-    """All who were found, those that have the id of a joint and not all that goes with it set up, if the operator agrees."""
+    """Complete servos that have only the id of a joint, if the operator agrees.
+
+    Return all servos.
+    """
     ids = [one.seen.servo_id for one in found]
     alone = [one for one in found if one.seen.servo_id != FACTORY_ID and ids.count(one.seen.servo_id) == 1]
     half = [one for one in alone if _has_place(one, profile) and not _is_set(one, profile)]
@@ -263,7 +278,7 @@ def _completed(line: Line, found: list[Found], profile: RobotProfile, operator: 
 
 
 def _ask_joint(proposed: int, profile: RobotProfile, operator: Operator) -> str:
-    """For which joint the next servo is, by its name; empty for the proposed one."""
+    """Ask for the joint of the next servo; an empty string means the proposed one."""
     known, name = _by_name(profile), profile.servo_names[proposed]
     while True:
         answer = operator.ask(
@@ -289,15 +304,15 @@ def _new_one(
     *,
     named_by_hand: bool,
 ) -> Found | None:
-    """The one servo that has no joint yet, or was not there before; None, and the operator told, when there is none, or more.
+    """Return the one new servo; None, with a message to the operator, otherwise.
 
     Args:
-        line: Where to look further.
+        line: The port for a further scan.
         before: Ids that answered when the operator was asked to plug it in.
-        found: Who answers now, at the ids that new servos and the robot's have.
+        found: Servos that answer now, at the ids of new servos and of the robot.
         profile: The robot.
-        operator: Whom to tell.
-        named_by_hand: Whether the operator has typed a joint: one that is alone on the bus is meant then.
+        operator: Receives the messages.
+        named_by_hand: Whether the operator has typed a joint: then a servo alone on the bus is meant.
     """
     if _collide(found, operator):
         return None
@@ -327,7 +342,10 @@ def _new_one(
 def _may_change(
     new: Found, target: int, before: Collection[int], found: Sequence[Found], profile: RobotProfile, operator: Operator
 ) -> bool:
-    """Whether a servo may become that of a joint: never beside another of it, and with another joint's id only by a yes."""
+    """Return whether a servo may become that of a joint.
+
+    The joint's own servo must not be plugged in. A servo with another joint's id needs the operator's consent.
+    """
     old, names = new.seen.servo_id, profile.servo_names
     if any(one.seen.servo_id == target for one in found if one is not new):
         operator.say(f"{named(target, names)} is plugged in already: unplug it first, or name another joint")
@@ -345,9 +363,10 @@ def _may_change(
 
 
 def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: Operator) -> Found | None:
-    """Make a servo the one of a joint, and read back whether it is; None, and the operator told, where it is not.
+    """Set a servo up for a joint and verify it; report a failure and return None.
 
-    Cut off anywhere it is as it was, or is found by its new id and completed: what tells a new servo is changed last.
+    After an interruption the servo is unchanged, or is found by its new id and completed: the setting that identifies a new
+    servo is changed last.
     """
     bus, old = line.at(one.rate), one.seen.servo_id
     seen = (wake(bus, old) if one.seen.voice is Voice.MUTE else None) or one.seen
@@ -366,7 +385,7 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         if old != target:
             bus.tell(old, dxl.ID, target)  # the answer may have the old id or the new one
         refused = [register.name for register, value in _SETTINGS.items() if not ensure(bus, target, register, value)]
-    if not refused and seen[dxl.BAUD_RATE] != dxl.BAUD_RATE.default:  # last, for then it is heard no more
+    if not refused and seen[dxl.BAUD_RATE] != dxl.BAUD_RATE.default:  # last, because it then no longer answers at this rate
         bus.tell(target, dxl.BAUD_RATE, dxl.BAUD_RATE.default)
     back = look(line.at(BAUD_RATE), target)
     given = None if back is None else Found(BAUD_RATE, back)

@@ -1,4 +1,4 @@
-"""Torque off at the port itself: where no actuator runs to be ordered so, and where whoever moves servos here breaks off."""
+"""Torque off at the port, without an actuator or after an interrupted motion."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,12 +12,12 @@ from sextant.shared.servo import dynamixel as dxl
 
 
 def let_go(bus: Servos) -> dict[int, str]:
-    """Turn the torque of all servos on the bus off, whoever answers; who does not say that it is off, and what it says.
+    """Turn all torque off; return the servos that do not confirm it, and why.
 
-    A microcontroller in between obeys before it has been met, too; once met it passes on what each servo says.
+    A microcontroller executes it even before a session is open. With a session it also forwards each servo's answer.
 
     Raises:
-        BusSetupError: A microcontroller is to be in between, and does not answer; it was told all the same.
+        BusSetupError: A configured microcontroller does not answer; the order was sent nevertheless.
         BusGone: The port is gone.
     """
     bus.set_torque(False)
@@ -34,7 +34,7 @@ def let_go(bus: Servos) -> dict[int, str]:
 
 @contextmanager
 def limp_if_broken_off(bus: ServoBus, operator: Operator) -> Iterator[None]:
-    """Where the operator breaks off within, or a servo falls silent, all are let go, and the operator is told so."""
+    """Turn all torque off if the operator interrupts or a servo falls silent."""
     try:
         yield
     except (KeyboardInterrupt, ServoSilentError):

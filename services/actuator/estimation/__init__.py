@@ -1,1 +1,1 @@
-"""Estimate what the legs and the inertial sensor measure: contact, touchdown, odometry and attitude."""
+"""Estimate contact, touchdown, odometry and attitude from legs and IMU."""

@@ -1,9 +1,11 @@
-"""The plumb line of {odom}, which by legs alone is as level as the ground under the feet was believed to be.
+"""Alignment of {odom} with gravity by an inertial sensor.
 
-The legs see every motion at once, and nothing of where down is; an inertial sensor sees that, to within what it is off itself.
-So {odom} turns slowly about the body, as far as the sensor is sure, and what is held level in it is held level against gravity.
-In a walk its heading follows the gyro's: feet that slip turn the body unseen by the legs. Neither goes far in one step: legs
-that hang in the air turn without the sensor.
+Leg odometry alone assumes that the ground under the feet is level.
+
+The legs measure every motion at once, but not the direction of gravity. An inertial sensor measures that direction within its
+uncertainty. Therefore {odom} turns slowly about the body, as far as the sensor is certain, so that level in {odom} is level
+against gravity. In a walk the heading of {odom} follows the gyro, because slipping feet turn the body unseen by the legs. Both
+corrections are limited per step, because legs in the air turn without the sensor.
 """
 
 import math
@@ -15,49 +17,49 @@ from sextant.services.actuator.estimation.attitude import Attitude, AttitudeEsti
 from sextant.shared.geometry import Array, exp_so3, transform, yaw_of
 from sextant.shared.wire.messages import Imu
 
-_HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
-TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on
-_MOST_TURN, _MOST_FORCE = 100.0, 2000.0  # [rad/s] and [m/s^2] that an inertial sensor can measure
-_ODD_NS = 1_000_000_000  # [ns] for which it is told that one has said more
-_GAP_NS = 100_000_000  # [ns] without a reading from which nothing is known of how the body turned meanwhile
-_OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; further back it is of another clock
-_CALM_NS = 1_000_000_000  # [ns] for which a robot must stand until nothing of its body moves any more
-_SURE = np.radians(3.0)  # of doubt up to which a sensor has a say
-_RATE, _FASTEST = 0.5, np.radians(3.0)  # [1/s] at which {odom} turns, and [rad/s] at most, in lean as in heading
-_HEADING_RATE = 2.0  # [1/s] at which its heading follows the gyro's
-_MOST_LEAN, _MOST_YAW = np.radians(12.0), np.radians(5.0)  # by which it turns in one step, or one rest
+_HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # [rad] lean, and [m] arm of a rising foot, from which it lifts the body
+TIPPED = np.radians(20.0)  # [rad] tilt of the body against its commanded pose from which the robot must stop
+_MOST_TURN, _MOST_FORCE = 100.0, 2000.0  # [rad/s] and [m/s^2] measuring range of an inertial sensor
+_ODD_NS = 1_000_000_000  # [ns] for which an out-of-range reading is reported
+_GAP_NS = 100_000_000  # [ns] without a reading after which the rotation meanwhile is unknown
+_OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; an older one is from another clock
+_CALM_NS = 1_000_000_000  # [ns] of standing after which the body no longer moves
+_SURE = np.radians(3.0)  # [rad] uncertainty up to which the sensor is used
+_RATE, _FASTEST = 0.5, np.radians(3.0)  # [1/s] gain and [rad/s] largest rate at which {odom} turns, in lean and in heading
+_HEADING_RATE = 2.0  # [1/s] gain at which the heading follows the gyro
+_MOST_LEAN, _MOST_YAW = np.radians(12.0), np.radians(5.0)  # [rad] limits per step, or per rest
 
 
 class Plumb:
-    """Follows an inertial sensor's readings, and says by how much {odom} leans."""
+    """Estimates from an inertial sensor by how much {odom} leans."""
 
     def __init__(self) -> None:
         """Begin without a reading."""
         self._estimator = AttitudeEstimator()
         self._attitude: Attitude | None = None
         self._stamp_ns = -1  # of the newest reading
-        self._heard_ns = -1  # when it came
-        self._odd_ns = -_ODD_NS - 1  # when a reading came that no sensor can have made
+        self._heard_ns = -1  # when it arrived
+        self._odd_ns = -_ODD_NS - 1  # when the last out-of-range reading arrived
         self._moved_ns = -1  # stamp of the last reading of a robot that did not stand
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new {odom}; what the sensor has said stays."""
-        self._heading: tuple[float, float] | None = None  # [rad] by the legs and by the gyro, when last asked
-        self._behind = 0.0  # [rad] by which the legs' heading is behind the gyro's
+        """Begin a new {odom}; the attitude estimate stays."""
+        self._heading: tuple[float, float] | None = None  # [rad] by the legs and by the gyro, at the last call
+        self._behind = 0.0  # [rad] by which the legs' heading is behind that of the gyro
         self._calm: Array | None = None  # (3,) {odom} up before feet came down
         self._begin(None)
 
     def _begin(self, step: int | None) -> None:
-        self._step = step  # that is walked; None: a rest
-        self._R_levelled: Array = np.eye(3)  # by how much {odom} has turned in it
-        self._made_up = 0.0  # [rad] of heading in it
-        self._steep = self._astray = False  # whether in it lean, or heading, is further off than can be made up
+        self._step = step  # number of the running step; None: at rest
+        self._R_levelled: Array = np.eye(3)  # rotation of {odom} during this step
+        self._made_up = 0.0  # [rad] heading correction during this step
+        self._steep = self._astray = False  # whether the error of lean, or of heading, exceeds the correction allowed per step
 
     def take(self, reading: Imu, now_ns: int, still: bool = False) -> None:
-        """Take in a reading [ns] when it comes, of a robot that may be known to stand still.
+        """Process a reading received at `now_ns`; `still`: the robot is known to stand.
 
-        One that was overtaken says nothing, nor does one of more than a sensor can measure; after a gap all begins anew.
+        Out-of-order and out-of-range readings are ignored. After a gap the estimate starts again.
         """
         if np.abs(reading.gyro).max() > _MOST_TURN or np.abs(reading.specific_force).max() > _MOST_FORCE:
             self._odd_ns = now_ns
@@ -75,12 +77,12 @@ class Plumb:
         self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9, still)
 
     def attitude(self, now_ns: int) -> Attitude | None:
-        """How the body lies; None while no reading comes, or none that can be relied upon."""
+        """Return the attitude of the body; None without recent or reliable readings."""
         found = self._attitude
         return None if found is None or found.doubt > _SURE or now_ns - self._heard_ns > _GAP_NS else found
 
     def problem(self, now_ns: int) -> str:
-        """Why a sensor that was heard is not heeded, in words, or nothing."""
+        """Return why a sensor that sends readings is not used, or an empty string."""
         if now_ns - self._odd_ns < _ODD_NS:
             return "the IMU says more than a sensor can measure (rad/s and m/s^2 expected); such readings are left out"
         if self._attitude is None:
@@ -103,15 +105,15 @@ class Plumb:
         return ""
 
     def turn(self, T_odom_body: Array, now_ns: int, dt: float, step: int | None = None) -> Array | None:
-        """The turn (4, 4) of {odom} about the body towards what the sensor says, or None where there is nothing to do.
+        """Return the turn (4, 4) of {odom} about the body towards the sensor, or None.
 
-        It makes {odom} more level, and takes out what feet that slipped in a step have made of the heading.
+        It makes {odom} more level, and corrects the heading error from feet that slipped in a step.
 
         Args:
-            T_odom_body: (4, 4) where the body is by the legs.
+            T_odom_body: (4, 4) body pose by leg odometry.
             now_ns: [ns] the time.
-            dt: [s] since this was last asked.
-            step: Number of the step that is walked; None for a robot that stands.
+            dt: [s] since the last call.
+            step: Number of the running step; None for a standing robot.
         """
         if step != self._step:
             self._begin(step)
@@ -130,7 +132,7 @@ class Plumb:
         return transform(R, place - R @ place)
 
     def _lean_to_make_up(self, up: Array, doubt: float, dt: float) -> tuple[float, float]:
-        """How far [rad] to turn now about x and y, by up (3,) as {odom} has it."""
+        """Return the correction [rad] about x and y now, from up (3,) {odom}."""
         x, y, z = up.tolist()
         sine = math.hypot(x, y)
         beyond = max(math.atan2(sine, z) - doubt, 0.0)
@@ -140,7 +142,7 @@ class Plumb:
         return (0.0, 0.0) if self._steep else (y * angle, -x * angle)
 
     def _yaw_to_make_up(self, legs: float, gyro: float, dt: float) -> float:
-        """How far [rad] to turn now, by the headings [rad] of legs and gyro."""
+        """Return the heading correction [rad] from the headings [rad] of legs and gyro."""
         before, self._heading = self._heading, (legs, gyro)
         if before is None or self._step is None:
             self._behind = 0.0
@@ -156,14 +158,16 @@ class Plumb:
         return yaw
 
     def heaves(self, T_odom_body: Array, feet: Array, coming: NDArray[np.bool_], now_ns: int) -> NDArray[np.bool_]:
-        """The foot (6,) that lifts the body instead of standing: one that comes down where the body rises unseen by the legs.
+        """Flag the foot (6,) that lifts the body.
 
-        A foot whose servo did not feel the ground goes on down, and the others lose theirs.
+        It comes down where the body rises unseen by the legs.
+
+        A foot whose servo did not detect the ground continues down, and the others lose contact.
 
         Args:
-            T_odom_body: (4, 4) where the body is by the legs.
+            T_odom_body: (4, 4) body pose by leg odometry.
             feet: (6, 3) [m] {body}
-            coming: (6,) legs that come down; while there are none is the time to compare with.
+            coming: (6,) legs that come down; without any, the present attitude becomes the reference.
             now_ns: [ns] the time.
         """
         found, flags = self.attitude(now_ns), np.zeros(6, dtype=np.bool_)
@@ -171,7 +175,7 @@ class Plumb:
         if up is None or self._calm is None or not coming.any():
             self._calm = up
             return flags
-        rising = (T_odom_body[:3, :3].T @ (up - self._calm))[:2]  # up leans in the body to the side that rises
+        rising = (T_odom_body[:3, :3].T @ (up - self._calm))[:2]  # up leans, in the body frame, to the rising side
         size = math.hypot(*rising.tolist())
         if size > _HEAVED:
             arms = np.where(coming, feet[:, :2] @ (rising / size), 0.0)
@@ -179,7 +183,7 @@ class Plumb:
         return flags
 
     def tipped(self, T_odom_commanded: Array, now_ns: int) -> str:
-        """That the body leans too far against a commanded pose (4, 4), in words, or nothing."""
+        """Return a message if the body tips against a commanded pose (4, 4), else ""."""
         found = self.attitude(now_ns)
         if found is None:
             return ""

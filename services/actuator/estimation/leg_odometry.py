@@ -1,4 +1,4 @@
-"""How the body moves by its standing legs: the expected motion of Masri 2016 (section 4), measured instead of assumed."""
+"""Leg odometry: expected motion of Masri 2016 (section 4), from measured joints."""
 
 import math
 
@@ -13,10 +13,10 @@ _MIN_LEGS = 3
 
 
 class LegOdometry:
-    """The pose of the body over feet that do not slip.
+    """Body pose over feet that do not slip.
 
-    Each standing foot is an anchor in {odom}. A foot is a sphere, so it rolls: as the shank turns by a small angle its centre
-    moves by that angle times the radius, and the anchor with it. Without that a stride comes out several per cent short.
+    Each standing foot is an anchor in {odom}. A foot is a sphere, so it rolls: when the shank turns by a small angle, the
+    centre and the anchor move by that angle times the radius. Without this correction a step is several per cent too short.
     """
 
     def __init__(self, profile: RobotProfile, q: Array, T_odom_body: Array):
@@ -25,29 +25,29 @@ class LegOdometry:
         Args:
             profile: The robot.
             q: (6, 3) [rad] measured joint angles.
-            T_odom_body: (4, 4) where the body is said to be.
+            T_odom_body: (4, 4) initial body pose.
         """
         self.T_odom_body = T_odom_body.copy()
         self.travelled = 0.0  # [m]
         self.turned = 0.0  # [rad]
         self.reliable = True
-        self.slip = np.zeros(6)  # [m] by which each standing foot has moved over the ground against the others
+        self.slip = np.zeros(6)  # [m] motion of each standing foot over the ground against the others
         self._profile = profile
         self._standing = np.ones(6, dtype=bool)
         self._shanks = self._shanks_in_odom(q)
         self.anchors = apply(T_odom_body, self.feet)
 
     def update(self, q: Array, standing: NDArray[np.bool_], ground: Array) -> Array:
-        """Follow the measured joints.
+        """Update the pose with measured joints.
 
         Args:
             q: (6, 3) [rad] measured joint angles.
             standing: (6,) legs that carry.
-            ground: (6,) [m] {odom} heights at which the feet were set down. Heights are taken from there, since what the
-                joints measure while a leg takes up its load would add up to a drift of millimetres a step.
+            ground: (6,) [m] {odom} heights at which the feet were set down. Anchor heights come from these, because the joint
+                measurements of a leg that takes up its load would add up to a drift of millimetres per step.
 
         Returns:
-            (4, 4) T_odom_body. With fewer than three standing legs it stays, and `reliable` says so.
+            (4, 4) T_odom_body. With fewer than three standing legs it stays, and `reliable` is False.
         """
         before = self._shanks
         self._shanks = self._shanks_in_odom(q)
@@ -69,13 +69,16 @@ class LegOdometry:
         return self.T_odom_body
 
     def turn(self, T: Array) -> None:
-        """Turn {odom} by a transform (4, 4) about the body: body and feet were not quite where they were believed to be."""
+        """Turn {odom} by T (4, 4) about the body, to correct body and feet."""
         self.T_odom_body = T @ self.T_odom_body
         self.anchors = apply(T, self.anchors)
         self._shanks = self._shanks @ T[:3, :3].T
 
     def _shanks_in_odom(self, q: Array) -> Array:
-        """Unit vectors (6, 3) from the foot's centre up the shank; keeps the feet (6, 3) [m] {body} by the way."""
+        """Return unit vectors (6, 3) from the foot centre up the shank.
+
+        Also store the feet (6, 3) [m] {body}.
+        """
         points = leg_points(self._profile, q)
         self.feet = points[:, 3]
         shank = points[:, 2] - points[:, 3]
@@ -83,6 +86,6 @@ class LegOdometry:
 
 
 def _rolled(before: Array, after: Array) -> Array:
-    """How far (6, 2) spheres of radius one roll when their shanks turn from one direction to another."""
-    # Their cross product is the rotation vector of a small turn, without the spin about the shank; turn x up is the way.
+    """Return how far (6, 2) spheres of radius one roll between two shank directions."""
+    # The cross product is the rotation vector of a small turn without spin about the shank; turn x up is the displacement.
     return np.asarray(before[:, 2:] * after[:, :2] - before[:, :2] * after[:, 2:])

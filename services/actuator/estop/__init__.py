@@ -1,1 +1,1 @@
-"""The stop path: hears `off` beside the actuator, and latches it whatever becomes of that."""
+"""Stop path: receives `off` independently of the actuator and latches it."""

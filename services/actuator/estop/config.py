@@ -5,6 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Which robot it watches over."""
+    """Robot to watch."""
 
-    port: str = "/dev/ttyUSB0"  # of the servos, as the actuator has it
+    port: str = "/dev/ttyUSB0"  # servo port, as in the actuator's settings

@@ -1,4 +1,7 @@
-"""Latches the order to let go: an actuator that is hung, dead or without its bus obeys it first of all, once it is back."""
+"""Latches torque-off orders, also while the actuator hangs, is down or has no bus.
+
+The actuator executes the order as soon as it is back.
+"""
 
 from collections.abc import Iterator
 
@@ -10,30 +13,30 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, ModeCommand, StopOrder, Tick
 
-_BEAT_HZ = 25.0  # between two looks at what was ordered
-_HOLDERS = 64  # whose newest orders are remembered
+_BEAT_HZ = 25.0  # rate at which orders are processed
+_HOLDERS = 64  # clients whose newest orders are remembered
 
 
 class Stop:
-    """Closes the latch at each new order to let go; the actuator alone opens it."""
+    """Closes the latch at each new torque-off order; only the actuator opens it."""
 
     name = "stop"
     reads: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
     writes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Watch over the robot behind a port."""
+        """Watch the robot behind a port."""
         self.paced_by = Every.hz(_BEAT_HZ)
         self.stages = Stages()
         self._latch = Latch.of_port(settings.port)
-        self._problem = ""  # why the newest order to let go is not latched, in words, or nothing
-        self._due_ns: int | None = None  # time of the order to let go that is still to be latched
-        self._latest_ns = 0  # just after the newest order of anybody: who is heard after it, by whatever clock, came after it
+        self._problem = ""  # why the newest torque-off order is not latched, or an empty string
+        self._due_ns: int | None = None  # time of the torque-off order that still has to be latched
+        self._latest_ns = 0  # just after the newest order of all clients; later received orders count as later
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
     def doing(self) -> str:
-        """Whether the latch is closed."""
+        """Return whether the latch is closed."""
         if self._problem:
             return self._problem
         try:
@@ -43,7 +46,7 @@ class Stop:
         return "torque is latched off" if closed else "listening for the order to let go"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Hear what was ordered."""
+        """Process the received orders."""
         for order in inbox.drain(topics.MODE):
             if is_no_time(order, tick.stamp_ns):
                 self._hear_stop(order, tick.stamp_ns)
@@ -54,13 +57,13 @@ class Stop:
                 self._hear_stop(order, tick.stamp_ns)
         for stop in inbox.drain(topics.STOP):
             said_ns = min(stop.stamp_ns, tick.stamp_ns) if is_of_now(stop, tick.stamp_ns) else tick.stamp_ns
-            self._hear_stop(stop, said_ns)  # when it was said, for this process may have been late
+            self._hear_stop(stop, said_ns)  # when it was sent, because this process may have been late
         if self._due_ns is not None:
             self._close(self._due_ns)
         yield from ()
 
     def _is_late(self, order: ModeCommand, now_ns: int) -> bool:
-        """Whether an order to let go has come after a newer one of its holder, is of now, and they have given none since."""
+        """Return whether a current, unknown `off` came after its holder's newer order."""
         repeated = order.sequence == self._newest.get(order.holder)
         known = repeated or order.sequence <= self._stops.get(order.holder, -1)
         return order.mode == "off" and not known and is_of_now(order, now_ns)
@@ -76,17 +79,17 @@ class Stop:
             self._due_ns = given_ns if self._due_ns is None else max(self._due_ns, given_ns)
 
     def _close(self, given_ns: int) -> None:
-        """Close the latch, or try again at the next beat."""
+        """Close the latch; after a failure it is tried again in the next cycle."""
         self._problem = ""
         try:
             self._latch.close(given_ns)
             self._due_ns = None
-        except OSError as error:  # the actuator hears the order, too
+        except OSError as error:  # the actuator receives the order, too
             self._problem = f"an order to let go cannot be latched: {error}"
 
 
 def _remember(newest: dict[str, int], order: ModeCommand | StopOrder) -> None:
-    """Note an order as its holder's newest, and forget who was silent for longest."""
+    """Store an order as its holder's newest; forget the holder silent longest."""
     newest.pop(order.holder, None)
     newest[order.holder] = order.sequence
     if len(newest) > _HOLDERS:

@@ -1,1 +1,1 @@
-"""Turn plans into joint goals: step execution, swing and body trajectories, standing up and sitting down."""
+"""Turn plans into joint goals: steps, trajectories, standing up, sitting down."""

@@ -1,4 +1,4 @@
-"""A pose of the body as six numbers, and the way between two of them. Pure."""
+"""Body pose as six coordinates, and interpolation between two poses. Pure."""
 
 import numpy as np
 
@@ -6,24 +6,29 @@ from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation
 
 
 def coordinates(T: Array) -> Array:
-    """Position [m] and roll, pitch, yaw [rad] (6,) of a pose (4, 4); a body never pitches so far that they are singular."""
+    """Return position [m] and roll, pitch, yaw [rad] (6,) of a pose (4, 4).
+
+    The body never pitches far enough for a singularity.
+    """
     return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
 
 
 def pose(place: Array) -> Array:
-    """The pose (4, 4) with such coordinates (6,) [m, rad]."""
+    """Return the pose (4, 4) with coordinates (6,) [m, rad]."""
     return from_xyz_rpy(place[:3], place[3:])
 
 
 def wrapped(angle: Array) -> Array:
-    """Angles [rad] within half a turn of zero."""
+    """Return angles [rad] wrapped to half a turn around zero."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> tuple[Array, Array]:
-    """Place (6,) and speed (6,) [per s] at a time t [s] of the cubic from p0 at speed v0 to p1 at speed v1.
+    """Return position (6,) and speed (6,) [per s] at t [s] of a cubic.
 
-    It is a straight line where both are that of the way.
+    It goes from p0 with speed v0 to p1 with speed v1.
+
+    It is a straight line if both speeds equal the mean speed.
     """
     s = t / duration
     h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s

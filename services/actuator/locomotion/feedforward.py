@@ -1,8 +1,8 @@
-"""Which leg carries how much, and what the servos need to hold it without sagging.
+"""Load distribution over the legs, and servo feed-forward against sag.
 
-An AX-12A is a spring of about 9 N m/rad around its goal: a femur that carries 1 N m gives way by 6 degrees, 13 mm at the foot.
-The load of each leg is known from statics, so the goal is set beyond the wanted angle by torque over stiffness, and legs take
-up and hand over their share gradually. Feet push outwards a little as they carry: what friction then holds is taken off femora.
+An AX-12A is a spring of about 9 N m/rad around its goal: a femur that carries 1 N m deflects by 6 degrees, 13 mm at the foot.
+The load of each leg follows from statics, so the goal exceeds the wanted angle by torque over stiffness. Legs are loaded and
+unloaded gradually. Carrying feet push slightly outwards; the friction force there relieves the femora.
 """
 
 import numpy as np
@@ -11,22 +11,22 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import joint_torques, leg_points
 from sextant.shared.robot.profile import GRAVITY, RobotProfile
 
-# Keeps the forces bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
+# Keeps the forces bounded while a tripod degenerates; 1e-6 of the contribution of a standing leg.
 _DAMPING = np.diag([1e-6, 1e-8, 1e-8])
-_OUTWARDS = 0.15  # share of its load by which a foot pushes outwards, in the mean; rubber on wood holds 0.5 and more
+_OUTWARDS = 0.15  # mean outward push as a share of the load; friction of rubber on wood is 0.5 or more
 
 
 def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array:
-    """Vertical forces of the ground on the feet that balance the robot: the least-squares solution, weighted by share.
+    """Return vertical ground forces that balance the robot (weighted least squares).
 
     Args:
         feet: (6, 3) [m] {body, level} feet.
-        share: (6,) how far each leg may carry, 0 to 1.
+        share: (6,) share of its load that each leg may carry, 0 to 1.
         weight: [N] of the robot.
         p_com: (3,) [m] {body, level} centre of mass.
 
     Returns:
-        (6,) [N], zero where the share is zero. Where fewer than three legs may carry the balance is only approximate.
+        (6,) [N], zero where the share is zero. With fewer than three carrying legs the balance is only approximate.
     """
     A = np.ones((3, 6))
     A[1:] = (feet[:, :2] - p_com[:2]).T
@@ -35,14 +35,16 @@ def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array
 
 
 def outward_forces(feet: Array, vertical: Array, p_com: Array) -> Array:
-    """Horizontal forces of the ground on feet that push outwards, which spare the femora and move nothing.
+    """Return horizontal ground forces on feet that push outwards.
 
-    Each is proportional to the foot's load and to its way from the centre of mass: where the loads balance about that centre,
-    these forces sum to zero, and along those ways they turn nothing.
+    They relieve the femora and move nothing.
+
+    Each is proportional to the foot's load and to its distance from the centre of mass. If the loads balance about that centre,
+    these forces sum to zero, and they have no moment about it.
 
     Args:
         feet: (6, 3) [m] {body, level} feet.
-        vertical: (6,) [N] that they carry, as `foot_forces` gives them.
+        vertical: (6,) [N] vertical loads, from `foot_forces`.
         p_com: (3,) [m] {body, level} centre of mass.
 
     Returns:
@@ -53,9 +55,10 @@ def outward_forces(feet: Array, vertical: Array, p_com: Array) -> Array:
 
 
 def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
-    """Centre of the robot's mass (3,) [m] {body} at joint angles q (6, 3) [rad], each link's taken to sit in its middle.
+    """Return the centre of mass (3,) [m] {body} at joint angles q (6, 3) [rad].
 
-    Legs are two fifths of a robot like the PhantomX: it moves by more than a centimetre as a tripod swings.
+    Each link's mass is in its middle. Legs are two fifths of a robot like the PhantomX, so the centre moves by more than a
+    centimetre when a tripod swings.
     """
     points = leg_points(profile, q)
     middles = (points[:, :-1] + points[:, 1:]) / 2
@@ -64,9 +67,11 @@ def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
 
 
 def link_torques(profile: RobotProfile, q: Array) -> Array:
-    """Motor torques (6, 3) [N m] that hold the legs' own links up, the body level, at joint angles q (6, 3) [rad].
+    """Return motor torques (6, 3) [N m] that hold the leg links at q (6, 3) [rad].
 
-    The links' masses are taken to sit in their middles.
+    The body is level.
+
+    Each link's mass is in its middle.
     """
     _, femur_mass, tibia_mass = profile.body.leg_link_masses
     femur, tibia = profile.links.femur * np.cos(q[:, 1]), profile.links.tibia * np.cos(q[:, 1] + q[:, 2])
@@ -77,15 +82,17 @@ def link_torques(profile: RobotProfile, q: Array) -> Array:
 
 
 def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:
-    """What to add to moving joints' angles so that the servos keep up with them, instead of following a few hundredths late.
+    """Return the offset of joint goals that compensates the servo lag.
+
+    Without it servos follow a few hundredths of a second late.
 
     Args:
         profile: The robot.
         q_rate: (6, 3) [rad/s] wanted joint speeds.
-        held_s: [s] for which a goal stands until the next one comes; in the mean it is half as old.
+        held_s: [s] between two goals; the mean age of a goal is half of it.
 
     Returns:
-        (6, 3) [rad]: what a servo moves while a goal stands, and the error from which it draws the torque to move so fast.
+        (6, 3) [rad]: half the motion between two goals, plus the position error whose torque maintains the speed.
     """
     servo = profile.servo
     rate = np.minimum(np.maximum(q_rate, -servo.no_load_speed), servo.no_load_speed)
@@ -93,19 +100,19 @@ def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Arr
 
 
 def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:
-    """What to add to joint angles so that the loaded servos come to rest at them.
+    """Return the offset of joint goals that compensates the sag of loaded servos.
 
     Args:
         profile: The robot.
         q: (6, 3) [rad] wanted joint angles.
         feet: (6, 3) [m] {body} wanted feet.
-        share: (6,) how far each leg carries, 0 to 1.
-        R_level_body: (3, 3) attitude of the body towards gravity.
+        share: (6,) share of its load that each leg carries, 0 to 1.
+        R_level_body: (3, 3) attitude of the body against gravity.
 
     Returns:
-        (6, 3) [rad], at most what the servo's full torque gives.
+        (6, 3) [rad], at most the deflection at full servo torque.
     """
-    # Where no leg may carry the whole of its load yet, as while it stands up, the belly lies on the ground for the rest.
+    # While no leg may carry its whole load, as in standing up, the belly on the ground carries the rest.
     weight = profile.body.total_mass * GRAVITY * float(share.max())
     forces = np.zeros((6, 3))
     feet, p_com = feet @ R_level_body.T, centre_of_mass(profile, q) @ R_level_body.T

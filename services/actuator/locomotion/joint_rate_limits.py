@@ -1,65 +1,68 @@
-"""What the joint goals of a cycle must satisfy before they reach the servos. Pure: time comes in."""
+"""Position, speed and acceleration limits of joint goals. Pure."""
 
 import numpy as np
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import LEGS, RobotProfile
 
-# [s] in which a goal may come from rest to the servos' greatest speed. To stop takes no time: a goal that braked slowly would
-# run past where the joint is wanted. The servo brakes by itself.
+# [s] in which a goal may accelerate from rest to the servos' top speed. Stopping is not limited: a goal that braked slowly
+# would overshoot the wanted angle. The servo brakes by itself.
 _FULL_SPEED_S = 0.04
-GENTLE = np.radians(25.0)  # [rad/s] of a joint that takes up its work again
-LOWERED = np.radians(35.0)  # [rad/s] of one whose foot was left in the air, and comes down
-FETCHED = np.radians(95.0)  # [rad/s] of one whose leg waited in the air for a servo that was silent, and is where it was sent
-_NEAR = np.radians(5.0)  # of what is wanted, within which it has taken it up
-_FAR = np.radians(3.0)  # of what is wanted, at which what is wanted waits for it
+GENTLE = np.radians(25.0)  # [rad/s] of a joint that resumes its motion
+LOWERED = np.radians(35.0)  # [rad/s] of a joint whose foot was left in the air and is lowered
+FETCHED = np.radians(95.0)  # [rad/s] of a joint whose leg waited in the air for a silent servo, which has reached its goal
+_NEAR = np.radians(5.0)  # distance from the wanted angle at which the motion is resumed
+_FAR = np.radians(3.0)  # distance from the wanted angle at which that angle waits for the joint
 
 
 class GoalLimits:
-    """Keeps goals finite, within the joints' limits, and no faster than the servos; gentle where a joint begins anew."""
+    """Keeps goals finite, within joint limits and within servo speed.
+
+    Joints that resume their motion are slower.
+    """
 
     def __init__(self, profile: RobotProfile):
         """Begin at rest."""
         self._profile = profile
-        self._rates: Array = np.zeros((6, 3))  # [rad/s] of the goals that were sent last
-        self.gentle = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, until they have caught up
-        self._top: Array = np.full((6, 1), GENTLE)  # [rad/s] of the gentle joints of each leg
-        self.pace = 1.0  # share of its speed at which a motion has to go on that is not to leave gentle joints behind
-        self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and have not been near it yet
+        self._rates: Array = np.zeros((6, 3))  # [rad/s] of the last goals
+        self.gentle = np.zeros((6, 3), dtype=np.bool_)  # joints with limited speed, until they have caught up
+        self._top: Array = np.full((6, 1), GENTLE)  # [rad/s] limit of these joints, per leg
+        self.pace = 1.0  # speed factor of a motion that waits for limited joints
+        self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that resume their motion and have not been close yet
 
     def ease(self, leg: int, joint: int, top: float = GENTLE) -> None:
-        """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted.
+        """Limit the speed of a joint until its goals have caught up with the wanted angle.
 
-        So are those of its whole leg until it has nearly: they change with it from hanging to standing.
+        The whole leg is limited until the joint is close, because its joints change together from hanging to standing.
 
         Args:
-            leg: Of the joint.
-            joint: Of its leg.
-            top: [rad/s] of that leg's goals.
+            leg: Leg of the joint.
+            joint: Joint of the leg.
+            top: [rad/s] limit for that leg's goals.
         """
         self.gentle[leg], self._top[leg] = True, top
         self.behind[leg, joint] = True
 
     @property
     def easing(self) -> bool:
-        """Whether a joint takes up its work gently: a foot would not come off the ground as a step wants it."""
+        """Whether any joint is limited: a step could not lift its foot as planned."""
         return bool(self.gentle.any())
 
     def forget(self) -> None:
-        """No joint takes up anything: torque is off, or all joints stay where they are."""
+        """End all limits, because torque is off or all joints stay where they are."""
         self.gentle[:] = self.behind[:] = False
         self.pace = 1.0
 
     def safe(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
-        """Goals that may be sent, with what had to be withheld.
+        """Return goals that may be sent, and a warning about legs out of reach.
 
         Args:
             q_goal: (6, 3) [rad] wanted goals, NaN where a foot is out of reach.
-            q_last: (6, 3) [rad] goals sent last.
+            q_last: (6, 3) [rad] last goals.
             dt: [s] since then.
 
         Returns:
-            (6, 3) [rad], and a warning in words or nothing. A leg out of reach keeps its last goals.
+            (6, 3) [rad], and a warning or an empty string. A leg out of reach keeps its last goals.
         """
         lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
         wanted = np.where(lost[:, None], q_last, q_goal)

@@ -1,4 +1,4 @@
-"""Legs that could not be led for a while, and hang or lie anywhere until they are put back. Pure."""
+"""Recovery of legs that were uncontrolled and hang or lie anywhere. Pure."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,27 +9,27 @@ _Flags = NDArray[np.bool_]
 
 
 class HungLegs:
-    """Which legs went limp, or silent in the air, and may be put back now."""
+    """Legs that lost torque, or were silent in the air, and their recovery."""
 
     def __init__(self) -> None:
-        """Begin with all legs led."""
-        self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not put back yet
+        """Begin with all legs under control."""
+        self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not recovered yet
         self.dangling: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) those of them that were in the air
-        self._coming: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) on their way back
+        self._coming: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) in recovery
         self._limped: _Flags = np.zeros((6, 3), dtype=np.bool_)
-        self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints for which they hang
+        self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints that caused it
         self._lost: _Flags = np.zeros(6, dtype=np.bool_)
 
     def update(self, limp: _Flags, unsure: _Flags, flying: _Flags) -> _Flags:
-        """Take in how the legs fare.
+        """Update with the state of the legs.
 
         Args:
-            limp: (6, 3) joints whose servo does not pull.
-            unsure: (6, 3) those, and joints whose servo is silent or not yet where it was sent since.
+            limp: (6, 3) joints whose servo has no torque.
+            unsure: (6, 3) the same, and joints whose servo is silent or has not reached its goal since.
             flying: (6,) legs in the air.
 
         Returns:
-            (6,) legs that hang, and can be led again. One that stood while it was silent stands where it stood.
+            (6,) hanging legs that can be controlled again. A leg that was silent while it stood keeps its foothold.
         """
         self._lost = limp.any(axis=1) | (unsure.any(axis=1) & (flying | self.hung))
         back = self.hung & ~self._lost
@@ -41,7 +41,7 @@ class HungLegs:
         return back
 
     def put_back(self) -> float:
-        """Those that can be led again are on their way; how fast [rad/s] their joints may go."""
+        """Start recovery of controllable legs; return their speed limit [rad/s]."""
         self._coming = self.hung & ~self._lost
         top = GENTLE if self._limped[self._coming].any() else FETCHED
         self.hung, self.dangling = self._lost.copy(), self.dangling & self._lost
@@ -49,5 +49,5 @@ class HungLegs:
 
     @property
     def waiting(self) -> _Flags:
-        """(6, 3) joints that pull again, but for which a leg is put back, or waits for that."""
+        """(6, 3) joints with torque whose leg is in recovery or waits for it."""
         return np.asarray(self._failed & ((self.hung & ~self._lost) | self._coming)[:, None])

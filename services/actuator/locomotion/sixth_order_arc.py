@@ -1,15 +1,17 @@
-"""The path of a swinging foot as the flow function replaced it: Erasmus' polynomial of sixth order, kept as a reference.
+"""Path of a swinging foot as Erasmus' sixth-order polynomial, as a reference.
+
+The flow function replaced it.
 
 Source: Lotriet 2024, section 5.4.1, eq. (5.21)-(5.22), after Erasmus et al. 2023. Each coordinate is the polynomial in time
-that starts and ends at rest, speed and acceleration zero, and is at the midpoint q_m (printed as q_1 in (5.22)) in the middle
-of the time. The coefficients are right as printed. With s = t / t_f and D = q_f - q_i they are
+that starts and ends at rest with zero speed and acceleration, and passes the midpoint q_m (printed as q_1 in (5.22)) at half
+time. The coefficients are right as printed. With s = t / t_f and D = q_f - q_i they are
 
     q(s) = q_i + D (10 s^3 - 15 s^4 + 6 s^5) + (q_m - q_i - D/2) 64 s^3 (1 - s)^3
 
-The thesis draws the arc anew from where the foot is when its target moves, and the foot rises a second time (figure 5.12). Here
-a target moves a little in every cycle, as the pose estimate does: the arc is drawn anew from where the foot set out, and what
-the foot is off that arc fades as the way to the target does. So it arrives without a leap, but keeps to the height over the
-higher end that the newest target asks for, and does not rise before a riser.
+In the thesis the arc restarts at the foot when its target moves, and the foot rises a second time (figure 5.12). Here a target
+moves slightly in every cycle, with the pose estimate. The arc is recomputed from the start of the swing, and the foot's offset
+from the arc fades with the remaining distance. Thus the foot arrives without a leap. It keeps the height over the higher end
+that the newest target requires, but does not rise early before a riser.
 """
 
 import numpy as np
@@ -18,11 +20,11 @@ from sextant.shared.geometry import Array
 
 
 def arc_coefficients(q_i: Array, q_m: Array, q_f: Array, t_f: float) -> Array:
-    """Coefficients a_0 to a_6 (7, ...) of q(t), as (5.22) prints them.
+    """Return coefficients a_0 to a_6 (7, ...) of q(t), as printed in (5.22).
 
     Args:
-        q_i: (...) [m] at the time 0.
-        q_m: (...) [m] in the middle of the time.
+        q_i: (...) [m] at time 0.
+        q_m: (...) [m] at half time.
         q_f: (...) [m] at the end.
         t_f: [s] the end.
     """
@@ -36,31 +38,34 @@ def arc_coefficients(q_i: Array, q_m: Array, q_f: Array, t_f: float) -> Array:
 
 
 def on_arc(q_i: Array, q_m: Array, q_f: Array, share: float) -> Array:
-    """The place (...) [m] on the arc at a share of its time, 0 to 1; arguments as of `arc_coefficients`."""
+    """Return the position (...) [m] at a share of the arc's time, 0 to 1.
+
+    The other arguments are those of `arc_coefficients`.
+    """
     return np.asarray(np.polynomial.polynomial.polyval(share, arc_coefficients(q_i, q_m, q_f, 1.0)))
 
 
 class SixthOrderArc:
-    """The feet that are in the air, each on its arc to a target that may move; takes the place of `Swing`."""
+    """Feet in the air, each on its arc to a moving target; alternative to `Swing`."""
 
     def __init__(self, foot: Array, target: Array, clearance: Array):
         """Begin a swing.
 
         Args:
-            foot: (n, 3) [m] {odom} where the feet are.
-            target: (n, 3) [m] {odom} where they shall land.
-            clearance: (n,) [m] over the higher end, in the middle of the time.
+            foot: (n, 3) [m] {odom} present feet.
+            target: (n, 3) [m] {odom} footholds.
+            clearance: (n,) [m] over the higher end, at half time.
         """
         self.foot = foot.copy()
         self._start, self._clearance = foot.copy(), clearance.copy()
 
     def update(self, target: Array, progress: float, step: float) -> Array:
-        """Move on by a fraction of the swing's duration.
+        """Advance by a fraction of the swing's duration.
 
         Args:
-            target: (n, 3) [m] {odom} where they shall land, as known now.
-            progress: Share of the swing that is over, 0 to 1.
-            step: Share to move on by.
+            target: (n, 3) [m] {odom} present footholds.
+            progress: Finished share of the swing, 0 to 1.
+            step: Share to advance by.
 
         Returns:
             (n, 3) [m] {odom} the feet.
@@ -77,5 +82,5 @@ class SixthOrderArc:
 
 
 def _left(share: float) -> float:
-    """Share of the way over the ground that is left at a share of the time."""
+    """Return the remaining share of the horizontal path at a share of the time."""
     return 1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2)

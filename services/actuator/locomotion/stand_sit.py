@@ -1,4 +1,7 @@
-"""Standing up: feet to their resting places while the belly lies on the ground, then the body rises. And lying down again."""
+"""Standing up and lying down.
+
+To stand up, the feet move to their resting positions while the belly lies on the ground; then the body rises.
+"""
 
 import numpy as np
 
@@ -7,18 +10,20 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import RobotProfile
 
-_STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
-_OFF_GROUND = 0.04  # [m] of the belly, from which it is carried
-_APART = 0.08  # [m] from its resting place, within which a foot of a robot that has stopped on its way stands
+_STANDS = 0.03  # [m] from the resting stance up to which the robot stands in it
+_OFF_GROUND = 0.04  # [m] belly height from which the legs carry the body
+_APART = 0.08  # [m] from its resting position up to which a foot of an interrupted robot stands
 _WIDER = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
 _BELLY_CLEARANCE = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
 class StandUp:
-    """From any folded stance to standing in a given time; who is on his feet stays on them.
+    """Motion from any folded stance to standing, in a given time.
 
-    Feet that bear cannot be drawn in. Where the resting stance is so narrow that folded legs do not reach its places, the robot
-    rises on wider ones, and the first steps of its walk bring the feet in.
+    A robot on its feet stays on them.
+
+    Loaded feet cannot be drawn in. If folded legs do not reach the resting stance, the robot rises in a wider stance, and the
+    first steps of its walk bring the feet in.
     """
 
     def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
@@ -26,8 +31,8 @@ class StandUp:
 
         Args:
             profile: The robot.
-            feet: (6, 3) [m] {body} where the feet are.
-            duration_s: [s] for the whole.
+            feet: (6, 3) [m] {body} present feet.
+            duration_s: [s] total duration.
         """
         rest = profile.rest_feet()
         if np.abs(feet - rest).max() < _STANDS:
@@ -45,7 +50,7 @@ class StandUp:
         return self._elapsed >= self._duration
 
     def update(self, dt: float) -> Targets:
-        """Move on by dt [s]."""
+        """Advance by dt [s]."""
         self._elapsed = min(self._elapsed + dt, self._duration)
         legs = len(self._way) - 1
         progress = self._elapsed / self._duration * legs
@@ -53,15 +58,15 @@ class StandUp:
         s = progress - leg
         s = s * s * (3 - 2 * s)
         feet = (1 - s) * self._way[leg] + s * self._way[leg + 1]
-        # From goals that hold a load already, too: those include its sag, which must not be added twice.
+        # Not from goals under load, which include their sag: it must not be added twice.
         carrying = s if leg == legs - 1 else 0.0
         return Targets(feet, np.full(6, carrying), np.eye(3))
 
 
 class LieDown:
-    """From any stance straight down until the belly lies on the ground, in a given time.
+    """Motion from any stance straight down onto the belly, in a given time.
 
-    The feet stay where they stand; those that a folded leg does not reach slide outward as far as they must.
+    The feet keep their positions; those out of reach of a folded leg slide outward as far as necessary.
     """
 
     def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
@@ -69,8 +74,8 @@ class LieDown:
 
         Args:
             profile: The robot.
-            feet: (6, 3) [m] {body} where the feet stand.
-            duration_s: [s] for the whole.
+            feet: (6, 3) [m] {body} present feet.
+            duration_s: [s] total duration.
         """
         lying = feet.copy()
         lying[:, 2] += max(0.0, profile.foot.radius - float(np.median(feet[:, 2])) - profile.body.size[2] / 2)
@@ -83,7 +88,7 @@ class LieDown:
         return self._elapsed >= self._duration
 
     def update(self, dt: float) -> Targets:
-        """Move on by dt [s]."""
+        """Advance by dt [s]."""
         self._elapsed = min(self._elapsed + dt, self._duration)
         s = self._elapsed / self._duration
         s = s * s * (3 - 2 * s)
@@ -91,16 +96,19 @@ class LieDown:
 
 
 def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
-    """Whether the body is carried by feet (6, 3) [m] {body} that stand as on a walk: drawn in, they would let it drop."""
+    """Return whether feet (6, 3) [m] {body} carry the body as in a walk.
+
+    Drawing such feet in would drop the body.
+    """
     height = profile.foot.radius - float(np.median(feet[:, 2]))
     apart = np.linalg.norm((feet - profile.rest_feet())[:, :2], axis=1)
     return height > profile.body.size[2] / 2 + _OFF_GROUND and bool((apart < _APART).all())
 
 
 def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
-    """Feet (6, 3) [m] {body} in the same places while the belly lies on the ground, and when the body has risen.
+    """Return feet (6, 3) [m] {body}, lying and risen, at the same footholds.
 
-    Each leg's are the nearest to its resting place from which it reaches both.
+    Each foothold is the nearest to its resting position at which the leg reaches both.
     """
     lying, risen = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE), profile.rest_feet()
     wider = _outward(profile, lying, risen)
@@ -108,11 +116,14 @@ def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
 
 
 def _outward(profile: RobotProfile, *stances: Array) -> Array:
-    """(6, 3) [m] {body} by which feet must be further out, so that every leg reaches its place in all stances (6, 3)."""
+    """Return outward offsets (6, 3) [m] {body} that bring all feet within reach.
+
+    They hold for all stances (6, 3).
+    """
     outward = np.column_stack([profile.T_body_coxa[:, :2, 0], np.zeros(6)])
     reached = [
         np.all([within_limits(profile, body_inverse(profile, feet + wider * outward)).all(axis=1) for feet in stances], axis=0)
         for wider in _WIDER
     ]
-    # Where there is none, the servos go as far as they can, and the guard keeps them within their limits.
+    # Without a solution, the servos go as far as they can, and the joint limits are enforced later.
     return np.where(np.any(reached, axis=0), _WIDER[np.argmax(reached, axis=0)], 0.0)[:, None] * outward

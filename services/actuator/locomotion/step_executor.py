@@ -1,13 +1,14 @@
-"""Walks accepted plans: where every foot shall be in the body frame at each moment, and where the body.
+"""Execution of accepted step plans: targets of feet and body, cycle by cycle.
 
-A step has three parts. Its legs hand over their load; they swing along the flow while the body moves on over the others, on
-a path that joins the last step's speed; they take up their load again. What is commanded stays apart from what is measured:
+A step has three parts. First, its legs are unloaded. Then they swing along the flow, while the body moves over the standing
+legs on a path that starts with the velocity of the last step. Finally, the legs are loaded again. Commanded and measured
+quantities are kept separate:
 
-    {cmd}           the frame in which standing feet are held still; it follows {odom} slowly in x, y and yaw, since feet roll
-                    and slip, so that what is commanded and what is measured never part
-    ref             where the body should be {cmd}
-    pressed         how much lower than that each standing foot is told to be: slow integral of (ref - measured) in height, roll
-                    and pitch over it, so that sag does not stay; a foot that carries nothing has nothing to make up for
+    {cmd}           frame in which standing feet are fixed; it follows {odom} slowly in x, y and yaw, because feet roll and
+                    slip, so that the commanded and the measured pose stay together
+    ref             commanded body pose {cmd}
+    pressed         offset by which each standing foot is commanded lower: slow integral of (ref - measured) in height, roll
+                    and pitch over the foot, to remove sag; zero for a foot without load
 """
 
 import math
@@ -35,61 +36,61 @@ from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import StepPlan
 
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
-_GENTLE_S = 1.0  # [s] in which feet that hung come back to the ground, or longer, as gently as their joints go
+_GENTLE_S = 1.0  # [s] in which hanging feet return to the ground; longer if the joint speed limits require it
 _PICKED_UP = 0.03  # [m] clearance of feet that may lie on the ground
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _UP = np.array([0.0, 0.0, 1.0])
-_LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
+_LEVEL = np.array([1.0, 1.0, 0.0])  # mask of x, y, z, or of roll, pitch, yaw
 _PRESSED_LIMIT = 0.025  # [m]
-_RELEASE_S = 0.1  # [s] time constant in which a foot without load is told to be where it should be
-_LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which its feet are felt, and from which they may be stopped
-_EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, the leg gives way as much
-_SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
-_REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below its target, and [m/s] how fast
-_PUSHED_DOWN = 0.005  # [m] of it after which a foot that stood all the while pushes so that all joints of its leg tell
-_FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
+_RELEASE_S = 0.1  # [s] time constant in which the pressed offset of an unloaded foot decays
+_LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which touchdown is detected, and from which it may stop the foot
+_EARLY = 0.006  # [m] height over its target from which a touch stops a foot; below that the leg's compliance takes it up
+_SETTLE_S = 0.05  # [s] time constant in which the command of a stopped foot moves to its measured position
+_REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot searches for ground below its target, and [m/s] its speed
+_PUSHED_DOWN = 0.005  # [m] of that search after which the load of all joints of the leg shows that the foot stood all the time
+_FEEL_FROM_S = 0.03  # [s] before lift-off from which the other legs must prove that they stand
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
-_SURVEYED = 0.010  # [m] by which that may differ from where the foot was felt to meet ground
-_WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
-_IN_VAIN_S = 0.2  # [s] that it waits longer at most while their servos are asked in vain
+_SURVEYED = 0.010  # [m] largest correction of the height at which touchdown was detected
+_WAIT_S, _LONGER_S = 0.07, 0.12  # [s] waiting time for unproven legs, and for those that stand by their last reading alone
+_IN_VAIN_S = 0.2  # [s] longest additional wait while their servos do not answer
 _BACK_S = 1.4  # [s] in which a step is taken back
-_SOON_S = 0.33  # [s] in which feet in the air are on the ground, once the robot has to stand
-_BRAKE_S = 0.2  # [s] that a body has for it at least, if its step goes on for so long
-_FASTER = 1.75  # times as fast as planned that they may go on for that; at twice, joints come in late, one by one
-_NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes back may meet ground: to turn round feels like it
-_SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # what squares of m and rad count for in the length of a body's way: 0.14 m
-_PLACES = 11  # at which a body that has to stop may come to rest, from where it can to where it was going
-_LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
-_HELD, _HELD_S = 0.05, 0.4  # [m] by which a foot in the air stays behind, and [s] for which, if something holds it
+_SOON_S = 0.33  # [s] in which feet in the air reach the ground once the robot has to stop
+_BRAKE_S = 0.2  # [s] minimum braking time of the body, if its step lasts that long
+_FASTER = 1.75  # largest speed-up of a step for that; at a factor of two, joints arrive late, one by one
+_NEARLY_BACK = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal itself looks like touchdown
+_SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # squared weights in the length of a body path: 1 rad counts as 0.14 m
+_PLACES = 11  # number of candidate rest poses of a stopping body, from the earliest possible one to its goal
+_LOW = 0.010  # [m] clearance of feet that return to their last footholds
+_HELD, _HELD_S = 0.05, 0.4  # [m] lag of a foot in the air, and [s] duration, from which it counts as held
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a foot found where it came down."""
+    """Contact, or missing ground, that a foot has found."""
 
     leg: int
-    p_odom: Array  # (3,) [m] its centre: where it met ground, or the deepest that it looked for some
-    carries: bool  # False: there is none
+    p_odom: Array  # (3,) [m] foot centre: where it met ground, or the deepest point of its search
+    carries: bool  # False: there is no ground
 
 
 @dataclass(slots=True)
 class _Search:
-    """Feet that stand on nothing, on their way down."""
+    """State of feet that search for ground below their footholds."""
 
-    legs: NDArray[np.bool_]  # (6,) still looking
-    reach: Array  # (6,) [m] how far down each of them looks
+    legs: NDArray[np.bool_]  # (6,) still searching
+    reach: Array  # (6,) [m] search depth of each
     depth: float = 0.0  # [m] below where they stood
 
 
 @dataclass(slots=True)
 class _Patience:
-    """For how long a step has waited, before it lifts its legs, for those that have yet to prove that they stand."""
+    """Waiting time of a step, before lift-off, for legs without proven contact."""
 
     waited_s: float = 0.0
-    in_vain_s: float = 0.0  # beside that, while they could not be heard
+    in_vain_s: float = 0.0  # additional time in which they gave no readings
 
     def is_over(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> bool:
-        """Whether legs (6,) that prove nothing have had their time, after some more [s] of it."""
+        """Add `dt` [s] and return whether the waiting time of unproven legs (6,) is over."""
         if (legs & ~felt.heard).any() and self.in_vain_s < _IN_VAIN_S - 1e-9:
             self.in_vain_s += dt
         else:
@@ -100,34 +101,34 @@ class _Patience:
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What the legs shall do in this cycle."""
+    """Leg targets of one cycle."""
 
     feet: Array  # (6, 3) [m] {body}
-    share: Array  # (6,) of the load that each leg may carry, 0 to 1
+    share: Array  # (6,) share of its load that each leg may carry, 0 to 1
     R_level_body: Array  # (3, 3) commanded attitude
 
 
 class Walker:
-    """Turns step plans into foot targets, one cycle after another; all state of the walk is here."""
+    """Converts step plans to foot targets; holds all state of the walk."""
 
     def __init__(self, settings: Settings, feet: Array, T_odom_body: Array, ground: Array | None = None):
         """Begin at rest.
 
         Args:
-            settings: Of the actuator.
-            feet: (6, 3) [m] {body} feet by command, all standing.
-            T_odom_body: (4, 4) where the body is.
-            ground: (6,) [m] {odom} heights of the feet as they are measured; those by command, when left out.
+            settings: Settings of the actuator.
+            feet: (6, 3) [m] {body} commanded feet, all standing.
+            T_odom_body: (4, 4) body pose.
+            ground: (6,) [m] {odom} measured heights of the feet. Default: the commanded heights.
         """
         self.step = 0
-        self.plan_ns = -1  # [ns] stamp of the plan that is walked, or was last
+        self.plan_ns = -1  # [ns] stamp of the plan in execution, or of the last one
         self.phase = 1.0
         self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
         self._settings = settings
         self._T_odom_cmd = np.eye(4)
         self._ref = coordinates(T_odom_body)  # {cmd}
         self._velocity = np.zeros(6)
-        self._pressed = np.zeros(6)  # [m] by which each foot is told to be lower
+        self._pressed = np.zeros(6)  # [m] by which each foot is commanded lower
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
         self._ground = self._feet[:, 2].copy() if ground is None else ground.copy()
         self._share = np.ones(6)
@@ -135,34 +136,34 @@ class Walker:
         self._next: StepPlan | None = None
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
-        self._start_elapsed = 0.0  # [s] of the plan, when the body's way through it began
-        self._end_elapsed = 0.0  # [s] of it, when that way is over
+        self._start_elapsed = 0.0  # [s] of the plan at which the body path began
+        self._end_elapsed = 0.0  # [s] of the plan at which that path ends
         self._flight: Swing | SixthOrderArc | None = None
-        self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
-        self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
-        self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
-        self._behind_s = np.zeros(6)  # [s] for which feet in the air have stayed behind
-        self._short = np.zeros(6)  # [m] over their targets at which legs were stopped: by ground, or by what felt like it
-        self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs that have swung last
-        self._surveyed = np.zeros(6)  # [m] by which they were found to stand higher than felt
+        self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swing legs that met ground before their targets
+        self._met = self._feet.copy()  # (6, 3) [m] {cmd} where they met it
+        self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have carried load since touchdown
+        self._behind_s = np.zeros(6)  # [s] for which feet in the air have lagged
+        self._short = np.zeros(6)  # [m] over their targets at which legs were stopped, by ground or by a false touchdown
+        self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs of the last swing
+        self._surveyed = np.zeros(6)  # [m] height corrections of new footholds
         self._search: _Search | None = None
-        self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
+        self._way_back: StepPlan | None = None  # return to the stance before the last step, with {cmd} as {world}
         self._patience = _Patience()
-        self._hurry = 1.0  # times as fast as planned
-        self.gentle = False  # whether the running step is none of a plan, but brings feet back that hung anywhere
-        self._returning = False  # whether feet go back to where they have just come from
-        self._taking_back = False  # whether the last swing was none of a plan: there is no way back from it
+        self._hurry = 1.0  # speed relative to the plan
+        self.gentle = False  # whether the running step is not from a plan, but brings hanging feet back
+        self._returning = False  # whether feet return to the footholds that they have just left
+        self._taking_back = False  # whether the last swing was not from a plan: it cannot be taken back
         self._findings: list[Finding] = []
-        self.trouble = ""  # what happened to the last step, in words; empty when it went as planned
+        self.trouble = ""  # problem of the last step; empty when it went as planned
 
     @property
     def body_ref(self) -> Array:
-        """(4, 4) {odom} where the body should be now."""
+        """(4, 4) {odom} commanded body pose now."""
         return np.asarray(self._T_odom_cmd @ pose(self._ref))
 
     @property
     def feet_odom(self) -> Array:
-        """(6, 3) [m] {odom} where the feet should be now."""
+        """(6, 3) [m] {odom} commanded feet now."""
         return apply(self._T_odom_cmd, self._feet)
 
     @property
@@ -172,12 +173,15 @@ class Walker:
 
     @property
     def load_share(self) -> Array:
-        """(6,) of the load that each leg may carry now, 0 to 1."""
+        """(6,) share of its load that each leg may carry now, 0 to 1."""
         return self._share.copy()
 
     @property
     def awaiting(self) -> NDArray[np.bool_]:
-        """(6,) legs of which it matters in every cycle what they feel: they come down, or must prove that they stand."""
+        """(6,) legs whose contact must be read every cycle.
+
+        They come down, or must prove that they stand.
+        """
         plan = self._plan
         if self._search is not None:
             return self._search.legs.copy()
@@ -191,7 +195,7 @@ class Walker:
 
     @property
     def air_s(self) -> Array:
-        """(6,) [s] for which feet of the running step are still in the air, infinite for those that are not."""
+        """(6,) [s] until feet of the running step land; infinite for the others."""
         if self._plan is None:
             return np.full(6, np.inf)
         end, begin = self._plan.duration - self._settings.load_s, self._settings.unload_s
@@ -199,51 +203,54 @@ class Walker:
 
     @property
     def flying(self) -> NDArray[np.bool_]:
-        """(6,) legs of the running step, from when they begin to be lifted until they meet ground or the step is over."""
+        """(6,) legs of the running step between lift-off and touchdown."""
         lifts = self._flight is not None or self.gentle
         return self.swing & ~self._stopped if lifts else np.zeros(6, dtype=bool)
 
     @property
     def searching(self) -> NDArray[np.bool_]:
-        """(6,) legs that look for ground below where they were to stand."""
+        """(6,) legs that search for ground below their footholds."""
         return np.zeros(6, dtype=bool) if self._search is None else self._search.legs.copy()
 
     @property
     def clearance(self) -> Array:
-        """(6,) [m] with which the feet of the running step were lifted; infinite while they can still be lifted higher."""
+        """(6,) [m] clearance at lift-off; infinite while it can still be raised."""
         lifted = self._plan is not None and self._flight is not None
         return self._plan.clearance if lifted and self._plan is not None else np.full(6, np.inf)
 
     @property
     def taking_back(self) -> bool:
-        """Whether a step of its own brings feet back to where they stood."""
+        """Whether the walker's own step brings feet back to where they stood."""
         return self._plan is not None and not self.planned and not self.gentle
 
     def doubt(self, legs: NDArray[np.bool_]) -> None:
-        """Have legs (6,) prove that they stand before others are lifted."""
+        """Require legs (6,) to prove that they stand before others are lifted."""
         self._proven &= ~legs
 
     def drain_findings(self) -> list[Finding]:
-        """What feet have found since this was last asked."""
+        """Return the findings since the last call."""
         found, self._findings = self._findings, []
         return found
 
     @property
     def resting(self) -> bool:
-        """Whether no step is going on, and no foot looks for ground."""
+        """Whether no step is running and no foot searches for ground."""
         return self._plan is None and self._search is None
 
     @property
     def stance_at_end(self) -> tuple[Array, Array]:
-        """Body (4, 4) and feet (6, 3) [m], both {odom}, when the running step is over; at rest where they should be now."""
+        """Body (4, 4) and feet (6, 3) [m], both {odom}, at the end of the running step.
+
+        At rest these are the commanded ones now.
+        """
         if self._plan is None:
             return self.body_ref, self.feet_odom
         return inverse(self._plan.T_world_odom) @ self._plan.body_goal, self._feet_at_end(self._plan)
 
     def accept(self, plan: StepPlan) -> None:
-        """Take over a plan that the guard has passed: new touchdowns of the running step, or the next step.
+        """Take over an accepted plan: a revision of the running step, or the next step.
 
-        While the running step's feet have not left the ground, it may be another step: higher, longer, and so slower.
+        Before lift-off, the plan may also replace the running step by one with another clearance and duration.
         """
         running = self._plan
         if running is not None and plan.step == running.step and self._flight is None and _another(plan, running):
@@ -251,7 +258,7 @@ class Walker:
             self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity, self._elapsed
             self._end_elapsed = plan.duration
         elif running is not None and plan.step == running.step:
-            # The body keeps its way over the standing feet: a goal that jumped with the pose estimate would shake them.
+            # The body keeps its path over the standing feet: a goal that jumped with the pose estimate would shake them.
             self.plan_ns = plan.stamp_ns
             goal = plan.T_world_odom @ inverse(running.T_world_odom) @ running.body_goal
             self._plan = replace(running, T_world_odom=plan.T_world_odom, touchdown=plan.touchdown, body_goal=goal)
@@ -259,16 +266,16 @@ class Walker:
             self._next = plan
 
     def update(self, dt: float, T_odom_body: Array, felt: Felt | None = None, pace: float = 1.0) -> Targets:
-        """Move on by one cycle.
+        """Advance by one cycle.
 
         Args:
             dt: [s] since the last cycle.
-            T_odom_body: (4, 4) where the body is by the measured joints.
-            felt: What the legs feel; without it every foot goes where the plan says.
-            pace: Share of its speed at which a gentle step goes on.
+            T_odom_body: (4, 4) body pose by the measured joints.
+            felt: Measured contacts; without them every foot follows its plan.
+            pace: Speed factor of a gentle step.
 
         Returns:
-            What the legs shall do.
+            Targets of the legs.
         """
         if self.resting and self._next is not None:
             self._begin(self._next)
@@ -290,20 +297,23 @@ class Walker:
         return self._targets()
 
     def lower(self, lifted: Array) -> None:
-        """Bring feet that hang in the air straight down by heights (6,) [m]; the others stand meanwhile."""
+        """Lower hanging feet by heights (6,) [m], while the other legs stand."""
         touchdown = self.feet_odom
         touchdown[:, 2] -= lifted
         self._bring(lifted > 0.0, touchdown, clearance=0.0)
 
     def put_back(self, legs: NDArray[np.bool_], feet: Array) -> None:
-        """Let legs that lie anywhere, with their feet at (6, 3) [m] {odom}, step to where they should stand meanwhile."""
+        """Step legs from feet at (6, 3) [m] {odom} to their commanded footholds."""
         touchdown = self.feet_odom
         self._feet[legs] = apply(inverse(self._T_odom_cmd), feet)[legs]
-        self._pressed[legs] = 0.0  # they lie where they lie
+        self._pressed[legs] = 0.0  # their measured position is their commanded one
         self._bring(legs, touchdown, _PICKED_UP)
 
     def _bring(self, legs: NDArray[np.bool_], touchdown: Array, clearance: float) -> None:
-        """Begin a gentle step with legs that carry nothing, to touchdowns (6, 3) [m] {odom}; the body stays where it is."""
+        """Begin a gentle step of unloaded legs to touchdowns (6, 3) [m] {odom}.
+
+        The body stays where it is.
+        """
         self._share[legs] = 0.0
         self._begin(
             StepPlan(
@@ -323,9 +333,9 @@ class Walker:
         self.gentle = True
 
     def turn(self, T: Array) -> None:
-        """Turn the ground in {odom} by a transform (4, 4) about the body, feet and touchdowns with it.
+        """Turn ground, feet and touchdowns in {odom} by T (4, 4) about the body.
 
-        Where the body should be stays as it is, so the feet bring it there.
+        The commanded body pose stays, so the feet move the body to it.
         """
         T_cmd = inverse(self._T_odom_cmd) @ T @ self._T_odom_cmd
         self._ground = apply(T, np.column_stack([self.feet_odom[:, :2], self._ground]))[:, 2]
@@ -336,14 +346,14 @@ class Walker:
 
     @property
     def planned(self) -> bool:
-        """Whether a step of a plan is running, and none of its own."""
+        """Whether the running step is from a plan."""
         return self._plan is not None and self._plan.stamp_ns >= 0
 
     def set_down(self, reaches: Callable[[Array], bool]) -> None:
-        """Stand as soon as can be: feet in the air go on to where they are going, or back, whichever is sooner.
+        """Stand as soon as possible: feet in the air go on or back, whichever is sooner.
 
-        Both are places that were found good to stand on. Nothing is lifted any more, and the body brakes at once, unless from
-        there its legs would not reach.
+        Both are footholds that were checked before. No further leg is lifted. The body brakes at once, unless its legs would
+        not reach their footholds from there.
 
         Args:
             reaches: Whether the legs reach feet (6, 3) [m] {body}.
@@ -366,21 +376,23 @@ class Walker:
         again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)
         again = replace(again, T_world_odom=inverse(self._T_odom_cmd))
         self._begin(again)
-        self._elapsed = self._settings.unload_s  # they carry nothing
+        self._elapsed = self._settings.unload_s  # they are already unloaded
         self._come_to_rest(again, self._hurry, reaches)
         self._returning = True
         self.trouble = "the step is taken back"
 
     def _come_to_rest(self, plan: StepPlan, hurry: float, reaches: Callable[[Array], bool]) -> None:
-        """End the running step so many times as fast as planned; the body goes on only as far as it must.
+        """Finish the running step at `hurry` times its planned speed.
 
-        It is to rest when the feet are down, and does not wait until they are loaded.
+        The body moves only as far as necessary.
+
+        The body stops when the feet are down, and does not wait until they are loaded.
         """
         down = plan.duration - self._settings.load_s
         self._end_elapsed = min(max(down, self._elapsed + hurry * _BRAKE_S), plan.duration)
         left_s = (self._end_elapsed - self._elapsed) / hurry
         goal, velocity = self._goal(plan), self._hurry * self._velocity
-        soon = self._ref + left_s / 3.0 * velocity  # it brakes all the while, and ever more gently
+        soon = self._ref + left_s / 3.0 * velocity  # brakes with a deceleration that decreases linearly to zero
         if (goal - self._ref) @ (_SPAN * velocity) > 0.0 > (goal - soon) @ (_SPAN * velocity):
             soon = goal
         feet = apply(inverse(self._T_odom_cmd), self._feet_at_end(plan))
@@ -393,13 +405,13 @@ class Walker:
         self._start_elapsed, self._hurry = self._elapsed, hurry
 
     def _feet_at_end(self, plan: StepPlan) -> Array:
-        """Feet (6, 3) [m] {odom} when a step that is running is over."""
+        """Return the feet (6, 3) [m] {odom} at the end of a running step."""
         landed = apply(inverse(plan.T_world_odom), plan.touchdown)
         landed[self._stopped] = apply(self._T_odom_cmd, self._met[self._stopped])
         return np.where(plan.swing[:, None], landed, self.feet_odom)
 
     def _goal(self, plan: StepPlan) -> Array:
-        """Where a step brings the body {cmd}, by angles (6,) that are none of a full turn away from those of now."""
+        """Return the body goal {cmd} of a step (6,), with angles unwrapped."""
         goal = coordinates(inverse(plan.T_world_odom @ self._T_odom_cmd) @ plan.body_goal)
         goal[3:] = self._start_ref[3:] + wrapped(goal[3:] - self._start_ref[3:])
         return goal
@@ -426,10 +438,10 @@ class Walker:
         self._ref, self._velocity = hermite(*way, whole, min(self._elapsed - self._start_elapsed, whole))
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
-            if felt is not None and unproven.any() and not self.gentle:  # legs that lie bear nothing that others had to take
+            if felt is not None and unproven.any() and not self.gentle:  # gentle legs carry no load that others had to take
                 if self._patience.is_over(unproven, felt, self._elapsed - before):
                     self._call_off(unproven)
-                self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
+                self._elapsed, self._velocity = before, np.zeros(6)  # the step is paused
                 return
             self._lift_off(plan)
         self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown), felt)
@@ -437,7 +449,7 @@ class Walker:
             self._land()
 
     def _swing_feet(self, before: float, plan: StepPlan, targets: Array, felt: Felt | None) -> None:
-        """Move the swinging feet on towards their targets (6, 3) [m] {cmd}, and their load off and on."""
+        """Advance swing feet to targets (6, 3) [m] {cmd}; unload and load their legs."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         legs = plan.swing
         if self._elapsed <= begin:
@@ -454,7 +466,7 @@ class Walker:
         if felt is not None and since >= _STOP_FROM:
             met = legs & ~self._stopped & (felt.touches | felt.heaves)
             if self._returning:
-                highest = np.maximum(self._feet[:, 2], apply(inverse(self._T_odom_cmd), felt.feet)[:, 2])  # it comes late
+                highest = np.maximum(self._feet[:, 2], apply(inverse(self._T_odom_cmd), felt.feet)[:, 2])  # the foot lags
                 met &= highest - targets[:, 2] < _NEARLY_BACK
             self._stop(met, targets, felt.feet)
             self._proven &= ~felt.heaves  # the body may have tilted for another reason
@@ -470,9 +482,9 @@ class Walker:
             self._ground[free] = targets[free, 2]
 
     def _held(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> NDArray[np.bool_]:
-        """Which legs (6,) in the air something holds: their feet have stayed far behind the goals of their servos for a while.
+        """Return swing legs (6,) whose feet have lagged far behind the servo goals.
 
-        A folded leg at the limit of a joint stays behind the plan, but not behind its goals.
+        A folded leg at a joint limit lags behind the plan, but not behind its goals.
         """
         goals = self.feet_odom if felt.goals is None else felt.goals
         behind = np.linalg.norm(goals - felt.feet, axis=1) > _HELD
@@ -480,9 +492,9 @@ class Walker:
         return self._behind_s > _HELD_S - 1e-9
 
     def _take_back(self, held: NDArray[np.bool_], feet: Array) -> None:
-        """Bring all feet of the step back to where they stood: some (6,) are held on their way, now at (6, 3) [m] {odom}.
+        """Return all feet of the step, because some (6,) are held at (6, 3) [m] {odom}.
 
-        To go on would drag the robot over its standing feet, by all that the servos have.
+        To continue would drag the robot over its standing feet at full servo torque.
         """
         back = self._way_back
         assert back is not None
@@ -491,7 +503,7 @@ class Walker:
         self.trouble = f"something holds the {_names(held)} foot on its way; the step is taken back"
 
     def _lift_off(self, plan: StepPlan) -> None:
-        """Note how the robot stands before legs leave the ground: that is where it can go back to."""
+        """Store the stance before lift-off, to which the robot can return."""
         self._way_back = replace(
             plan,
             stamp_ns=-1,
@@ -508,16 +520,21 @@ class Walker:
         self._taking_back = plan.stamp_ns < 0
 
     def _prove(self, felt: Felt) -> None:
-        """Take note of feet that stand, now that others unload; one that is only taken to stand has found nothing."""
+        """Note feet that carry load while others are unloaded.
+
+        A foot that is only assumed to stand yields no finding.
+        """
         proven = felt.bears & ~self._proven & ~self.flying & ~self.searching
         self._proven |= proven
         self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven & felt.known).tolist()]
 
     def _survey(self, dt: float, felt: Felt) -> None:
-        """At rest, see how high the feet truly stand that have just met ground: they were measured while they moved.
+        """Measure at rest the height of feet that have just met ground.
 
-        Those that have stood before say where the body is. With all six in the fit each look sees about half of the error.
-        A foot whose height goes on changing stands on nothing firm, or is not where it is told to be: it is not followed far.
+        Their first measurement was in motion.
+
+        The feet that stood before determine the body pose. All six are in the fit, so each update sees about half of the error.
+        A foot whose height continues to change stands on soft ground or is not at its target, so the correction is limited.
         """
         fresh = self._stopped & self._landed & ~self.searching & felt.known
         gap = min(dt / _SURVEY_S, 1.0) * (felt.feet[:, 2] - self._ground)
@@ -527,16 +544,22 @@ class Walker:
         self._met[:, 2] += gap
 
     def _call_off(self, legs: NDArray[np.bool_]) -> None:
-        """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""
+        """Cancel lift-off because legs (6,) have no ground; they search for it.
+
+        The others stand meanwhile.
+        """
         self._plan = self._next = None
         self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
         self._search = _Search(legs.copy(), _REACH + self._short)
-        self._stopped &= ~legs  # what stopped them was no ground: they are held there no longer
+        self._stopped &= ~legs  # they were not stopped by ground: no longer hold them there
         self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
 
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
-        """Lower feet that look for ground; they stay where they meet some, or the step that brought them is taken back."""
-        # A foot below its femur's axis hardly turns the femur, so the feeler may miss that it stands.
+        """Lower feet that search for ground; they stay on contact.
+
+        Without contact the last step is taken back.
+        """
+        # A foot below its femur's axis hardly turns the femur, so touchdown detection may miss that it stands.
         pushes = felt.pushes & (search.depth > _PUSHED_DOWN)
         found = search.legs & (felt.touches | pushes | felt.heaves)
         self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
@@ -553,7 +576,7 @@ class Walker:
             return
         self._findings += [Finding(leg, felt.feet[leg].copy(), False) for leg in np.flatnonzero(lost).tolist()]
         self._search, where = None, f"no ground under the {_names(lost)} foot down to {_REACH * 100:.0f} cm below its foothold"
-        back, self._proven[lost] = self._way_back, True  # it has been said
+        back, self._proven[lost] = self._way_back, True  # already reported
         if back is None or self._taking_back:
             self.trouble = f"{where}; it stays there"
             return
@@ -561,17 +584,17 @@ class Walker:
         self.trouble = f"{where}; the step is taken back"
 
     def _progress(self, plan: StepPlan, elapsed: float) -> float:
-        """Share of the way through the air that is over, 0 to 1, at a time [s] in the step."""
+        """Return the finished share of the swing, 0 to 1, at a time [s] in the step."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         return min(max((elapsed - begin) / (end - begin), 0.0), 1.0)
 
     def _stop(self, legs: NDArray[np.bool_], targets: Array, feet: Array) -> None:
-        """Let feet stay where they have met ground, unless they are about where they go anyway.
+        """Stop feet where they have met ground, unless they are close to their targets.
 
         Args:
             legs: (6,) that have met something.
-            targets: (6, 3) [m] {cmd} where they go.
-            feet: (6, 3) [m] {odom} where they are.
+            targets: (6, 3) [m] {cmd} their targets.
+            feet: (6, 3) [m] {odom} their measured positions.
         """
         met = apply(inverse(self._T_odom_cmd), feet)
         over = met[:, 2] - targets[:, 2]
@@ -580,7 +603,7 @@ class Walker:
         self._short[early] = over[early]
 
     def _stay(self, legs: NDArray[np.bool_], met: Array, feet: Array) -> None:
-        """Let feet stay where they are: (6, 3) [m] {cmd} and {odom}."""
+        """Keep feet at measured positions (6, 3) [m], in {cmd} and in {odom}."""
         self._met[legs] = met[legs]
         self._ground[legs] = feet[legs, 2]
         self._surveyed[legs] = 0.0
@@ -599,20 +622,22 @@ class Walker:
         self._ref = self._ref + self._velocity * dt
 
     def _follow(self, dt: float, T_odom_body: Array) -> None:
-        """Move {cmd} in {odom} so that the body's place by command and by measurement become one."""
+        """Move {cmd} in {odom} so that commanded and measured x, y and yaw converge."""
         ref = self.body_ref
         place = ref[:3, 3]
         way = (T_odom_body[:3, 3] - place) * _LEVEL
         turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
         R = rotation_z(_FOLLOW * dt * turn)
-        # Turned about the body, then moved along.
+        # First turn about the body, then translate.
         step = transform(R, place - R @ place + _FOLLOW * dt * way)
         self._T_odom_cmd = step @ self._T_odom_cmd
 
     def _correct(self, dt: float, T_odom_body: Array) -> None:
-        """Press standing feet down, or draw them up, until the body is as high and level as it should be; let go of the others.
+        """Lower or raise standing feet to hold the body's height, roll and pitch.
 
-        A foot that came down as the others are pressed would miss its place by that, and be loaded, or hang, as much.
+        The offset of the other feet decays.
+
+        A foot that touched down with the offset of the others would miss its foothold by it, and be overloaded or hang.
         """
         error = self._ref - coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
         error[3:] = wrapped(error[3:])
@@ -628,12 +653,12 @@ class Walker:
 
 
 def _another(plan: StepPlan, running: StepPlan) -> bool:
-    """Whether a plan of the running step is more than a revision: its feet go otherwise high, or take another time."""
+    """Return whether a plan of the running step changes clearance or duration."""
     return plan.duration != running.duration or bool((plan.clearance != running.clearance).any())
 
 
 def _turned(plan: StepPlan, T: Array) -> StepPlan:
-    """A plan whose touchdowns have turned by T (4, 4) {odom}."""
+    """Return a plan whose touchdowns are turned by T (4, 4) {odom}."""
     return replace(plan, touchdown=apply(plan.T_world_odom @ T @ inverse(plan.T_world_odom), plan.touchdown))
 
 

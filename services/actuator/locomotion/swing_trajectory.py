@@ -1,4 +1,6 @@
-"""The path of a swinging foot: Lotriet's flow function, which at any moment says which way the foot must move.
+"""Path of a swinging foot by Lotriet's flow function.
+
+The flow gives the direction of the foot's motion at any moment.
 
 Source: Lotriet 2024, section 5.4.2. A foot at the horizontal distance x before its target and the height y over it moves along
 the gradient of the parabola through both points, eq. (5.23) with f_b = y/x - f_a x (the printed (5.25) lost the x):
@@ -6,11 +8,11 @@ the gradient of the parabola through both points, eq. (5.23) with f_b = y/x - f_
     dy/ds = -y/x + (|v_h/x| + |S|) x = -y/x + v_h + |S| x,      s = progress towards the target
 
 Without S its solution is y = v_h x ln(L/x): it peaks at v_h L / e, where x = L/e, and comes down vertically. So v_h, the
-thesis' step height parameter, follows from a clearance h as e h / L. S goes from -1 to 0 where y passes the level q (5.26); its
-constants shape a sigmoid only, and within a millimetre such a foot would turn from rising to arcing: at full speed, which asks
-the servos for all they have. Here it turns all the way from the height of the higher end up to the level, which lies over it,
-so a foot rises beside a riser before it goes over it, and leaves an edge before it goes down behind it; in the last third of
-the way S fades, so that the foot does not hover and then plunge.
+thesis' step height parameter, follows from a clearance h as e h / L. In the thesis, S goes from -1 to 0 where y passes the
+level q (5.26). Its constants only shape a sigmoid, so that the foot would turn from rising to arcing within a millimetre,
+which at full speed demands the maximum of the servos. Here S changes gradually from the height of the higher end up to the
+level, which lies over it. Thus a foot rises next to a riser before it crosses it, and passes an edge before it descends
+behind it. In the last third of the path S fades, so that the foot does not hover and then plunge.
 """
 
 import math
@@ -18,42 +20,43 @@ from itertools import pairwise
 
 from sextant.shared.geometry import Array
 
-_RISE_SLOPE, _RISE_WAY = 4.5, 0.25  # slope of the initial rise, and the share of the way that it takes at most
-_LEVEL_SHARE = 0.8  # of the clearance, over the higher end: from there on the foot arcs; what stands in its way may stand close
+_RISE_SLOPE, _RISE_WAY = 4.5, 0.25  # slope of the initial rise, and its largest share of the path
+_LEVEL_SHARE = 0.8  # of the clearance, over the higher end: above it the foot arcs; obstacles may be close to the foot
 _ARC_SHARE = 0.97  # of the clearance at which the arc would peak; the tail of S adds the rest
-_FADE = (0.15, 0.35)  # shares of the way left between which S fades
-_ARC_SHARES = [i / 8 for i in range(9)]  # of the way left, at which the arc is measured
+_FADE = (0.15, 0.35)  # shares of the remaining path between which S fades
+_ARC_SHARES = [i / 8 for i in range(9)]  # of the remaining path, at which the arc is measured
 _ARC_LOGS = [s * math.log(s) if s else 0.0 for s in _ARC_SHARES]
-_DEARER = 2.0  # than way over the ground is height to the servos, and takes as much more time
-_START, _END, _END_SPEED = 0.08, 0.18, 0.35  # shares of the time to gather speed and to lose it, down to a share of it
-_SUBSTEPS = 4  # per cycle: the field turns within a centimetre
+_DEARER = 2.0  # cost of height relative to horizontal distance for the servos, and so its time
+_START, _END, _END_SPEED = 0.08, 0.18, 0.35  # shares of the time for acceleration and deceleration, and the final speed share
+_SUBSTEPS = 4  # per cycle, because the field turns within a centimetre
 _NEWTON_STEPS = 8
 _NEAR = 1e-3  # [m] horizontally at the target: straight down
-_LEAST = 1e-3  # [m] to rise over the higher end, of a foot that is asked for no clearance
+_LEAST = 1e-3  # [m] minimum rise over the higher end if the clearance is zero
 
 
 def flow_slope(x: float, y: float, v_h: float, level: float, over: float, rise: float) -> float:
-    """Slope dy/ds of a foot's path: how fast it rises per way towards the target.
+    """Return the slope dy/ds of a foot's path: rise per distance towards the target.
 
     Args:
         x: [m] horizontal distance to the target, positive.
         y: [m] height over the target.
         v_h: Step height parameter, see `clearance_parameter`.
         level: [m] height over the target from which the foot arcs rather than rises (the thesis' q).
-        over: [m] by which the level is over the higher end: over so much height the foot turns.
+        over: [m] height of the level over the higher end, over which the foot turns.
         rise: Slope of the initial rise S, 0 towards the end.
 
-    Source: Lotriet 2024, eq. (5.23)-(5.26), S in place of the latter's sigmoid.
+    Source: Lotriet 2024, eq. (5.23)-(5.26), with S instead of the latter's sigmoid.
     """
     below = min(max((level - y) / over, 0.0), 1.0)
     return -y / x + v_h + rise * _smooth(below)
 
 
 def clearance_parameter(top: float, x: float, y: float) -> float:
-    """The step height parameter v_h whose arc from x and y [m] peaks at top [m] over the target.
+    """Return the v_h whose arc from x and y [m] peaks at `top` [m] over the target.
 
-    From there the flow's solution is u s ln(1/s) + y s with u = v_h x and s the share of x that is left. Its peak,
-    u exp(y/u - 1), is the top where w = y/u solves w - ln w = 1 + ln(top/y); Newton's iteration rises to it from below.
+    v_h is the step height parameter. From there the flow's solution is u s ln(1/s) + y s with u = v_h x and s the remaining
+    share of x. Its peak, u exp(y/u - 1), is the top where w = y/u solves w - ln w = 1 + ln(top/y). Newton's iteration
+    approaches w from below.
     """
     y = max(y, 1e-4)
     right = 1.0 + math.log(max(top / y, 1.0))
@@ -64,7 +67,10 @@ def clearance_parameter(top: float, x: float, y: float) -> float:
 
 
 def remaining_length(x: float, y: float, v_h: float, level: float, rise: float = 1.0) -> float:
-    """About how far [m] a foot still travels, height counted as dear as it is: up to the level, then along the arc."""
+    """Return the approximate remaining path [m], with weighted height.
+
+    The path goes up to the level, then along the arc.
+    """
     if x <= _NEAR:
         return math.hypot(x, _DEARER * y)
     up = max(0.0, level - y) * rise
@@ -74,30 +80,30 @@ def remaining_length(x: float, y: float, v_h: float, level: float, rise: float =
 
 
 class Swing:
-    """The feet that are in the air, each on its way to a target that may move.
+    """Feet in the air, each on its path to a target that may move.
 
-    Feet travel the flow's path at a speed that ramps up and down and brings them to the target when the time is over,
-    wherever the target has gone meanwhile: in each cycle they go a share of what is left.
+    Feet follow the flow with a speed profile that ramps up and down. They reach their targets when the time is over, even if
+    the targets move: in each cycle they travel a share of the remaining path.
     """
 
     def __init__(self, foot: Array, target: Array, clearance: Array):
         """Begin a swing.
 
         Args:
-            foot: (n, 3) [m] {odom} where the feet are.
-            target: (n, 3) [m] {odom} where they shall land.
+            foot: (n, 3) [m] {odom} present feet.
+            target: (n, 3) [m] {odom} footholds.
             clearance: (n,) [m] over the higher end.
         """
         self.foot = foot.copy()
         self._flights = [_Flight(*ends) for ends in zip(foot.tolist(), target.tolist(), clearance.tolist(), strict=True)]
 
     def update(self, target: Array, progress: float, step: float) -> Array:
-        """Move on by a fraction of the swing's duration.
+        """Advance by a fraction of the swing's duration.
 
         Args:
-            target: (n, 3) [m] {odom} where they shall land, as known now.
-            progress: Share of the swing that is over, 0 to 1.
-            step: Share to move on by.
+            target: (n, 3) [m] {odom} present footholds.
+            progress: Finished share of the swing, 0 to 1.
+            step: Share to advance by.
 
         Returns:
             (n, 3) [m] {odom} the feet.
@@ -113,7 +119,7 @@ class Swing:
 
 
 class _Flight:
-    """One foot's way, in plain numbers: arrays of three are slower than they are short."""
+    """Path of one foot, in Python floats, which are faster than arrays of three."""
 
     def __init__(self, foot: list[float], target: list[float], clearance: float):
         self._start_z = foot[2]
@@ -125,7 +131,7 @@ class _Flight:
         self._v_h = clearance_parameter(higher + _ARC_SHARE * clearance, 0.85 * self._length, higher + self._rise_by)
 
     def moved(self, foot: list[float], target: list[float], share: float) -> tuple[float, float, float]:
-        """The foot [m] after a share of the way that is left."""
+        """Return the foot [m] after a share of the remaining path."""
         (x_foot, y_foot, z_foot), (x_target, y_target, z_target) = foot, target
         level = max(self._start_z - z_target, 0.0) + self._rise_by
         advance = -1.0
@@ -147,19 +153,25 @@ class _Flight:
 
 
 def _travelled(end: float, begin: float) -> float:
-    """Share of what is left at `begin` that is travelled until `end`, at a speed that ramps up and down smoothly."""
+    """Return the share of the path remaining at `begin` that is travelled until `end`.
+
+    The speed ramps up and down smoothly.
+    """
     return 1.0 if end >= 1.0 else (_covered(end) - _covered(begin)) / (_covered(1.0) - _covered(begin))
 
 
 def _covered(u: float) -> float:
-    """The way until a share of the time, in ways at cruising speed: as much time less what is lost in the ramps."""
+    """Return the path until a share of the time, relative to cruising speed.
+
+    It is the time less the loss in the ramps.
+    """
     start, end = min(u / _START, 1.0), max(0.0, (u - 1.0) / _END + 1.0)
     gathering = _START * (start - _smooth_integral(start))
     return u - gathering - (1.0 - _END_SPEED) * _END * _smooth_integral(end)
 
 
 def _smooth(s: float) -> float:
-    """From 0 to 1 with no slope at either end."""
+    """Return a smooth step from 0 to 1, with zero slope at both ends."""
     return s * s * (3.0 - 2.0 * s)
 
 

@@ -1,1 +1,1 @@
-"""Decide what may move the legs: commands, leases, plan validation, health limits and the torque-off latch."""
+"""Authorize leg motion: commands, leases, plans, health limits, torque-off latch."""

@@ -1,11 +1,11 @@
-"""The last gate: who may move the legs, which plans they walk, and when they must stand. Pure: time and findings come in.
+"""Authorization of mode orders and step plans. Pure: time and data are inputs.
 
-    OFF ── ready ──► READY ── stand ──► STAND ──► HOLD ◄──► WALK        FAULT: as HOLD, while something is broken
-     ▲ off, always     ▲───────────────── SIT ◄── sit, from anywhere but OFF
+    OFF ── ready ──► READY ── stand ──► STAND ──► HOLD ◄──► WALK        FAULT: as HOLD, while a fault is present
+     ▲ off, always     ▲───────────────── SIT ◄── sit, from any mode but OFF
 
-Torque is turned on by an operator's order alone. Off is latched: it takes a new order to leave it. One holder of the lease at
-a time may move the legs; anybody may stop them, or let them go. What is broken stops the walk for as long as it is; what
-cannot be borne has the robot lie down and let go.
+Only an operator's order turns torque on. Off is latched: only a new order leaves it. One holder of the lease at a time may
+move the legs; any client may order `stop` or `off`. A fault stops the walk while it is present. A condition that the robot
+cannot sustain makes it lie down and turns torque off.
 """
 
 from dataclasses import dataclass
@@ -21,15 +21,15 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan, StopOrder
 
-DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
-LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
-AWAY_NS = 30_000_000_000  # [ns] after which a leader who was not heard is followed only by a new order to walk
-_HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
-_STOPS = ("off", "stop")  # orders that anybody may give
+DEADLINE_NS = 180_000_000  # [ns] that a walk continues without a new plan
+LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order; repeated orders extend it
+AWAY_NS = 30_000_000_000  # [ns] of silence after which the lease holder needs a new order to walk
+_HOLDERS = 16  # number of clients whose orders are remembered; orders of further clients are refused, except stops
+_STOPS = ("off", "stop")  # orders that any client may give
 
 
 class Act(StrEnum):
-    """What the actuator is to do at once."""
+    """Action that the actuator executes at once."""
 
     LET_GO = "torque off"
     GRIP = "torque on, where the joints are"
@@ -41,24 +41,24 @@ class Act(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Legs:
-    """How far the walk is."""
+    """State of the walk."""
 
-    step: int  # the running one, or the last
+    step: int  # the running step, or the last one
     resting: bool  # no step is running
-    planned: bool  # a step of a plan is running, and none of the actuator's own
-    swing: NDArray[np.bool_]  # (6,) that the running step swings
-    clearance: Array  # (6,) [m] with which its feet were lifted; infinite while they can still be lifted higher
-    body: Array  # (4, 4) {odom} when a plan sets in: for the next step, at the end of this one
-    feet: Array  # (6, 3) [m] {odom} likewise
-    body_now: Array  # (4, 4) {odom} where it should be now
-    feet_now: Array  # (6, 3) [m] {odom} likewise
-    air_s: Array  # (6,) [s] for which feet of the running step are still in the air, infinite for those that are not
-    trouble: str  # what happened to the last step, in words, or nothing
-    waits: str  # why no plan may be walked yet, in words, or nothing
+    planned: bool  # a step of a plan is running, not one that the actuator generated
+    swing: NDArray[np.bool_]  # (6,) legs that the running step swings
+    clearance: Array  # (6,) [m] clearance with which its feet were lifted; infinite while it can still be raised
+    body: Array  # (4, 4) {odom} when a plan takes effect: for the next step, at the end of this one
+    feet: Array  # (6, 3) [m] {odom} at the same time
+    body_now: Array  # (4, 4) {odom} commanded body pose now
+    feet_now: Array  # (6, 3) [m] {odom} commanded feet now
+    air_s: Array  # (6,) [s] for which feet of the running step are still in the air; infinite for the others
+    trouble: str  # problem of the last step, or an empty string
+    waits: str  # why no plan may be walked yet, or an empty string
 
 
 class Guard:
-    """Decides about modes, orders and plans."""
+    """Gatekeeper for modes, orders and plans."""
 
     def __init__(
         self,
@@ -70,70 +70,77 @@ class Guard:
         off_ns: int = -1,
         walk: WalkOrder | None = None,
     ):
-        """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
+        """Start in the present torque state; torque that is on stays on.
 
         Args:
             profile: The robot.
             plan_age_s: [s] older plans are refused.
             epoch: [ns] of {odom}, which begins now.
-            torque: Whether the servos pull.
+            torque: Whether torque is on.
             handover_s: [s] of a step in which the feet of its legs are not in the air.
-            off_ns: [ns] when torque was ordered off, if nobody has taken that back.
-            walk: The order that was in force when the process before this one ended.
+            off_ns: [ns] time of the torque-off order that is still in force; -1 without one.
+            walk: The walk order that was in force when the previous process ended.
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
-        self.refused = ""  # why the newest plan was, in words
-        self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for what it asks of the legs
-        self.objection = ""  # why the newest order was not obeyed, in words
+        self.refused = ""  # why the newest plan was refused
+        self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for its demands on the legs
+        self.objection = ""  # why the newest order was not obeyed
         self._check = PlanCheck(profile, plan_age_s, epoch, handover_s)
         self._sequences: dict[str, int] = {}  # newest order of each holder
-        self._stops: dict[str, int] = {}  # newest of those who stop without leading
+        self._stops: dict[str, int] = {}  # newest stop of each client, which need not hold the lease
         self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
-        self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
-        self.given_ns = -1  # when the newest order was given that was of its time and of who may give it
-        self._woke_ns = -1  # when the computer did last
+        self.off_ns = off_ns  # when torque last went off, by an order or automatically; older orders do not turn it on
+        self.given_ns = -1  # when the newest valid and permitted order was given
+        self._woke_ns = -1  # when the computer last resumed from suspend
         self._may_walk = False
-        self._permit = walk  # the order to walk that is in force, be it that nobody has heard it yet since this began
-        self._accepted_ns = 0  # when the newest plan was
-        self._late = False  # whether this walk has gone on for too long without one
+        self._permit = walk  # the walk order in force; after a start its holder may not have repeated it yet
+        self._accepted_ns = 0  # when the newest plan was accepted
+        self._late = False  # whether this walk has continued too long without a new plan
         self._halted = False  # whether this walk was ordered to stop
-        self._seat = ""  # why the robot is to lie down as soon as it can, in words, or nothing
-        self._lets_go = False  # whether it then lets go, and lies down whatever is broken
-        self.tipped = ""  # that the body leaned too far to go on, in words, until it is ordered to walk or stand
-        self._midway = False  # whether a fault has stopped it while it rose or lay down
+        self._seat = ""  # why the robot will lie down as soon as it can, or an empty string
+        self._lets_go = False  # whether torque then goes off; the robot then lies down in spite of faults
+        self.tipped = ""  # message that the body leaned too far, until an order to walk or stand
+        self._midway = False  # whether a fault has stopped it while it stood up or lay down
         self._verdict = Verdict()
 
     @property
     def epoch(self) -> int:
-        """Of {odom}; plans of another one are refused."""
+        """Epoch of {odom}; plans of another epoch are refused."""
         return self._check.epoch
 
     def lease(self, now_ns: int) -> str:
-        """Who may move the legs, or nothing."""
+        """Return the holder of the lease, or an empty string."""
         return self._holder if now_ns - self._heard_ns <= LEASE_NS else ""
 
     def walk_order(self, now_ns: int) -> WalkOrder | None:
-        """The order to walk by which one that begins after this one may walk on; none once it has ended for any reason."""
+        """Return the walk order that a restarted actuator may resume, or None.
+
+        There is none once the order has ended for any reason.
+        """
         heard_ns = self._heard_ns if self._may_walk else self._begun_ns
         return self._permit if now_ns - heard_ns <= AWAY_NS else None
 
     def begin_anew(self, epoch: int) -> None:
-        """A new {odom} has begun."""
+        """Start a new epoch of {odom}."""
         self._check.epoch = epoch
 
     # ---------------------------------------------------------------------------------------------------------- orders
 
     def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
-        """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease.
+        """Obey an order, or set `objection` to the reason for refusal.
 
-        A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves. An
-        order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
-        also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
-        knows a newer order of its holder; one of now where nobody knows a newer stop of its holder. A stop whose numbers are no
-        times, or older than what is known, counts for nothing else. An order that was given a while ago, by its sequence, and
-        is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
-        Of before this process began no order to walk does that but the one that was in force when its predecessor ended.
+        The rules are:
+
+        * A repeated order only keeps the lease.
+        * Any client may stop. A stop with `take` also transfers the lease to its sender.
+        * An order needs a current stamp. A replayed recording neither moves the legs nor keeps a lease, even after this process
+          has restarted and remembers no orders.
+        * A stop without a current stamp is obeyed unless a newer order of its holder is known. A stop with a current stamp is
+          obeyed unless a newer stop of its holder is known.
+        * A stop with invalid or outdated numbers has no other effect than to stop.
+        * An order first received long after its sequence, as after a link outage, only lets a standing robot resume its walk.
+        * A walk order from before the start of this process is resumed only if it was in force when the previous process ended.
         """
         if order.sequence == self._sequences.get(order.holder):
             self._hear_again(order, now_ns)
@@ -156,14 +163,17 @@ class Guard:
         if order.holder == self._holder:
             self._heard_ns = now_ns
         if order.mode == "off":
-            self.off_ns = max(self.off_ns, min(max(order.sequence, self.given_ns + 1), now_ns))  # whatever clock it came by
+            self.off_ns = max(self.off_ns, min(max(order.sequence, self.given_ns + 1), now_ns))  # robust to wrong clocks
         if stops:
             self._is_new(order)
         self.given_ns = order.sequence
         return self._obey(order.mode)
 
     def hear_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
-        """Obey whoever orders to stop or to let go; it takes no lease, and nobody who does is remembered for longer for it."""
+        """Obey a stop or torque-off order of any client.
+
+        It takes no lease, and it does not extend how long its sender is remembered.
+        """
         if not self._is_new(order):
             return ()
         if order.mode == "off":
@@ -171,7 +181,10 @@ class Guard:
         return self._obey(order.mode)
 
     def _is_new(self, stop: ModeCommand | StopOrder) -> bool:
-        """Whether a stop is another than its holder's last; it is remembered, and who was silent for longest forgotten."""
+        """Return whether a stop differs from its holder's last one, and remember it.
+
+        The holder that was silent longest is forgotten.
+        """
         known = self._stops.pop(stop.holder, None)
         self._stops[stop.holder] = stop.sequence
         if len(self._stops) > _HOLDERS:
@@ -179,7 +192,7 @@ class Guard:
         return stop.sequence != known
 
     def _odd(self, order: ModeCommand, now_ns: int) -> str:
-        """Why an order is no new one of now, by its times, in words, or nothing."""
+        """Return why the times of an order are not current, or an empty string."""
         if not is_of_now(order, now_ns):
             return _untimely(order, now_ns)
         if order.sequence < self._sequences.get(order.holder, order.sequence):
@@ -189,7 +202,7 @@ class Guard:
         return ""
 
     def _hear_odd_stop(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
-        """Obey a stop by whose times nothing else can go, unless it is known, or somebody may have put it again."""
+        """Obey a stop with invalid times, unless it is known or may be a replay."""
         older = order.sequence < self._sequences.get(order.holder, order.sequence)
         if older and (not is_of_now(order, now_ns) or order.sequence <= self._stops.get(order.holder, -1)):
             self.objection = _older(order)
@@ -197,7 +210,10 @@ class Guard:
         return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder), now_ns)  # type: ignore[arg-type]
 
     def _has_room(self, now_ns: int) -> bool:
-        """Whether one more holder can be remembered, be it in place of one whose order is too old to move anything."""
+        """Return whether one more holder can be remembered.
+
+        If necessary, forget a holder with an expired order.
+        """
         if len(self._sequences) < _HOLDERS:
             return True
         oldest = min((holder for holder in self._sequences if holder != self._holder), key=self._sequences.__getitem__)
@@ -207,7 +223,10 @@ class Guard:
         return True
 
     def _hear_again(self, order: ModeCommand, now_ns: int) -> None:
-        """An order is repeated: the leader's keeps the lease, and after long silence gives it back, but not the walk."""
+        """Process a repeated order.
+
+        The holder's order keeps the lease. After a long silence it restores the lease, but not the walk.
+        """
         if not is_of_now(order, now_ns):
             if order.mode not in _STOPS:
                 self.objection = _untimely(order, now_ns)
@@ -223,7 +242,7 @@ class Guard:
         self._heard_ns = now_ns
 
     def _late_order(self, order: ModeCommand, now_ns: int) -> str:
-        """Why an order to move that is heard for the first time is too old to be obeyed, in words, or nothing."""
+        """Return why a newly received motion order is too old, or an empty string."""
         age_ns = now_ns - order.sequence
         gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
         if self.mode is Mode.OFF and order.sequence < self.off_ns:
@@ -237,7 +256,7 @@ class Guard:
         return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting else ""
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
-        """Give the lease to who orders; why it is refused, in words, or nothing."""
+        """Give the lease to the sender of an order; return why not, or an empty string."""
         holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
         if stranger:
             return f"{refused}: {_HOLDERS} others have given orders within {AWAY_NS * 1e-9:.0f} s"
@@ -249,7 +268,7 @@ class Guard:
         return ""
 
     def _obey(self, mode: str) -> tuple[Act, ...]:
-        """Do what is ordered."""
+        """Execute an accepted order."""
         match mode:
             case "off":
                 return self._let_go("ordered off")
@@ -323,11 +342,11 @@ class Guard:
         elif self.mode is not Mode.SIT:
             self._end_walk_order()
             self._seat = self._seat or "ordered to sit"
-            self._lets_go |= self.mode is Mode.FAULT  # nobody can answer for how it would lie with torque on
+            self._lets_go |= self.mode is Mode.FAULT  # in a fault the resting pose with torque on is unknown
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def _end_walk_order(self) -> None:
-        """No order to walk is in force any more, neither here nor after a restart."""
+        """End the walk order, also for a restarted process."""
         self._may_walk, self._permit = False, None
 
     def _enter(self, mode: Mode, reason: str) -> None:
@@ -336,7 +355,7 @@ class Guard:
     # ----------------------------------------------------------------------------------------------------------- plans
 
     def consider(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
-        """Whether a plan may be walked; if not, `refused` says why."""
+        """Return whether a plan may be walked; if not, set `refused` to the reason."""
         closed = self._closed(now_ns, legs)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
         resting = not legs.planned
@@ -355,7 +374,7 @@ class Guard:
         return True
 
     def _closed(self, now_ns: int, legs: Legs) -> str:
-        """Why no plan is taken now, in words, or nothing."""
+        """Return why no plan is accepted now, or an empty string."""
         if self.tipped:
             return f"{self.tipped}; order `walk` anew"
         if self.mode is Mode.FAULT:
@@ -377,25 +396,28 @@ class Guard:
     # ----------------------------------------------------------------------------------------------------- what happens
 
     def tip(self, words: str) -> tuple[Act, ...]:
-        """The body leans too far to go on; until it is ordered to walk or stand."""
+        """Stop because the body leans too far, until an order to walk or stand."""
         self.tipped = words
         self._end_walk_order()
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def woke(self, slept_s: float, now_ns: int) -> tuple[Act, ...]:
-        """The computer has slept [s]: whatever was ordered is over, for clocks stood still and nobody knows what came about."""
+        """Cancel all orders after the computer was suspended for `slept_s` [s].
+
+        Clocks stood still meanwhile, and the present state of the robot is unknown.
+        """
         acts = self._stop()
         self._holder, self._woke_ns = "", now_ns
         self.objection = f"what was ordered is over: the computer was asleep for {slept_s:.0f} s; order it anew"
         return acts
 
     def risen(self) -> None:
-        """The robot stands."""
+        """Enter HOLD when the robot has stood up."""
         if self.mode is Mode.STAND:
             self._enter(Mode.HOLD, "standing")
 
     def seated(self, now_ns: int) -> tuple[Act, ...]:
-        """The robot lies."""
+        """Finish lying down: enter READY, or turn torque off."""
         if self.mode is not Mode.SIT:
             return ()
         if self._lets_go:
@@ -405,17 +427,17 @@ class Guard:
         return ()
 
     def watch(self, now_ns: int, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
-        """See to what has come about in this cycle."""
+        """Update the mode from this cycle's legs and health."""
         self._verdict = verdict
         if self.mode is Mode.OFF:
             return ()
-        still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # a walk that was broken off stays where it is
+        still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # an interrupted motion stays where it is
         rests = legs.resting or still
         acts = (*self._see_to_faults(rests, verdict), *self._see_to_walk(now_ns, legs))
         if verdict.sit and not self._lets_go:
             acts = (*acts, *self._give_in(verdict.sit))
         if self.mode is Mode.READY and not verdict.sit:
-            self._lets_go = False  # it was stopped as it lay down
+            self._lets_go = False  # the robot was stopped while it lay down
         if self._seat and rests:
             self._enter(Mode.SIT, self._seat)
             self._seat, self._midway = "", False
@@ -423,7 +445,7 @@ class Guard:
         return acts
 
     def _give_in(self, why: str) -> tuple[Act, ...]:
-        """Lie down for what cannot be borne, and let go."""
+        """Lie down because of an unsustainable condition, then turn torque off."""
         self._lets_go = True
         self._end_walk_order()
         if self.mode is Mode.SIT:
@@ -433,7 +455,7 @@ class Guard:
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def _see_to_faults(self, rests: bool, verdict: Verdict) -> tuple[Act, ...]:
-        """Stop for what is broken, and go on once it is whole."""
+        """Stop on a fault, and resume once it has cleared."""
         sits_anyway = self.mode is Mode.SIT and self._lets_go
         if verdict.broken and self.mode is not Mode.READY and not sits_anyway:
             acts = {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(self.mode, ())
@@ -449,7 +471,7 @@ class Guard:
         return ()
 
     def _see_to_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
-        """End the walk where it has ended, and when no plan has come for too long."""
+        """End the walk after its last step, or when no plan has arrived for too long."""
         if self.mode is not Mode.WALK:
             return ()
         late = f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
@@ -470,7 +492,7 @@ def _older(order: ModeCommand) -> str:
 
 
 def _untimely(order: ModeCommand, now_ns: int) -> str:
-    """How an order is not one of now, in words."""
+    """Return the message that an order is not current."""
     age_ns = now_ns - order.stamp_ns
     when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
     allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"

@@ -1,4 +1,4 @@
-"""What the servos, the battery and the computer can bear, and what must be done when they cannot. Pure: time comes in."""
+"""Health limits of servos, battery and computer. Pure: time is an input."""
 
 from dataclasses import dataclass, field
 
@@ -9,51 +9,49 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo.dynamixel import ServoError
 
-SILENT = 4  # questions in a row that a servo has left open, from which it counts as silent
-_QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
-_LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
-LATE, LATE_CYCLES = 1.5, 5  # periods that a cycle may take, and how many in a row may take longer
-GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
-_WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
-_MAX_WARMING_K_S = (
-    3.0  # [K/s] at most; a stalled motor warms by 1 K/s, and a reading that rises faster is followed at this rate
-)
-_OVERHEATED_S = 0.5  # [s] for which a servo must report that it has shut down for its heat
+SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
+_QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is silent
+_LOSS = 0.30  # recent share of requests without a usable answer from which the robot's state is unknown
+LATE, LATE_CYCLES = 1.5, 5  # largest cycle time in periods, and number of consecutive cycles that may exceed it
+GAP_S = 0.2  # [s] between two cycles from which the robot counts as uncontrolled
+_WARM, _HOT = 12.0, 5.0  # [K] below the servo's own limit: walk slower; lie down
+_MAX_WARMING_K_S = 3.0  # [K/s] limit of a rising reading; a stalled motor warms by 1 K/s
+_OVERHEATED_S = 0.5  # [s] for which a servo must report an overheating shutdown
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
-_TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
-_TIRES_S = 30.0  # [s] time constant of it
-_SLOWEST = 0.4  # share of the usual speed
-_RESETS, _WITHIN_S = 3, 300.0  # overloads of one servo that are reset, and [s] in which they count
+_TIRED, _SPENT = 0.36, 0.50  # recent rms share of the stall torque: from here on slower; slowest
+_TIRES_S = 30.0  # [s] its time constant
+_SLOWEST = 0.4  # share of the nominal speed
+_RESETS, _WITHIN_S = 3, 300.0  # overload resets per servo, and [s] in which they count
 _REST_S = 1.0  # [s] between an overload and its reset
 SHUT_DOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
-_MINOR = ServoError.INPUT_VOLTAGE  # told by the voltage itself
+_MINOR = ServoError.INPUT_VOLTAGE  # checked by the voltage itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vitals:
-    """What is known of the servos in one cycle."""
+    """State of the servos in one cycle."""
 
-    missed: NDArray[np.int64]  # (18,) questions left open in a row
-    newest: float  # [s] age of the newest reading of all, infinite before the first
+    missed: NDArray[np.int64]  # (18,) consecutive unanswered requests
+    newest: float  # [s] age of the newest reading of all servos, infinite before the first
     load: Array  # (18,) [N m]
     voltage: Array  # (18,) [V], NaN where never read
-    temperature: Array  # (18,) [deg C], likewise
-    errors: NDArray[np.uint8]  # (18,) of the newest status packets
-    limp: NDArray[np.bool_]  # (18,) servos that do not pull
+    temperature: Array  # (18,) [deg C], NaN where never read
+    errors: NDArray[np.uint8]  # (18,) error bits of the newest status packets
+    limp: NDArray[np.bool_]  # (18,) servos without torque
     behind: NDArray[np.bool_]  # (18,) servos that have missed goals and have not caught up yet
-    strength: Array  # (18,) torque limit, as a share of the greatest
-    loss: float  # share of the questions of the last 200 ms without a usable answer
-    trouble: str  # what is wrong between here and them, in words, or nothing
+    strength: Array  # (18,) torque limit, as a share of its maximum
+    loss: float  # share of the requests of the last 200 ms without a usable answer
+    trouble: str  # problem of the link to the servos, or an empty string
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What follows from it."""
+    """Reactions to the state of the servos."""
 
-    broken: str = ""  # why no step may be taken now, in words
-    sit: str = ""  # why the robot must lie down and let go, in words
-    pace: float = 1.0  # share of the usual speed that can be borne for long
-    revive: tuple[int, ...] = ()  # servos whose shutdown may end now, at the place where they are
+    broken: str = ""  # why no step may be taken now
+    sit: str = ""  # why the robot must lie down and turn torque off
+    pace: float = 1.0  # share of the nominal speed that is sustainable
+    revive: tuple[int, ...] = ()  # servos whose shutdown may end now, at their present position
     warnings: tuple[str, ...] = ()
 
 
@@ -61,16 +59,16 @@ class Verdict:
 class _Shutdown:
     """Shutdowns of one servo."""
 
-    since: float | None = None  # [s] of the one that lasts
-    hot_since: float | None = None  # [s] when its servo began to report heat, None where it does not
-    counted: list[float] = field(default_factory=list)  # [s] of those that were ended
+    since: float | None = None  # [s] start of the present one
+    hot_since: float | None = None  # [s] when the servo began to report overheating; None if it does not
+    counted: list[float] = field(default_factory=list)  # [s] of earlier ones
 
 
 class Health:
-    """Follows the servos from cycle to cycle."""
+    """Monitors the servos from cycle to cycle."""
 
     def __init__(self, profile: RobotProfile, period_s: float):
-        """Begin with servos that are cool and rested.
+        """Begin with cool, unloaded servos.
 
         Args:
             profile: The robot.
@@ -79,25 +77,25 @@ class Health:
         self._profile, self._period = profile, period_s
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
-        # [deg C] No servo starts warmer than where it begins to matter: its first readings may be wrong, too.
+        # [deg C] The filter starts at the warm limit at most, because the first readings may be wrong, too.
         self._temperature: Array = np.full(18, profile.servo.temperature_limit - _WARM)
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
-        self._late = 0  # cycles in a row
+        self._late = 0  # consecutive late cycles
         self._shutdowns = [_Shutdown() for _ in range(18)]
 
     def update(self, now: float, dt: float, vitals: Vitals, torque: bool) -> Verdict:
-        """Take in one cycle.
+        """Evaluate one cycle.
 
         Args:
             now: [s] monotonic time.
-            dt: [s] that the last cycle took.
-            vitals: Of the servos.
-            torque: Whether torque is meant to be on.
+            dt: [s] duration of the last cycle.
+            vitals: State of the servos.
+            torque: Whether torque should be on.
         """
         self._late = self._late + 1 if dt > LATE * self._period else 0
         share = vitals.load / self._profile.servo.stall_torque
         self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
-        # What was read before a servo, or all of them, fell silent says nothing of now.
+        # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
         heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
@@ -114,7 +112,7 @@ class Health:
         )
 
     def _silence(self, vitals: Vitals) -> str:
-        """Why the servos cannot be known, or led, in words."""
+        """Return why the servos cannot be read or commanded, or an empty string."""
         if vitals.trouble:
             return vitals.trouble
         silent = np.flatnonzero(vitals.missed >= SILENT)
@@ -128,7 +126,7 @@ class Health:
         return f"{_named(self._profile, behind)} takes up its work again, slowly" if len(behind) else ""
 
     def _delay(self, dt: float) -> str:
-        """Why the computer cannot lead the servos, in words."""
+        """Return why the computer cannot control the servos in time, or an empty string."""
         if dt > GAP_S:
             return f"the computer has kept the actuator waiting for {dt:.1f} s"
         if self._late >= LATE_CYCLES:
@@ -136,14 +134,14 @@ class Health:
         return ""
 
     def _limp(self, limp: NDArray[np.bool_]) -> str:
-        """Which servos have lost their torque, in words."""
+        """Return which servos have lost their torque, or an empty string."""
         lost = np.flatnonzero(limp)
         return (
             f"{_named(self._profile, lost)} has lost its torque; order `ready` to turn it on where it is" if len(lost) else ""
         )
 
     def _weak(self, strength: Array) -> str:
-        """Which servos were left with less than their torque, in words."""
+        """Return which servos have a reduced torque limit, or an empty string."""
         weak = np.flatnonzero(strength < 1.0)
         if not len(weak):
             return ""
@@ -151,14 +149,17 @@ class Health:
         return f"{left}; order `ready` to turn it up where it is"
 
     def _error(self, errors: NDArray[np.uint8]) -> str:
-        """Which servo reports what is neither overload nor heat nor voltage, in words."""
+        """Return which servo reports another error, or an empty string.
+
+        Overload, heat and voltage are evaluated separately.
+        """
         for index in np.flatnonzero(errors & ~np.uint8(SHUT_DOWN | _MINOR)).tolist():
             words = (ServoError(int(errors[index])) & ~_MINOR).name or ""
             return f"{_named(self._profile, [index])} reports {words.lower().replace('_', ' ')}"
         return ""
 
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
-        """Servos that have shut down: to be reset a few times, if it is for their load."""
+        """Evaluate servo shutdowns; overload shutdowns are reset a few times."""
         broken, sit, revive = "", "", list[int]()
         for index, shutdown in enumerate(self._shutdowns):
             if silent[index]:
@@ -176,10 +177,10 @@ class Health:
                 sit = broken if now - shutdown.hot_since >= _OVERHEATED_S else sit
                 continue
             if not torque:
-                shutdown.since = None  # it is judged anew once somebody wants it to pull
+                shutdown.since = None  # evaluated again once torque is ordered on
                 continue
             shutdown.since = now if shutdown.since is None else shutdown.since
-            # By when it will have rested: what is decided of a shutdown stays so for as long as it lasts.
+            # Time at the end of the rest: the decision about a shutdown stays the same while it lasts.
             rested = shutdown.since + _REST_S
             shutdown.counted = [then for then in shutdown.counted if rested - then < _WITHIN_S]
             broken = broken or f"{name} has shut down for its load"
@@ -194,9 +195,9 @@ class Health:
         return Verdict(broken=broken, sit=sit, revive=tuple(revive))
 
     def _heat(self, dt: float, temperature: Array) -> Verdict:
-        """How warm the hottest servo is against its own limit; a reading that rises faster than a motor warms is limited.
+        """Compare the hottest servo with its limit; the rise of a reading is limited.
 
-        So a wrong reading that lasts a second changes nothing, and real heat is known without delay.
+        Thus a wrong reading that lasts a second has no effect, and real heat is detected without delay.
         """
         known = ~np.isnan(temperature)
         if not known.any():
@@ -211,7 +212,7 @@ class Health:
         return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}: the walk is slower",))
 
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
-        """How far down the battery is; a sag that passes is none."""
+        """Evaluate the battery voltage; a short sag does not count."""
         if np.isnan(voltage).all():
             self._low_since = None
             return Verdict()
@@ -226,17 +227,17 @@ class Health:
         words = f"the battery is low: {self._voltage:.1f} V"
         warnings = (words,) if self._voltage < battery.warn_voltage else ()
         lasts = self._low_since is not None and now - self._low_since >= _LOW_S
-        empty = lasts and lowest < battery.empty_voltage  # and it is no sag that is over
+        empty = lasts and lowest < battery.empty_voltage  # and the sag is not over
         return Verdict(sit=words if empty else "", warnings=warnings)
 
     def _fresh(self) -> float:
-        """Share of the usual speed by the load of late."""
+        """Return the share of the nominal speed that the recent load allows."""
         worst = float(np.sqrt(self._effort.max()))
         return min(1.0, max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (worst - _TIRED) / (_SPENT - _TIRED)))
 
 
 def _named(profile: RobotProfile, indices: NDArray[np.int64] | list[int]) -> str:
-    """Servos by leg, joint and id, as the subject of a sentence."""
+    """Return servos by leg, joint and id, as the subject of a sentence."""
     first = int(indices[0])
     leg, joint = divmod(first, 3)
     words = f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {profile.servo_ids[leg, joint]})"

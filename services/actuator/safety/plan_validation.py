@@ -1,7 +1,7 @@
-"""What a plan must satisfy before it is walked. Pure: time comes in.
+"""Validation of step plans before they are walked. Pure: time is an input.
 
-A plan is accepted whole or refused whole, with its reason. Whatever is accepted ends with six feet on the ground and the
-robot stable, so the actuator can always finish it alone.
+A plan is accepted or refused as a whole, with a reason. Every accepted plan ends with six feet on the ground and a stable
+robot, so the actuator can always finish it alone.
 """
 
 import numpy as np
@@ -20,20 +20,20 @@ MAX_TILT = np.radians(15.0)
 MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
-MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
-MEAN_SPEED = 0.9  # of the servos' greatest speed, that a joint may need on average: a swing gathers and loses its speed
-GATHERED_S = 0.55  # [s] of a motion that needs so much: it is gathered in 8 % of that time, and no faster than in 0.04 s
-FLIES_AT = 0.8  # of its clearance, between its rise and its fall
-SHORTEST_LEFT_S = 0.1  # [s] in which a revision may ask for the last millimetres
-MOVED = 0.005  # [m] by which a standing leg may turn out in mid-step to be short of its foot, by its length or its joints
+MIN_MARGIN = 0.005  # [m] of the centre of mass inside the polygon of standing feet
+MEAN_SPEED = 0.9  # largest mean joint speed, as a share of the servo's top speed: a swing accelerates and decelerates
+GATHERED_S = 0.55  # [s] of a motion at that speed: acceleration takes 8 % of that time, and at least 0.04 s
+FLIES_AT = 0.8  # share of its clearance, between rise and fall
+SHORTEST_LEFT_S = 0.1  # [s] minimum time in which a revision may ask for the last millimetres
+MOVED = 0.005  # [m] by which a standing leg may miss its foot in a revision, by its length or joint limits
 STAYS = np.full(6, np.inf)  # [s]
 
 
 class PlanCheck:
-    """Judges plans; keeps what it needs to know their order."""
+    """Validates plans, and keeps the stamp of the last accepted one."""
 
     def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int = 0, handover_s: float = 0.0):
-        """Begin with nothing accepted.
+        """Begin without an accepted plan.
 
         Args:
             profile: The robot.
@@ -50,7 +50,7 @@ class PlanCheck:
     def untimely(
         self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_], clearance: Array
     ) -> str:
-        """Why a plan comes too late, too early or out of order, in words, or nothing; another one may be welcome.
+        """Return why a plan is too late, too early or out of order, or an empty string.
 
         Args:
             plan: The plan.
@@ -58,7 +58,7 @@ class PlanCheck:
             running: Number of the running or last step.
             resting: Whether no step is running.
             swing: (6,) legs that the running step swings.
-            clearance: (6,) [m] with which their feet were lifted: a plan for higher ones was made before that was known.
+            clearance: (6,) [m] with which their feet were lifted: a plan for more was made before that was known.
         """
         if plan.epoch != self.epoch:
             return (
@@ -67,7 +67,7 @@ class PlanCheck:
         age_ns = now_ns - plan.stamp_ns
         if age_ns > self._plan_age_ns:
             return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
-        if age_ns < -self._plan_age_ns:  # accepted, it would make every later plan an old one
+        if age_ns < -self._plan_age_ns:  # if accepted, it would make every later plan an old one
             return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s ahead of now"
         if plan.stamp_ns <= self._last_stamp_ns:
             return f"plan of step {plan.step} is not newer than the last accepted one"
@@ -80,14 +80,14 @@ class PlanCheck:
         return ""
 
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
-        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+        """Return why a plan must not be walked; an empty string accepts it as the newest.
 
         Args:
             plan: The plan.
-            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
-            feet: (6, 3) [m] {odom} where the feet will be then.
-            revises: Whether it is of the step that is running; ...
-            air_s: (6,) [s] ... for which its feet are then still in the air, infinite for those that are not.
+            T_odom_body: (4, 4) commanded body pose when the plan takes effect: for the next step, at the end of this one.
+            feet: (6, 3) [m] {odom} feet at that time.
+            revises: Whether it revises the running step.
+            air_s: (6,) [s] for which feet of the running step are then still in the air; infinite for the others.
         """
         reason = (
             _malformed(plan)
@@ -101,7 +101,7 @@ class PlanCheck:
         return reason
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
-        """Whether the standing legs carry the body where it is and where it goes."""
+        """Return where the standing legs do not support the body, or an empty string."""
         T_odom_world = inverse(plan.T_world_odom)
         standing = feet[~plan.swing]
         if len(standing) < 3:
@@ -114,10 +114,10 @@ class PlanCheck:
         return ""
 
     def _too_fast(self, plan: StepPlan, T_odom_body: Array, feet: Array, air_s: Array | None) -> str:
-        """Whether a joint would have to go faster, or gather speed faster, than the servos do.
+        """Return which joint would exceed the servo limits, or an empty string.
 
-        Of a swing four places count: where it begins, where it has risen, where it comes down, and where it ends; of one
-        that is under way (`air_s`) where it is and where it ends.
+        Four points of a swing are checked: start, end of the rise, start of the descent, and end. For a swing in progress
+        (`air_s`) these are its present point and its end.
         """
         T_odom_world = inverse(plan.T_world_odom)
         goal, touchdown = T_odom_world @ plan.body_goal, apply(T_odom_world, plan.touchdown)
@@ -131,7 +131,7 @@ class PlanCheck:
         turns = np.abs(np.diff(body_inverse(self._profile, np.array(feet_body)), axis=0)).sum(axis=0)
         flight = np.full(6, plan.duration - self._handover_s) if air_s is None else np.maximum(air_s, SHORTEST_LEFT_S)
         time = np.where(plan.swing, flight, plan.duration if air_s is None else np.inf)[:, None]
-        share = np.minimum(MEAN_SPEED, time / GATHERED_S) if air_s is None else MEAN_SPEED  # it has speed already
+        share = np.minimum(MEAN_SPEED, time / GATHERED_S) if air_s is None else MEAN_SPEED  # it is already moving
         most = self._profile.servo.no_load_speed * time * share
         if not (turns > most).any():
             return ""
@@ -140,11 +140,11 @@ class PlanCheck:
         return f"{words} in {time[leg, 0]:.2f} s, at most {np.degrees(most[leg, 0]):.0f} deg allowed"
 
     def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool) -> str:
-        """Whether the stance at the end asks more of a leg, swung or not, than it can.
+        """Return which joint cannot reach its foot at the end, or an empty string.
 
-        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less
-        and if it can be held where the leg comes nearest to it. So may one of the running step that was not when the step
-        began: feet move by millimetres, and to break off in mid-step, onto ground that nobody has chosen, is worse.
+        A standing leg may be too short for its foot already, if the ground has given way. Then it may still be too short at the
+        end, if by less, and if the leg can hold its nearest point to the foot. In a revision, any standing leg may miss its
+        foot by `MOVED`: feet move by millimetres, and it is worse to stop in mid-step on ground that was not chosen.
         """
         end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
         end = apply(inverse(plan.body_goal), end)
@@ -167,12 +167,12 @@ class PlanCheck:
 
 
 def reaches(profile: RobotProfile, feet: Array) -> bool:
-    """Whether all legs reach their feet (6, 3) [m] {body}, within what their servos may take."""
+    """Return whether all legs reach feet (6, 3) [m] {body} within joint limits."""
     return bool(within_limits(profile, body_inverse(profile, feet)).all())
 
 
 def _malformed(plan: StepPlan) -> str:
-    """Whether a pose of the plan is none."""
+    """Return why a pose of the plan is invalid, or an empty string."""
     for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
         if not is_rigid(T):
             return f"the plan's {name} is not a rigid transform"
@@ -182,7 +182,7 @@ def _malformed(plan: StepPlan) -> str:
 
 
 def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
-    """Whether the plan asks for more than a step may."""
+    """Return which limit of a step the plan exceeds, or an empty string."""
     move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
     travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
     if travel > MAX_TRAVEL:

@@ -1,4 +1,7 @@
-"""That torque is to be off, as a file with the time of that order, which outlives the processes it was given to."""
+"""Torque-off latch: a file that outlives the processes that received the order.
+
+The file contains the time of the order.
+"""
 
 import hashlib
 import os
@@ -8,26 +11,31 @@ from errno import ENOENT
 from pathlib import Path
 from secrets import token_hex
 
-# Where all who have to do with one robot look, whoever they are and however they were started: what an installation shares
-# (systemd's units, containers), and what is there on every machine.
+# Folders that all processes of one robot share, for any user and any way of starting: that of an installation
+# (systemd units, containers), and one that exists on every machine.
 SHARED = Path("/run/sextant")
 FOLDERS = (SHARED, Path("/tmp"))
 _DEVICES = Path("/dev")
-_LINKS = ("", "serial/by-id", "serial/by-path")  # folders there in which udev gives devices further names
-_LONG = 100  # characters of a port's name from which it is cut
+_LINKS = ("", "serial/by-id", "serial/by-path")  # folders in /dev in which udev creates further device names
+_LONG = 100  # characters after which a port name is truncated
 
 
 class Latch:
-    """One robot's latch. It is set by whoever hears the order, and taken off by an order to turn torque on alone."""
+    """Torque-off latch of one robot.
+
+    Any receiver of the order closes it; only a torque-on order opens it.
+    """
 
     def __init__(self, *paths: Path):
-        """Keep it in files, one in each folder that is there: it is closed where any of them is."""
+        """Use these files, one per existing folder; any of them closes the latch."""
         self.paths = paths
-        self._names: list[str] = []  # of the port, where it is that of one
+        self._names: list[str] = []  # names of the port, if the latch belongs to a port
 
     @classmethod
     def of_port(cls, port: str) -> "Latch":
-        """The latch of the robot behind a servo port, or several with commas between, by whatever name each is given.
+        """Return the latch of the robot behind a servo port.
+
+        The port may have several names, separated by commas.
 
         It lasts until the machine is switched off.
         """
@@ -38,10 +46,10 @@ class Latch:
 
     @property
     def closed(self) -> bool:
-        """Whether torque is to be off.
+        """Whether torque must be off.
 
         Raises:
-            OSError: No file says so, and one cannot be looked at.
+            OSError: No file was found, and one could not be examined.
         """
         trouble: OSError | None = None
         for path in self.paths:
@@ -56,18 +64,18 @@ class Latch:
 
     @property
     def since_ns(self) -> int:
-        """[ns] by the robot's clock when that was ordered; 0 where nobody knows, or it is open.
+        """[ns] time of the order by the robot's clock; 0 if unknown or open.
 
-        One that has outlived the machine's last start tells of another clock, maybe of a time to come.
+        After a reboot the time is from another clock and may be in the future.
         """
         times = [_time_in(path) for path in self.paths if _may_be_there(path)]
         return max(times) if times and min(times) > 0 else 0
 
     def close(self, at_ns: int = 0) -> None:
-        """Set it, for an order of that time [ns]; a newer one that is there stays.
+        """Close the latch for an order of a given time [ns]; a newer one stays.
 
         Raises:
-            OSError: It cannot be set anywhere, and is not.
+            OSError: No file could be written; the latch is not closed.
         """
         self._look_for_names()
         trouble: OSError = FileNotFoundError(ENOENT, os.strerror(ENOENT), str(self.paths[0].parent))
@@ -81,15 +89,17 @@ class Latch:
             raise trouble
 
     def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
-        """Take it off; by an order that was given at a time [ns] not where torque was ordered off since, by now [ns].
+        """Open the latch, unless torque was ordered off after the given order.
 
-        It is taken away before it is looked at: whoever closes it meanwhile does not lose that order.
+        The order was given at `given_ns` [ns]; the time is now `now_ns` [ns].
+
+        Each file is removed before it is examined, so that a latch closed meanwhile is not lost.
 
         Returns:
-            Whether it was taken off, or there was none.
+            Whether it was opened, or was not closed.
 
         Raises:
-            OSError: It cannot be taken off, and is not.
+            OSError: It cannot be opened, and stays closed.
         """
         self._look_for_names()
         there = [path for path in self.paths if _is_there(path)]
@@ -98,7 +108,7 @@ class Latch:
         return all(self._take_off(path, given_ns, now_ns) for path in there)
 
     def _look_for_names(self) -> None:
-        """An adapter may have been unplugged when this was made, or have come back under another name since."""
+        """Update the file names; an adapter may appear later or under another name."""
         if self._names:
             self._names = list(dict.fromkeys(name for known in self._names for name in _names(known)))
             self.paths = tuple(folder / f"sextant-off-{name_of(name)}" for name in self._names for folder in FOLDERS)
@@ -121,7 +131,10 @@ class Latch:
 
 
 def name_of(port: str) -> str:
-    """What files of a port are called; a device is one for the whole machine, another port belongs to a user."""
+    """Return the file name part of a port.
+
+    A device is shared by the machine, another port belongs to a user.
+    """
     words = re.sub(r"[^A-Za-z0-9]+", "-", port).strip("-")
     if len(words) > _LONG:
         words = f"{words[:_LONG]}-{hashlib.blake2s(port.encode(), digest_size=8).hexdigest()}"
@@ -129,7 +142,10 @@ def name_of(port: str) -> str:
 
 
 def _names(port: str) -> list[str]:
-    """The paths by which somebody may know a port: udev's are links to one device, and stay where the device is renamed."""
+    """Return all paths of a port.
+
+    These are udev links to one device; they stay when the device is renamed.
+    """
     if "://" in port or "\0" in port:
         return [port]
     device = os.path.realpath(port)
@@ -138,7 +154,7 @@ def _names(port: str) -> list[str]:
 
 
 def _close(path: Path, at_ns: int) -> bool:
-    """Set one file; whether its folder is there."""
+    """Write one file; return whether its folder exists."""
     if not path.parent.is_dir():
         return False
     if _is_there(path) and _time_in(path) >= at_ns:
@@ -151,7 +167,7 @@ def _close(path: Path, at_ns: int) -> bool:
         with suppress(OSError):
             written.unlink(missing_ok=True)
         if not _is_there(path):
-            path.touch()  # a disk that is full has room for a name
+            path.touch()  # works even on a full disk
     return True
 
 
@@ -160,7 +176,10 @@ def _beside(path: Path, what: str) -> Path:
 
 
 def _is_there(path: Path) -> bool:
-    """Whether a file is there, or an OSError where nobody can say; `Path.exists` says no to some of these."""
+    """Return whether a file exists; raise OSError if unknown.
+
+    `Path.exists` returns False for some unknown cases.
+    """
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

@@ -1,26 +1,29 @@
-"""An order to let go, as the actuator keeps it: by the latch, until torque is ordered on by one that was given later."""
+"""Torque-off state of the actuator, latched until a later torque-on order."""
 
 from sextant.services.actuator.safety.torque_off_latch import Latch
 
 
 class OffOrder:
-    """Whether torque is to be off by an order that may be older than this process, and what is in the way of its latch."""
+    """Whether an order requires torque off, and problems of its latch.
+
+    The order may be older than this process.
+    """
 
     def __init__(self, latch: Latch | None):
-        """Take what is latched for an order; without a latch there is none that outlives this process."""
-        self.unkept = ""  # why a restart would not know that torque is to be off, in words
-        self.stuck = ""  # why it cannot be taken back, in words
-        self.unseen = ""  # why nobody can say whether it was given past this process, in words
+        """Read the latch; without a latch no order outlives this process."""
+        self.unkept = ""  # why a restart would not know that torque must be off
+        self.stuck = ""  # why the order cannot be taken back
+        self.unseen = ""  # why an order from outside this process cannot be detected
         self._latch = latch
-        self._taken_back_ns = -1  # when the order was given that turned torque on
-        self._closed = self._held = False  # the latch, and whether such an order held, when that was last seen or ordered
+        self._taken_back_ns = -1  # time of the order that turned torque on
+        self._closed = self._held = False  # state of the latch and of the order, when last read or ordered
 
     @property
     def holds(self) -> bool:
-        """Whether torque is to be off; not for what was ordered before the order that turned it on.
+        """Whether torque must be off; orders before the torque-on order do not count.
 
-        Where the latch cannot be looked at that is as it was when it could, or has been ordered since: the robot neither falls
-        for a broken disk, nor does torque come on.
+        If the latch cannot be read, the last known or ordered state stays. Thus a broken disk neither makes the robot fall nor
+        turns torque on.
         """
         if self._latch is None:
             return False
@@ -35,12 +38,12 @@ class OffOrder:
         return self._held
 
     def since_ns(self, now_ns: int) -> int:
-        """When that was ordered [ns]; now, where the latch does not know, or tells of another start of the machine."""
+        """Return the time of the order [ns]; now, if unknown or from before a reboot."""
         since_ns = 0 if self._latch is None else self._latch.since_ns
         return since_ns if 0 < since_ns <= now_ns else now_ns
 
     def keep(self, at_ns: int) -> None:
-        """See to it that a restart knows of an order of that time [ns]; what is in the way is said."""
+        """Latch an order of a given time [ns] for a restart; `unkept` reports a failure."""
         self.unkept, self._held = "", True
         try:
             if self._latch is not None:
@@ -49,13 +52,16 @@ class OffOrder:
             self.unkept = f"torque is off, but a restarted actuator would not know of that order: {error}"
 
     def take_back(self, given_ns: int, now_ns: int) -> bool:
-        """Take it back by an order that was given at a time [ns]; whether that could be, or else why not is said."""
+        """Take the order back by one given at `given_ns` [ns]; on failure set `stuck`.
+
+        Return whether it succeeded.
+        """
         if self._open(given_ns, now_ns):
             self._taken_back_ns, self._held = min(given_ns, now_ns), False
         return not self.stuck
 
     def drop_old(self, now_ns: int) -> None:
-        """Open a latch that was closed late, for an order that was taken back since."""
+        """Open a latch that was closed late, for an order that has been taken back since."""
         if self._latch is not None and not self.holds and self._closed:
             self._open(self._taken_back_ns, now_ns)
 

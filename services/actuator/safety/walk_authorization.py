@@ -1,4 +1,4 @@
-"""The order to walk that the robot is under, as a file: an actuator that begins anew walks on by that one alone."""
+"""Walk order in force, in a file: a restarted actuator resumes only this order."""
 
 import os
 from contextlib import suppress
@@ -8,31 +8,34 @@ from secrets import token_hex
 from sextant.services.actuator.safety.command_ordering import WalkOrder
 from sextant.services.actuator.safety.torque_off_latch import FOLDERS, name_of
 
-_LONGEST = 4096  # [B] of a file that is looked at
+_LONGEST = 4096  # [B] read from a file at most
 
 
 class Permit:
-    """What outlives the process of the order that is in force; nothing once it has ended, for whatever reason."""
+    """Store of the walk order in force, which outlives the process."""
 
     def __init__(self, path: Path | None = None):
-        """Keep it in a file; without one this object alone remembers it."""
-        self.trouble = ""  # why a restart would walk on by an order that has ended, in words
+        """Keep the order in a file; without one, only in this object."""
+        self.trouble = ""  # why a restart would resume an order that has ended
         self._path = path
         self._order = None if path is None else _order_in(path)
 
     @classmethod
     def of_port(cls, port: str) -> "Permit":
-        """That of the robot behind a servo port; it lasts until the machine is switched off."""
+        """Return the store of the robot behind a servo port.
+
+        It lasts until the machine is switched off.
+        """
         usable = [folder for folder in FOLDERS if os.access(folder, os.W_OK | os.X_OK)]
         return cls(usable[0] / f"sextant-walk-{name_of(port)}" if usable else None)
 
     @property
     def order(self) -> WalkOrder | None:
-        """The order that is in force."""
+        """The walk order in force."""
         return self._order
 
     def keep(self, order: WalkOrder | None) -> None:
-        """Have a restart know of this order and no other; of none, where it cannot be kept."""
+        """Store this order for a restart and no other; store none if it cannot be written."""
         if order == self._order and not self.trouble:
             return
         self._order, self.trouble = order, ""
@@ -55,7 +58,7 @@ class Permit:
 
 
 def _order_in(path: Path) -> WalkOrder | None:
-    """The order that a file tells of; nothing where it is not one of ours."""
+    """Return the order in a file; None if the file is not a valid one."""
     try:
         with path.open("rb") as file:
             sequence, _, holder = file.read(_LONGEST).decode("utf-8").partition(" ")

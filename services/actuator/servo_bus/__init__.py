@@ -1,1 +1,1 @@
-"""Talk to the servos: serial port, Dynamixel bus, microcontroller bridge and validation of readings."""
+"""Talk to the servos: serial port, Dynamixel bus, bridge, reading validation."""

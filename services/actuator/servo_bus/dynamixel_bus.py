@@ -1,7 +1,7 @@
-"""The servo bus driver: Dynamixel Protocol 1.0 over anything with pyserial's read and write.
+"""Servo bus driver: Dynamixel Protocol 1.0 over a port like pyserial's.
 
-No thread and no sleep; time comes from a clock argument. In the loop nothing that the bus does raises but `BusGone`: a packet
-that is lost, broken or refused is counted by reason, as is one that says what cannot be, and its servo's reading grows old.
+It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusGone` is raised. Lost, broken, refused
+and implausible packets are counted by reason, and the last reading of their servo ages.
 """
 
 from collections import Counter, deque
@@ -46,31 +46,31 @@ __all__ = [
     "whole",
 ]
 
-_PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
-_AT_ONCE = 3  # ... and after which it still comes first in the next call
-_OVERDUE_NS = 100_000_000  # [ns] without a question from which a servo comes before those that are urgent
-_MAX_BACKOFF = 8  # a silent servo is still asked every this many turns
+_PATIENCE = 3  # unanswered requests in a row before a servo is read more rarely: a busy host loses answers
+_AT_ONCE = 3  # unanswered requests in a row up to which a servo still comes first in the next call
+_OVERDUE_NS = 100_000_000  # [ns] without a request after which a servo comes before the urgent ones
+_MAX_BACKOFF = 8  # a silent servo is still read every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
-_LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
+_LOOKS = 3  # requests to one servo per turn, if its answers are broken or doubtful
 _LOSS_WINDOW_NS = 200_000_000  # [ns]
-_NOISY_NS = 1_000_000_000  # [ns] after a question was lost in which its like may happen
-_LONGEST = 256  # [bytes] that a length may announce
+_NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts as noisy
+_LONGEST = 256  # [bytes] largest length that a packet header can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
 
 
 class BusSetupError(ConnectionError):
-    """The bus does not have the servos that the robot needs; the message names each and what to do."""
+    """The bus lacks servos that the robot needs; the message names the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServoReading:
-    """What one servo measured."""
+    """Measurements of one servo."""
 
     index: int  # in the driver's list of ids
     servo_id: int
-    stamp_ns: int  # [ns] when it was asked; the servo sampled after that, within the answer time
-    told_ns: int  # [ns] when goals had been sent last before that, or a microcontroller had taken them; long ago without
+    stamp_ns: int  # [ns] when it was requested; the servo sampled after that, within the answer time
+    told_ns: int  # [ns] when goals were last sent before that, or accepted by a microcontroller; long ago if never
     position_ticks: int  # 0..1023
     position: float  # [rad] servo angle, 0 at tick 512, counterclockwise positive
     speed: float  # [rad/s] counterclockwise positive
@@ -83,7 +83,10 @@ class ServoReading:
 def reading(
     index: int, servo_id: int, stamp_ns: int, told_ns: int, registers: tuple[int, ...], error: ServoError
 ) -> ServoReading:
-    """What a servo's five registers from present position on say: position, speed, load, voltage, temperature."""
+    """Return the reading from a servo's five registers.
+
+    They are position, speed, load, voltage and temperature.
+    """
     position, speed, load, voltage, temperature = registers
     return ServoReading(
         index=index,
@@ -101,7 +104,7 @@ def reading(
 
 
 def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64]:
-    """Values of a register for each of `count` servos or one for all, checked.
+    """Validate the values of a register, for each of `count` servos or one for all.
 
     Raises:
         ValueError: A value out of range, not a whole number, or of another shape.
@@ -115,7 +118,7 @@ def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64
 
 
 class ServoBus:
-    """Asks and commands a fixed list of servos; arrays are in the order of that list."""
+    """Driver for a fixed list of servos; arrays are in the order of that list."""
 
     def __init__(
         self,
@@ -136,10 +139,10 @@ class ServoBus:
             servo_ids: Ids 0 to 253, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The servo type that `setup` expects.
-            names: Leg and joint of each id, for what is said of it.
+            names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent; exactly those are dropped.
-            reply_timeout_ns: [ns] after which an answer is given up.
-            lock: `setup` locks the EEPROM of the servos, until their power goes: no broken packet changes it then.
+            reply_timeout_ns: [ns] timeout of an answer.
+            lock: `setup` locks the EEPROM of the servos until power-off, so that broken packets cannot change it.
 
         Raises:
             ValueError: An id out of range or given twice.
@@ -150,7 +153,7 @@ class ServoBus:
         self.servo_ids = tuple(servo_ids)
         self.names = {i: (names or {}).get(i, "") for i in servo_ids}
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
-        self.between: Callable[[], None] = _nothing  # done before each question outside the loop
+        self.between: Callable[[], None] = _nothing  # called before each request outside the loop
         self._port = port
         self._clock = clock
         self._model, self._lock = model, lock
@@ -161,16 +164,16 @@ class ServoBus:
 
         self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
         self._next = 0
-        self._again: list[int] = []  # to be asked first in the next call
+        self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
-        self._asked_ns = [0] * n  # when it was asked last
-        self._told_ns = 0  # when goals were sent last
-        self._missed = [0] * n  # questions that it left open in a row
-        self._backoff = [1] * n  # ask every so many turns
+        self._asked_ns = [0] * n  # when it was last requested
+        self._told_ns = 0  # when goals were last sent
+        self._missed = [0] * n  # consecutive unanswered requests
+        self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
 
-        self._goal_rows = np.zeros((n, 5), dtype=np.uint8)  # id, goal position, moving speed: a sync write's rows
+        self._goal_rows = np.zeros((n, 5), dtype=np.uint8)  # id, goal position, moving speed: rows of a sync write
         self._goal_rows[:, 0] = servo_ids
         size = dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size
         self._goal_head = bytes((dxl.GOAL_POSITION.address, size))
@@ -181,56 +184,62 @@ class ServoBus:
 
     @property
     def lost(self) -> Counter[str]:
-        """Questions without a usable answer and bytes dropped, by reason (`Lost`, `dynamixel.Dropped`, `plausible.Doubt`)."""
+        """Requests without a usable answer and dropped bytes, by reason.
+
+        Reasons are `Lost`, `dynamixel.Dropped` and `reading_validation.Doubt`.
+        """
         return self._line.lost + self._line.dropped + self._plausible.refused
 
     @property
     def loss(self) -> float:
-        """Share of the loop's questions without a usable answer over the last 200 ms; of the last one where there is none."""
+        """Share of the loop's requests of the last 200 ms without a usable answer.
+
+        Without requests in that time, it is that of the last request.
+        """
         return self._loss.share(self._clock())
 
     @property
     def trouble(self) -> str:
-        """What is wrong between here and the servos, in words: nothing that their silence does not say."""
+        """Problem of the link; always empty here, because silent servos show it."""
         return ""
 
     @property
     def garbled(self) -> int:
-        """Bytes and packets so far that were none."""
+        """Number of invalid bytes and packets so far."""
         return self._line.dropped.total()
 
     @property
     def missed(self) -> NDArray[np.int64]:
-        """(n,) questions in the loop that each servo has left open in a row."""
+        """(n,) consecutive unanswered requests of each servo in the loop."""
         return np.array(self._missed)
 
     def close(self) -> None:
-        """Close the port, gone or not; the servos keep their torque and their last goal."""
+        """Close the port, gone or not; the servos keep their torque and last goals."""
         self._port.close()
 
     # ----------------------------------------------------------------------------------------------- outside the loop
 
     def ping(self, servo_id: int) -> ServoError | None:
-        """Error bits of a servo, None when it does not answer."""
+        """Return the error bits of a servo, None when it does not answer."""
         answer = self._ask(dxl.ping(servo_id), servo_id, 0)
         return None if answer is None else ServoError(answer.code)
 
     def scan(self, servo_ids: Iterable[int] = range(dxl.MAX_ID + 1)) -> list[int]:
-        """The ids that answer a ping; each absent one costs a timeout."""
+        """Return the ids that answer a ping; each absent one costs a timeout."""
         return [servo_id for servo_id in servo_ids if self.ping(servo_id) is not None]
 
     def read(self, servo_id: int, register: Register) -> int | None:
-        """Value of one register, None when the servo does not answer."""
+        """Return the value of a register, None when the servo does not answer."""
         data = self.read_bytes(servo_id, register.address, register.size)
         return None if data is None else int.from_bytes(data, "little")
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
-        """Bytes of a control table, None when the servo does not answer or refuses."""
+        """Return bytes of a control table, None when the servo does not answer or refuses."""
         answer = self._ask(dxl.read(servo_id, address, size), servo_id, size)
         return None if answer is None else answer.parameters
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo says that it took it (status return level 2).
+        """Write one register; return whether it is acknowledged (return level 2).
 
         Raises:
             ValueError: The value is outside the register's range.
@@ -239,24 +248,27 @@ class ServoBus:
         return answer is not None
 
     def tell(self, servo_id: int, register: Register, value: int) -> None:
-        """Write one register of a servo that may not answer, or under another id."""
+        """Write a register without an expected answer, or with one of another id."""
         request = dxl.write(servo_id, register.address, register.encode(value))
         self._line.attempt(request, servo_id, 0, self._clock() + self._line.reply_timeout_ns)
 
     def chorus(self, servo_id: int) -> Chorus:
-        """All that comes back on one ping while an answer may be awaited: of two servos with one id, more than an answer."""
+        """Return all responses to one ping within the timeout.
+
+        Two servos with one id send more than one answer.
+        """
         packets, garbage = self._line.overhear(dxl.ping(servo_id))
         return Chorus(sum(packet.servo_id == servo_id for packet in packets), garbage)
 
     def unasked(self) -> bytes:
-        """The first bytes that come within a second in which nothing is asked; servos send none."""
+        """Return the first bytes within a second without a request; servos send none."""
         return self._line.unasked()
 
     def meet(self) -> None:
-        """Nobody stands between here and the servos."""
+        """Do nothing: the bus has no microcontroller that needs a session."""
 
     def setup(self) -> None:
-        """Check that every servo is there, alone and of the right type, and make it answer everything without delay.
+        """Check presence, uniqueness and type of all servos; configure fast answers.
 
         Registers of the EEPROM are written only where they differ. Torque and limits stay as they are.
 
@@ -286,9 +298,9 @@ class ServoBus:
     # --------------------------------------------------------------------------------------------------- in the loop
 
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
-        """Send every servo its goal position and moving speed in one packet; nobody answers.
+        """Send all goal positions and moving speeds in one unacknowledged packet.
 
-        While questions get lost it is sent twice: nobody tells whether it came, and it is the longest packet of all.
+        While requests get lost, it is sent twice, because it is not acknowledged and is the longest packet of all.
 
         Args:
             goal_ticks: (n,) goal positions, 0 to 1023.
@@ -311,7 +323,7 @@ class ServoBus:
             self._line.send(packet)
 
     def sync_write(self, register: Register, values: ArrayLike) -> None:
-        """Send every servo its value of one register, (n,) or one for all, in one packet; nobody answers.
+        """Send one register to all servos, (n,) values or one, without acknowledgement.
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
@@ -324,9 +336,9 @@ class ServoBus:
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off.
 
-        Before turning it on, send the measured positions as goals: not every firmware holds where it is. Off is said to
-        whoever is on the bus, twice: the shortest packet is the likeliest to get through where bytes are lost. Behind a loss
-        zeros come first: a servo that has read a wrong length takes them for the rest of its packet, and listens again.
+        Before turning it on, send the measured positions as goals: not every firmware holds the present position. Off is
+        broadcast twice in the shortest possible packet, which is the likeliest to arrive on a noisy bus. After a loss, zeros
+        precede it: a servo that has read a wrong length consumes them as the rest of its packet, and then listens again.
         """
         if enabled:
             self.sync_write(dxl.TORQUE_ENABLE, 1)
@@ -339,21 +351,21 @@ class ServoBus:
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
         """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
 
-        This ends the shutdown of a servo that was overloaded or hot: call it only when an operator asks for that.
+        This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
         """
         self.sync_write(dxl.TORQUE_LIMIT, limit_ticks)
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 
-        A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th, then 8th turn only.
-        One whose answer is broken, or leaps from where the servo was and was sent, is asked again at once, and if that does not
-        help first of all in the next call.
+        A servo that does not answer costs a timeout. After the third in a row it is read only every 2nd, 4th, then 8th turn. A
+        broken answer, or a position that leaps from the last one and the goal, is requested again at once. If that fails, the
+        servo comes first in the next call.
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing. One timeout may overrun it.
-            first: Servos by their place in the list that are read in every call, before the rotation goes on with the others;
-                but a servo that has not been asked for 100 ms comes before them: if it is silent, that is to be found out.
+            first: Indices of servos that are read in every call, before the rotation. A servo without a request for 100 ms
+                comes before them, so that a silent servo is detected.
 
         Raises:
             BusGone: The port is gone.
@@ -362,10 +374,10 @@ class ServoBus:
         start = self._clock()
         end = start + budget_ns
         urgent = dict.fromkeys((*first, *self._again))
-        ahead = deque(sorted(urgent, key=lambda i: (i not in first, i not in self._again)))  # who was left over comes first
+        ahead = deque(sorted(urgent, key=lambda i: (i not in first, i not in self._again)))  # those left over come first
         self._again = []
         for _ in range(len(self) + len(urgent)):
-            if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # one at least
+            if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # at least one
                 break
             if ahead and start - self._asked_ns[self._next] <= _OVERDUE_NS:
                 i = ahead.popleft()
@@ -374,7 +386,7 @@ class ServoBus:
                 self._next = (i + 1) % len(self)
                 if i in ahead:
                     ahead.remove(i)
-                elif i in urgent:  # has been
+                elif i in urgent:  # already read
                     continue
             if self._skips[i]:
                 self._skips[i] -= 1
@@ -385,18 +397,21 @@ class ServoBus:
             elif self._missed[i] <= _AT_ONCE:
                 self._again.append(i)
             start = self._clock()
-        self._again += ahead  # whom there was no time for
+        self._again += ahead  # not read for lack of time
         return readings
 
     def ages(self) -> NDArray[np.float64]:
-        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        """Return (n,) [s] since each newest reading was requested, infinite before."""
         now = self._clock()
         return np.array([(now - t) / _SEC if t >= 0 else np.inf for t in self._read_ns])
 
     # ----------------------------------------------------------------------------------------------- below the words
 
     def _look(self, index: int, end_ns: int) -> ServoReading | None:
-        """Ask one servo until it says what can be believed; a question begins by `end_ns` and ends a timeout later."""
+        """Read one servo until its answer is plausible.
+
+        A request begins by `end_ns` and ends within a timeout.
+        """
         heard = False
         for _ in range(_LOOKS):
             start = self._clock()
@@ -412,35 +427,38 @@ class ServoBus:
             if found is not None:
                 self._missed[index], self._backoff[index] = 0, 1
                 self._read_ns[index] = start
-                # What took longer is no property of the bus: this process was stopped meanwhile.
+                # A longer time is no property of the bus: this process was suspended meanwhile.
                 took = min(done - start, self._line.reply_timeout_ns)
                 self._typical_ns += (took - self._typical_ns) // _SMOOTHING
                 return found
-            if done - start >= self._line.reply_timeout_ns:  # asking on would cost another timeout
+            if done - start >= self._line.reply_timeout_ns:  # another request would cost another timeout
                 break
         if not heard:
             self._leave_alone(index)
         return None
 
     def _is_noisy(self, index: int) -> bool:
-        """Whether answers have been lost or broken lately, or ever before a servo's first reading."""
+        """Return whether answers were recently lost or broken.
+
+        Before a servo's first reading, broken bytes at any earlier time count, too.
+        """
         broken = self._read_ns[index] < 0 and self._line.dropped.total() > 0
         return broken or self._loss.within(self._clock(), _NOISY_NS)
 
     def _leave_alone(self, index: int) -> None:
-        """Let a servo that has not answered miss turns, the more the longer it is silent."""
+        """Skip turns of a servo that has not answered, more the longer it is silent."""
         self._missed[index] += 1
         if self._missed[index] > _PATIENCE:
             self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
         self._skips[index] = self._backoff[index] - 1
 
     def _believed(self, index: int, stamp_ns: int, answer: Packet) -> ServoReading | None:
-        """What a servo says it has measured, None as long as it is not to be believed."""
+        """Return the reading in an answer, or None if it is not plausible yet."""
         position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
         state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
         refused = self._plausible.refused.total()
         believed = self._plausible.believes(index, state, self._is_noisy(index))
-        for _ in range(self._plausible.refused.total() - refused):  # this one, or the one that it does not bear out
+        for _ in range(self._plausible.refused.total() - refused):  # this reading, or the earlier one that it contradicts
             self._loss.note(self._clock(), True)
         if not believed:
             return None
@@ -450,7 +468,10 @@ class ServoBus:
         return reading(index, answer.servo_id, stamp_ns, self._told_ns, measured, error)
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
-        """Send a request and return the answer, with `size` parameters; None, and counted, when there is no good one."""
+        """Send a request and return the answer with `size` parameters, or None.
+
+        A missing or bad answer is counted.
+        """
         self.between()
         answer = self._line.exchange(request, servo_id, size, self._clock() + self._line.reply_timeout_ns)
         if answer is None:

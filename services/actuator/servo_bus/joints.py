@@ -1,4 +1,4 @@
-"""The joints behind the servo bus: what they measure, what they are told, and the bus itself, which may go and come back."""
+"""Joints behind the servo bus: measurements, goals and recovery of a lost bus."""
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -16,26 +16,26 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import ServoError
 
-# [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up.
+# [ns] startup timeout of the servos: a simulation starts late, and a USB hub needs time to wake up.
 _PATIENCE_NS = 3_000_000_000
-_ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
-_AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
-# What tells how a servo stands, and the block of its table that holds it.
+_ADOPT_WITHIN = np.radians(10.0)  # goals stored in the servos are kept if the joints are within this distance
+_AGAIN_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
+# Registers with the state of a servo, and the block of its table that contains them.
 _STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
 _BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
-_TRIES = 3  # questions to one servo of a bus that is back
-_VERIFIED = 3  # doubtful servos in a cycle that are asked whether they still pull
-_DOUBTED_EVERY = 5  # cycles after which one more is doubted: all of them within 1.8 s
-_DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
-_WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
-_PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
+_TRIES = 3  # requests to one servo of a reopened bus
+_VERIFIED = 3  # doubtful servos per cycle whose Torque Enable is read
+_DOUBTED_EVERY = 5  # cycles after which one more servo becomes doubtful: all of them within 1.8 s
+_DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: goals may not arrive; the state of the robot is unknown
+_WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers is used
+_PATIENT_S = 1.0  # [s] of waiting for silent servos after the others have answered again
 _CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
-_STILL = np.radians(10.0)  # [rad/s] ... and it has arrived where it is slower, ...
-_MOVED_NS = 100_000_000  # [ns] ... so long after it was heard again
+_STILL = np.radians(10.0)  # [rad/s] ... so it has also arrived if it is slower than this ...
+_MOVED_NS = 100_000_000  # [ns] ... this long after its first new reading
 
 
 class Joints:
-    """18 joints (6, 3) in the robot's coordinates."""
+    """18 joints, as (6, 3) arrays in the robot's joint coordinates."""
 
     def __init__(
         self,
@@ -45,17 +45,17 @@ class Joints:
         clock: Callable[[], int],
         latched: Callable[[], bool] = lambda: False,
     ):
-        """Open the bus, and read where the joints are; nothing is moved.
+        """Open the bus and read the joint positions; nothing moves.
 
         Args:
             profile: The robot.
-            settings: Of the actuator.
-            opener: Opens the port, in place of the one that the settings name; an OSError where there is none.
-            clock: [ns] monotonic, what the port's timing goes by.
-            latched: Whether torque is to be off, before anything else; asked all through the start.
+            settings: Settings of the actuator.
+            opener: Opens the port instead of the one that the settings name; raises OSError without a port.
+            clock: [ns] monotonic clock for the timing of the port.
+            latched: Whether torque must be off; polled throughout the start, before anything else.
 
         Raises:
-            BusSetupError: Servos are missing or wrong, all named.
+            BusSetupError: Servos are missing or wrong; the message names all of them.
             BusGone: The port cannot be opened.
             ConnectionError: A servo has stopped answering.
         """
@@ -63,25 +63,23 @@ class Joints:
         self._opener = opener or Outlet(settings).open
         self._budget_ns = round(settings.read_budget_ms * 1e6)
         self._latched = latched
-        self._lets_go = latched()  # whether torque is to be off by an order
+        self._lets_go = latched()  # whether an order requires torque off
         self._bus = self._open()
         self._set_up()
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
-        self.gone = ""  # why there is no bus, in words
-        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have missed an order since they last said that they pull
+        self.gone = ""  # why there is no bus
+        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have lost torque since it was last confirmed
         self._cycle = 0
-        self._excused = int(
-            settings.bridge
-        )  # questions left open without a doubt: news from behind a bridge may be a cycle old
-        self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
-        self._catch_up: Array = np.full(18, GENTLE)  # [rad/s] of those
-        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
-        self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
-        self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
-        self.torque = np.zeros(18, dtype=np.bool_)  # that pull
-        self.strength = np.ones(18)  # share of its torque that each was left with
-        self._most = np.full(18, dxl.TORQUE_LIMIT.max)  # registers of that which each is set up to have
+        self._excused = int(settings.bridge)  # tolerated unanswered requests: readings from a bridge may be a cycle old
+        self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they move slowly until they have caught up
+        self._catch_up: Array = np.full(18, GENTLE)  # [rad/s] speed limit of those
+        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those first answered again, 0 before
+        self.out_of_touch = False  # whether all servos missed goals and have not yet answered and caught up
+        self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; goals as stored in the servos
+        self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
+        self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
+        self._most = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
         self._take_in([self._ask(i) for i in self._bus.servo_ids])
         self._bus.between = _nothing
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
@@ -89,22 +87,22 @@ class Joints:
         self.temperature = np.full(18, np.nan)  # [deg C]
 
     def close(self) -> None:
-        """Close the port: the servos keep their torque and their goals."""
+        """Close the port; the servos keep their torque and goals."""
         self._bus.close()
 
     @property
     def trouble(self) -> str:
-        """Why the joints do not follow, in words, or nothing."""
+        """Why the joints do not follow, or an empty string."""
         return self.gone or self._bus.trouble
 
     @property
     def deaf(self) -> bool:
-        """Whether goals had better stay as they are, for nobody may hear what is sent."""
+        """Whether goals should stay as they are, because servos may not receive them."""
         return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
 
     @property
     def vitals(self) -> Vitals:
-        """How the servos fare."""
+        """Servo state that the health monitor evaluates."""
         return Vitals(
             missed=self._bus.missed,
             newest=float(self._bus.ages().min()),
@@ -121,28 +119,28 @@ class Joints:
 
     @property
     def _watched(self) -> bool:
-        """Whether the bus has been read for so long that the share of what is lost says something."""
+        """Whether the bus has been read long enough for a meaningful loss rate."""
         return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
 
     @property
     def limp(self) -> NDArray[np.bool_]:
-        """(6, 3) joints whose servo does not pull, or has shut down."""
+        """(6, 3) joints whose servo has no torque or has shut down."""
         return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
 
     @property
     def unsure(self) -> NDArray[np.bool_]:
-        """(6, 3) joints that are limp, or whose servo has been silent and is not yet where it was sent again."""
+        """(6, 3) joints without torque, or not yet at their goal after a silence."""
         return np.asarray(self.limp | self._behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 
     def read(self, urgent: Sequence[int]) -> list[ServoReading]:
-        """Read the next servos of the rotation, after those (0 to 17) that are urgent; where the bus is gone look for it."""
+        """Read urgent servos (0 to 17), then the rotation; reopen a lost bus."""
         if self.gone:
             self._seek()
             return []
         self._since_ns = self._since_ns if self._since_ns >= 0 else self._clock()
-        if self._lets_go:  # nobody answers a broadcast, so it is said until torque is ordered on
+        if self._lets_go:  # a broadcast is not acknowledged, so repeat it until torque is ordered on
             self._say_let_go()
         try:
             readings = self._bus.poll(self._budget_ns, urgent)
@@ -157,9 +155,9 @@ class Joints:
         return readings
 
     def write(self, q_goal: Array) -> None:
-        """Send goals (6, 3) [rad] to all servos; kept, unsent, where there is no bus.
+        """Send goals (6, 3) [rad] to all servos; without a bus, only store them.
 
-        Servos that have missed goals are told to go slowly: nobody knows from where they set out when they hear again.
+        Servos that have missed goals get a low speed, because their position is unknown when they respond again.
         """
         self.goals = q_goal
         self._leave_behind(self._bus.missed >= SILENT, LOWERED)
@@ -167,21 +165,21 @@ class Joints:
         self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
 
     def lose_touch(self) -> None:
-        """Begin to find out anew where all joints are: goals that were sent of late may not have been heard, or meant."""
+        """Treat all joint positions as unknown; recent goals may not have arrived."""
         self.out_of_touch = True
         self._doubted[:] = True
         self._leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
 
     def let_go(self) -> None:
-        """Turn all torque off; where there is no bus, as soon as there is one, before anything else."""
+        """Turn all torque off; without a bus, as soon as it is back, before anything else."""
         self._lets_go = True
         self.torque[:] = False
         self._say_let_go()
 
     def grip(self) -> None:
-        """Turn torque on where it is off, and up where a servo was left weak, at the places where those joints are.
+        """Turn torque on and restore torque limits, at the present joint positions.
 
-        An operator's act alone leads here. A joint that hangs beyond its limit comes back to that, slowly.
+        Only an operator's order calls this. A joint beyond its limit returns to the limit slowly.
         """
         self._lets_go = False
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
@@ -189,10 +187,10 @@ class Joints:
         within = self._within(self.q)
         self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
         self.write(np.where(anew, within, self.goals))
-        if self._latched():  # ordered off while this process was late
+        if self._latched():  # torque was ordered off while this process was late
             self.let_go()
             return
-        for _ in range(2):  # nobody answers a broadcast
+        for _ in range(2):  # a broadcast is not acknowledged
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
         self._doubted[:] = True
@@ -200,9 +198,9 @@ class Joints:
             self._tell(partial(self._wake, index))
 
     def revive(self, index: int) -> None:
-        """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal.
+        """End a servo's shutdown (0 to 17) at its present position, once acknowledged.
 
-        A joint that hangs beyond its limit comes back to that, slowly.
+        A joint beyond its limit returns to the limit slowly.
         """
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
@@ -212,7 +210,7 @@ class Joints:
         self._tell(lambda: self._wake(index))
 
     def read_loads(self) -> Array:
-        """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
+        """Read motor torques (6, 3) [N m] in joint direction; zero without an answer."""
         return self._torques([self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids])
 
     # ------------------------------------------------------------------------------------------------- the bus itself
@@ -223,13 +221,13 @@ class Joints:
         return bus
 
     def _obey(self) -> None:
-        """An order to let go that comes while there are questions to be asked does not wait for their end."""
+        """Execute a torque-off order between requests, before the remaining ones."""
         if not self._lets_go and self._latched():
             self._lets_go = True
             self._bus.set_torque(False)
 
     def _set_up(self) -> None:
-        """Set the bus up; servos that are silent at first get some time."""
+        """Set the bus up, and wait some time for servos that are silent at first."""
         until = self._clock() + _PATIENCE_NS
         while True:
             if self._lets_go:
@@ -251,7 +249,7 @@ class Joints:
         self.temperature[reading.index] = reading.temperature
 
     def _within(self, q: Array) -> Array:
-        """Joint angles (6, 3) [rad] within the joints' limits."""
+        """Return joint angles (6, 3) [rad] clipped to the joint limits."""
         limits = self._profile.joint_limits
         return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
 
@@ -262,7 +260,7 @@ class Joints:
         self._back_ns[servos] = 0
 
     def _see_to_touch(self) -> None:
-        """Lose touch where nobody answers, and regain it once all have answered and are where they were sent."""
+        """Mark all servos as lost if none answers, until all have caught up."""
         if float(self._bus.ages().min()) > _LOST_S:
             self.lose_touch()
         elif self.out_of_touch:
@@ -271,7 +269,7 @@ class Joints:
             self.out_of_touch = bool(self._behind.any()) and not waited
 
     def _see_whether_it_caught_up(self, reading: ServoReading) -> None:
-        """Let a servo that has missed goals go as fast as it can again, once it is where it was sent."""
+        """Remove the speed limit of a servo once it has reached its goal."""
         i = reading.index
         if not self._behind[i]:
             return
@@ -281,7 +279,10 @@ class Joints:
             self._behind[i] = False
 
     def _find_the_limp(self, readings: list[ServoReading]) -> None:
-        """See of doubtful servos whether they pull, a few in a cycle: one that had no power for a moment does not."""
+        """Read Torque Enable of doubtful servos, a few per cycle.
+
+        A short power loss turns torque off.
+        """
         answers = [(reading.index, reading.servo_id) for reading in readings]
         for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._doubted[i] and self.torque[i]][:_VERIFIED]:
             enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
@@ -289,11 +290,11 @@ class Joints:
                 self.torque[index], self._doubted[index] = bool(enabled), False
         self._doubted |= self._bus.missed > self._excused
         self._cycle += 1
-        if self._cycle % _DOUBTED_EVERY == 0:  # power may be gone for a moment between two questions
+        if self._cycle % _DOUBTED_EVERY == 0:  # a power loss may be shorter than the time between two requests
             self._doubted[self._cycle // _DOUBTED_EVERY % 18] = True
 
     def _wake(self, index: int) -> None:
-        """Give a servo all its torque, if it says that it has its place for its goal."""
+        """Give a servo its full torque limit, if it acknowledges its position as goal."""
         servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
         placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
         if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._most[index])):
@@ -315,7 +316,7 @@ class Joints:
         self._bus.close()
 
     def _seek(self) -> None:
-        """Try to get the bus back; the goals that stand in the servos, and whether they pull, are read anew."""
+        """Try to reopen the bus, and read goals and torque of all servos again."""
         if self._clock() - self._tried_ns < _AGAIN_NS and not self._lets_go:
             return
         self._tried_ns = self._clock()
@@ -335,27 +336,27 @@ class Joints:
         self._behind[:] = False
 
     def _take_in(self, tables: list[bytes]) -> None:
-        """Take over how each servo stands; goals are kept where the joints are near them, and else are where those are."""
+        """Adopt the state of each servo; a far goal is replaced by the joint position."""
         found = [[_value(table, register) for register in _STANDS] for table in tables]
         most, pulls, goals, limits, ticks, loads = np.array(found).T
-        self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # whoever has missed that order hears it again
+        self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # a servo that has missed torque off receives it again
         self._most = most
         self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
         self.q, stand = self._angles(ticks), self._angles(goals)
-        self.load = self._torques(loads.tolist())  # those of before tell of a robot that moved
+        self.load = self._torques(loads.tolist())  # earlier loads belong to a moving robot
         self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
 
     def _torques(self, loads: Sequence[int]) -> Array:
-        """Motor torques (6, 3) [N m] by the loads (18,) that servos tell."""
+        """Return motor torques (6, 3) [N m] from load registers (18,)."""
         shares = np.array([dxl.load_from_register(value) for value in loads]).reshape(6, 3)
         return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
 
     def _stand(self, servo_id: int) -> bytes | None:
-        """What a servo says of how it stands, if it answers."""
+        """Read the state block of a servo, None when it does not answer."""
         return self._bus.read_bytes(servo_id, _BLOCK.start, len(_BLOCK))
 
     def _ask(self, servo_id: int) -> bytes:
-        """The same, asked until the servo has answered."""
+        """Read the state block, repeating until the servo has answered."""
         until = self._clock() + _PATIENCE_NS
         while (table := self._stand(servo_id)) is None:
             if self._clock() >= until:
@@ -363,7 +364,7 @@ class Joints:
         return table
 
     def _insist(self, servo_id: int) -> bytes:
-        """The same, of a bus that is back."""
+        """Read the state block of a servo on a reopened bus."""
         for _ in range(_TRIES):
             if (table := self._stand(servo_id)) is not None:
                 return table
@@ -379,7 +380,7 @@ def _value(table: bytes, register: dxl.Register) -> int:
 
 
 def _ticks(servo: Array) -> NDArray[np.int64]:
-    """Goal registers (18,) of servo angles (18,) [rad]."""
+    """Return goal registers (18,) of servo angles (18,) [rad]."""
     ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
     return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)
 

@@ -1,7 +1,7 @@
-"""The servos behind a microcontroller that speaks their bus: orders out, states of all servos in; docs/bridge.md has the wire.
+"""Servos behind a microcontroller bridge; see docs/bridge.md for the protocol.
 
-No thread and no sleep; time comes from a clock argument. In the loop nothing that comes over the line raises but `BusGone`:
-what is broken, old or out of order is counted by reason, and the servos' readings grow old.
+It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusGone` is raised. Broken, old and
+out-of-order frames are counted by reason, and the servo readings age.
 """
 
 from collections import Counter
@@ -26,21 +26,21 @@ from sextant.shared.servo.bridge_protocol import Answer, Message, Mode, Receiver
 from sextant.shared.servo.dynamixel import PacketParser, Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
-_LIFETIME_MS = 200  # [ms] of goals
-_CHUNK = 4096  # [bytes] of one read
-_HELLO_NS = 300_000_000  # [ns] that a welcome may take
+_LIFETIME_MS = 200  # [ms] validity of goals
+_CHUNK = 4096  # [bytes] per read
+_HELLO_NS = 300_000_000  # [ns] timeout of a welcome
 _GREET_AGAIN_NS = 100_000_000  # [ns] between two hellos in the loop
-_SILENT_NS = 100_000_000  # [ns] without a state, or without what an order brings about, after which something is wrong
-_ANSWER_NS = 40_000_000  # [ns] that the answer of a servo may take through the bridge
-_NEW_US = 1_000  # [us] by which a reading is newer than the last one, if it is another
-_CYCLE_NS = 20_000_000  # [ns] in which every servo is read
-_OTHER_GOALS_US = 5_000  # [us] after the newest goals from which others are newer ones
+_SILENT_NS = 100_000_000  # [ns] without a state, or without the effect of an order, after which a problem is reported
+_ANSWER_NS = 40_000_000  # [ns] timeout of a servo's answer through the bridge
+_NEW_US = 1_000  # [us] by which a new reading is newer than the last one
+_CYCLE_NS = 20_000_000  # [ns] in which the bridge reads every servo
+_OTHER_GOALS_US = 5_000  # [us] after the newest goals from which goals count as newer ones
 _NEVER_US = -1_000_000_000  # [us] long ago
 _US = 1_000  # [ns]
 
 
 class Bridge:
-    """Asks and commands a fixed list of servos through a microcontroller; arrays are in the order of that list."""
+    """Driver for servos behind a microcontroller; arrays are in their list order."""
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class Bridge:
             servo_ids: At most 24 ids, 0 to 253, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The servo type that `setup` expects.
-            names: Leg and joint of each id, for what is said of it.
+            names: Leg and joint of each id, for messages.
             lock: `setup` locks the EEPROM of the servos, see `ServoBus`.
 
         Raises:
@@ -70,33 +70,33 @@ class Bridge:
         n = len(servo_ids)
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
         self.state: State | None = None  # the newest
-        self.restarts = 0  # of the microcontroller, while it was used
+        self.restarts = 0  # of the microcontroller, while in use
         self._port = port
         self._clock = clock
         self._receiver = Receiver(bridge_protocol.TO_HOST)
         questions = _Questions(self)
         self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
-        self._odd: Counter[str] = Counter()  # states that were not taken
+        self._odd: Counter[str] = Counter()  # ignored states
         self._session = 0
         self._sequence = 0  # of orders
         self._boot: int | None = None  # of the microcontroller
         self._remote = RemoteClock()
-        self._state_ns = clock()  # when the newest state came, or the first is waited for since
+        self._state_ns = clock()  # when the newest state arrived, or when waiting for the first one began
         self._greeted_ns = clock()
         self._welcomed = False
         self._answer: Answer | None = None  # the newest
-        self._fresh: dict[int, ServoReading] = {}  # by place in the list, not yet asked for
+        self._fresh: dict[int, ServoReading] = {}  # unread readings, by index in the list
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
-        self._taken_us = (_NEVER_US, _NEVER_US)  # when, by that, it took the goals before the newest, and the newest
+        self._taken_us = (_NEVER_US, _NEVER_US)  # when, by that clock, it accepted the previous goals and the newest ones
         self._torque: bool | None = None  # as ordered last
         self._torque_ns = 0
-        self._goals_since_ns, self._goals_ns = 0, -1  # since when goals are sent without a gap, and when the newest were
+        self._goals_since_ns, self._goals_ns = 0, -1  # start of the gapless sequence of goals, and time of the newest ones
 
     @property
     def between(self) -> Callable[[], None]:
-        """Done before each question to a servo outside the loop."""
+        """Callback before each request to a servo outside the loop."""
         return self._registers.between
 
     @between.setter
@@ -109,7 +109,7 @@ class Bridge:
 
     @property
     def lost(self) -> Counter[str]:
-        """Frames and questions without use, by reason; those of the microcontroller itself are named so."""
+        """Unusable frames and requests, by reason, also those of the microcontroller."""
         there = Counter(
             {
                 "bridge: frame broken or refused": self.state.broken,
@@ -124,7 +124,7 @@ class Bridge:
 
     @property
     def trouble(self) -> str:
-        """What is wrong between here and the servos, in words, or nothing."""
+        """Problem of the link to the servos, or an empty string."""
         now_ns = self._clock()
         if now_ns - self._state_ns > _SILENT_NS:
             return f"the bridge has been silent for {(now_ns - self._state_ns) * 1e-9:.1f} s"
@@ -144,41 +144,41 @@ class Bridge:
 
     @property
     def missed(self) -> NDArray[np.int64]:
-        """(n,) cycles in which each servo has told nothing new."""
+        """(n,) cycles in which each servo has sent nothing new."""
         ages = self.ages()
         return (np.where(np.isfinite(ages), ages, 0.0) * 1e9 // _CYCLE_NS).astype(np.int64)
 
     @property
     def loss(self) -> float:
-        """None that is known here: the microcontroller asks again by itself."""
+        """Always zero: the microcontroller repeats requests itself."""
         return 0.0
 
     def close(self) -> None:
-        """Close the port, gone or not; the servos keep their torque and their last goal."""
+        """Close the port, gone or not; the servos keep their torque and last goals."""
         self._port.close()
 
     # ----------------------------------------------------------------------------------------------- outside the loop
 
     def setup(self) -> None:
-        """Open a session, check that every servo is there and of the right type, and make it answer without delay.
+        """Open a session, check presence and type of servos, configure fast answers.
 
         Torque and limits stay as they are.
 
         Raises:
-            BusSetupError: Nobody answers, it speaks another version, or servos are missing or wrong; all are named.
+            BusSetupError: No bridge answers, its version differs, or servos are missing or wrong; all are named.
             BusGone: The port is gone.
         """
         self.meet()
         self._registers.setup()
 
     def meet(self) -> None:
-        """Open a session; the servos and what they are told stay as they are.
+        """Open a session; the servos and their goals stay as they are.
 
         Raises:
-            BusSetupError: Nobody answers, or it speaks another version.
+            BusSetupError: No bridge answers, or its version differs.
             BusGone: The port is gone.
         """
-        self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # another one than the last
+        self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # differs from the last session
         self._sequence = 0
         self._welcomed = False
         self._greet()
@@ -198,15 +198,17 @@ class Bridge:
                 )
 
     def read(self, servo_id: int, register: Register) -> int | None:
-        """Value of one register, None when the servo does not answer."""
+        """Return the value of a register, None when the servo does not answer."""
         return self._registers.read(servo_id, register)
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
-        """Bytes of a control table, None when the servo does not answer or refuses."""
+        """Return bytes of a control table, None when the servo does not answer or refuses."""
         return self._registers.read_bytes(servo_id, address, size)
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo says that it took it. The bridge refuses to turn torque on this way.
+        """Write one register; return whether it is acknowledged.
+
+        The bridge refuses to turn torque on this way.
 
         Raises:
             ValueError: The value is outside the register's range.
@@ -216,7 +218,7 @@ class Bridge:
     # --------------------------------------------------------------------------------------------------- in the loop
 
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
-        """Send every servo its goal position and moving speed; they are fresh for 200 ms.
+        """Send every servo its goal position and moving speed, valid for 200 ms.
 
         Args:
             goal_ticks: (n,) goal positions, 0 to 1023.
@@ -234,9 +236,9 @@ class Bridge:
         self._send(bridge_protocol.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
 
     def set_torque(self, enabled: bool) -> None:
-        """Turn the torque of all servos on or off; off is sent again until it is done.
+        """Turn the torque of all servos on or off; off is repeated until it is done.
 
-        The bridge turns it on only behind fresh goals that are near to where the servos are.
+        The bridge turns it on only with valid goals that are near the servo positions.
         """
         self._torque, self._torque_ns = enabled, self._clock()
         self._order_torque()
@@ -244,16 +246,16 @@ class Bridge:
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
         """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
 
-        This ends the shutdown of a servo that was overloaded or hot: call it only when an operator asks for that.
+        This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
         """
         self._send(bridge_protocol.Limits(*self._head(), self._whole(limit_ticks, dxl.TORQUE_LIMIT)))
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
-        """The newest reading of every servo that has been read since the last call: all of them, ten milliseconds old at most.
+        """Return new readings since the last call, at most ten milliseconds old.
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing.
-            first: Of no use here: all servos are read in every cycle.
+            first: Ignored: all servos are read in every cycle.
 
         Raises:
             BusGone: The port is gone.
@@ -267,12 +269,12 @@ class Bridge:
         return readings
 
     def ages(self) -> NDArray[np.float64]:
-        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        """Return (n,) [s] since each newest reading was requested, infinite before."""
         now = self._clock()
         return np.array([(now - t) * 1e-9 if t >= 0 else np.inf for t in self._read_ns])
 
     def _keep_in_touch(self) -> None:
-        """Greet a bridge that has restarted or is silent, and repeat that torque shall be off until it is."""
+        """Greet a restarted or silent bridge, and repeat torque off until it is done."""
         now_ns = self._clock()
         lost = not self._welcomed or now_ns - self._state_ns > _SILENT_NS
         if self._session and lost and now_ns - self._greeted_ns > _GREET_AGAIN_NS:
@@ -283,7 +285,7 @@ class Bridge:
     # ------------------------------------------------------------------------------------------------- below the words
 
     def ask(self, servo_id: int, instruction: int, parameters: bytes) -> int:
-        """Have an instruction passed on to one servo; the number of the question.
+        """Forward an instruction to one servo; return the number of the request.
 
         Raises:
             BusGone: The port is gone.
@@ -292,7 +294,7 @@ class Bridge:
         return self._sequence
 
     def answer(self, question: int) -> Answer | None:
-        """The answer to a question, waited for; None when none comes."""
+        """Wait for the answer to a request; None after a timeout."""
         until = self._clock() + _ANSWER_NS
         while True:
             if self._answer is not None and self._answer.sequence == question:
@@ -302,7 +304,7 @@ class Bridge:
             self._pump()
 
     def _head(self) -> tuple[int, int, int]:
-        """Session, number and time of the next order."""
+        """Return session, number and time of the next order."""
         self._sequence += 1
         return max(self._session, 1), self._sequence, self._clock() // _US
 
@@ -324,7 +326,7 @@ class Bridge:
             raise gone(error) from error
 
     def _pump(self) -> int:
-        """Take in what has arrived; the number of bytes."""
+        """Process received data; return the number of bytes."""
         try:
             data = self._port.read(_CHUNK)
         except LOST as error:
@@ -340,7 +342,7 @@ class Bridge:
         return len(data)
 
     def _meet(self, welcome: Welcome) -> None:
-        """Whoever has been greeted is in session; whoever has not, or has restarted, will be."""
+        """Process a welcome: reset after a restart, and check the session."""
         if welcome.boot != self._boot:
             self.restarts += self._boot is not None
             self._boot, self._remote = welcome.boot, RemoteClock()
@@ -350,7 +352,7 @@ class Bridge:
         self._welcomed = welcome.session == self._session
 
     def _take(self, state: State) -> None:
-        """Take a state if it is of this session, newer than the last and of as many servos as there are."""
+        """Accept a newer state of this session with the right number of servos."""
         if state.session != self._session or not self._welcomed:
             self._odd["state of another session"] += 1
         elif self.state is not None and state.sequence <= self.state.sequence:
@@ -367,14 +369,17 @@ class Bridge:
                 self._note(state, index, stamp_ns)
 
     def _note_goals(self, state: State) -> None:
-        """Keep when the microcontroller took the newest goals, if they are new ones: to a millisecond, which it rounds down."""
+        """Store when the microcontroller accepted the newest goals.
+
+        The time is in milliseconds, rounded down.
+        """
         if state.goals_age_ms != bridge_protocol.NEVER:
             taken_us = state.time_us - 1000 * state.goals_age_ms - 500
             if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
                 self._taken_us = (self._taken_us[1], taken_us)
 
     def _note(self, state: State, index: int, stamp_ns: int) -> None:
-        """Keep the reading of one servo, if it is a new one."""
+        """Store the reading of one servo, if it is new."""
         if state.age[index] == bridge_protocol.NEVER:
             return
         age_us = state.age[index] * bridge_protocol.AGE_UNIT_US
@@ -388,19 +393,19 @@ class Bridge:
         told_ns = self._read_ns[index] - (measured_us - told_us) * _US
         columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
         measured = tuple(column[index] for column in columns)
-        self._fresh.pop(index, None)  # the order is that of reading
+        self._fresh.pop(index, None)  # keep the order of reading
         self._fresh[index] = reading(
             index, self.servo_ids[index], self._read_ns[index], told_ns, measured, ServoError(state.error[index])
         )
 
 
 class _Questions:
-    """What a `ServoBus` takes for its port: its packets become questions to the bridge, and their answers packets again."""
+    """Port for a `ServoBus` on a bridge: converts packets to bridge requests."""
 
     def __init__(self, asked: Bridge) -> None:
         self._bridge = asked
         self._parser = PacketParser()
-        self._open: tuple[int, int] | None = None  # servo and number of the question that is open
+        self._open: tuple[int, int] | None = None  # servo and number of the pending request
 
     def write(self, data: bytes, /) -> int:
         for packet in self._parser.feed(data):
@@ -421,4 +426,4 @@ class _Questions:
         self._open = None
 
     def close(self) -> None:
-        """The bridge closes the port itself."""
+        """Do nothing: the bridge closes the port itself."""

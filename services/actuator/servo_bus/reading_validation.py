@@ -1,7 +1,7 @@
-"""Whether a servo can have measured what its answer says: an 8-bit checksum lets some wrong answers through.
+"""Plausibility check of servo readings; an 8-bit checksum misses some errors.
 
-A reading that leaps is doubted, and believed only when the next one says the same. Of 3463 positions of a walk over `steps` all
-but one lay where `_leaps` expects them, 99 % within 4 ticks of the goals of the last three cycles.
+A reading that leaps is doubted, and accepted only when the next one confirms it. Of 3463 positions of a walk over `steps`, all
+but one were within the range of `_leaps`, and 99 % within 4 ticks of the goals of the last three cycles.
 """
 
 from collections import Counter, deque
@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 from sextant.shared.servo import dynamixel as dxl
 
 _SEC = 1e9
-_FASTEST = 8.0  # [rad/s] the AX-12A turns at 59 rpm and the RX-64 at 64 rpm without load; a leg that is pushed, a little faster
+_FASTEST = 8.0  # [rad/s] no-load speeds: AX-12A 59 rpm, RX-64 64 rpm; a pushed leg turns slightly faster
 _FASTEST_TICKS = _FASTEST / dxl.TICK_RAD  # [1/s]
-_LEAP = 10  # [ticks] beside where a servo is to be expected; 3 deg
-_REPEATED = 5  # [ticks] within which two readings of one place lie, and ...
-_MOVED = 20  # [ticks] ... what the joint may have moved in between, at most
+_LEAP = 10  # [ticks] off the expected range; 3 deg
+_REPEATED = 5  # [ticks] between two readings of one position, and ...
+_MOVED = 20  # [ticks] ... largest motion of the joint between them
 _SAG = 0.8  # [V] between two readings of one supply
 _WARMING = 2.0  # [K] between two readings, and ...
 _WARMING_RATE = 2.0  # [K/s] ... in the time between them: a stalled motor warms by 1 K/s
-_UNKNOWN_BITS = 0x80  # of the error byte: no error has it
+_UNKNOWN_BITS = 0x80  # undefined bit of the error byte
 _MAGNITUDE = 0x7FF  # of the speed and load registers: ten bits and the direction
-# While answers get lost or broken, loads and speeds are doubted that otherwise leap in good health.
+# Leaps of load and speed are normal, and are doubted only while answers get lost or broken.
 _LOAD_LEAP, _SPEED_LEAP = 400, round(2.5 / dxl.SPEED_RAD_S)  # [ticks] 0.4 of the stall torque, 2.5 rad/s
-_STANDS = 3  # [ticks] by which a joint must have moved before two readings that are all alike are strange
-_RECENT_GOALS = 3  # cycles in which a servo may still be on its way to a goal
+_STANDS = 3  # [ticks] of motion from which two identical readings are doubtful
+_RECENT_GOALS = 3  # cycles in which a servo may still be moving to a goal
 
 
 class Doubt(StrEnum):
-    """Why a reading is not believed, or not yet."""
+    """Why a reading is not accepted, or not yet."""
 
     RANGE = "value that no servo has"
     POSITION = "position leapt"
@@ -45,45 +45,43 @@ class Doubt(StrEnum):
 
 
 class State(NamedTuple):
-    """What one answer says, in the registers' units."""
+    """Contents of one answer, in register units."""
 
-    stamp_ns: int  # [ns] when it was asked for
+    stamp_ns: int  # [ns] when it was requested
     position: int
     speed: int  # with its direction bit
-    load: int  # likewise
+    load: int  # with its direction bit
     voltage: int
     temperature: int
     error: int
 
 
 class Plausibility:
-    """What n servos are believed to have measured last, and what they can therefore measure next."""
+    """Checks the next readings of n servos against their last accepted ones."""
 
     def __init__(self, n: int) -> None:
-        """Begin without having seen anything."""
-        self.refused: Counter[str] = Counter()  # readings never believed, by `Doubt`
+        """Begin without readings."""
+        self.refused: Counter[str] = Counter()  # readings that were rejected, by `Doubt`
         self._believed: list[State | None] = [None] * n
         self._doubted: list[tuple[State, Doubt] | None] = [None] * n
-        self._voltage: int | None = None  # of any servo: they share one supply
+        self._voltage: int | None = None  # of any servo, because they share one supply
         self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
-        self._aside = [
-            0
-        ] * n  # [ticks] by which each was, when it was believed last, beside the goals that it was on its way to
+        self._aside = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
 
     def sent(self, goal_ticks: NDArray[np.int64]) -> None:
-        """Servos have been sent goals (n,)."""
+        """Store the goals (n,) that were sent to the servos."""
         self._goals.append(goal_ticks)
 
     def believes(self, index: int, state: State, noisy: bool) -> bool:
-        """Whether to believe a reading; one that is doubted is worth another question at once.
+        """Return whether to accept a reading; repeat the request if it is doubtful.
 
         Args:
-            index: Of the servo.
-            state: What it says.
-            noisy: Answers have been broken lately: the checksum has work to do, and lets 1 of some 256 through.
+            index: Index of the servo.
+            state: Its reading.
+            noisy: Answers were recently broken. The checksum then misses about 1 of 256 errors.
         """
         doubt = self._doubt(index, state, noisy)
-        if doubt is Doubt.RANGE:  # it stays wrong however often it is said
+        if doubt is Doubt.RANGE:  # repetition does not make it right
             self.refused[doubt] += 1
             return False
         doubted = self._doubted[index]
@@ -102,12 +100,12 @@ class Plausibility:
         self._aside[index] = state.position - min(max(state.position, low), high)
 
     def _bound_for(self, index: int, position: int) -> tuple[int, int]:
-        """Lowest and highest goal that a servo may be on its way to or from; where none was sent, that it is where it was."""
+        """Return lowest and highest recent goal of a servo; without one, its position."""
         goals = [int(goals[index]) for goals in self._goals] or [position]
         return min(goals), max(goals)
 
     def _doubt(self, index: int, state: State, noisy: bool) -> Doubt | None:
-        """What is strange about a reading, or nothing."""
+        """Return why a reading is doubtful, or None."""
         if state.position > dxl.TICK_MAX or max(state.speed, state.load) > _MAGNITUDE or state.error & _UNKNOWN_BITS:
             return Doubt.RANGE
         before = self._believed[index]
@@ -132,7 +130,10 @@ class Plausibility:
         return Doubt.AGAIN if alike else None
 
     def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
-        """Whether a servo is where it was not sent, beside as far as load and lag had it before, or sooner than it can be."""
+        """Return whether a position is off the goal range, or too far to reach.
+
+        The range is widened by the last load and lag.
+        """
         low, high = self._bound_for(index, before)
         aside = self._aside[index]
         near = low + min(aside, 0) - _LEAP <= position <= high + max(aside, 0) + _LEAP
@@ -140,7 +141,7 @@ class Plausibility:
 
 
 def _same(one: State, other: State) -> bool:
-    """Whether two readings, one soon after the other, say the same."""
+    """Return whether two readings, shortly after each other, agree."""
     elapsed = abs(other.stamp_ns - one.stamp_ns) / _SEC
     near = abs(other.position - one.position) <= _REPEATED + min(_FASTEST_TICKS * elapsed, _MOVED)
     speeds = abs(dxl.signed_magnitude(one.speed) - dxl.signed_magnitude(other.speed)) <= _SPEED_LEAP

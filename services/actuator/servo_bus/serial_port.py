@@ -1,6 +1,7 @@
-"""One line to servos: bytes on a port become questions and their answers, whatever else is heard.
+"""Requests and answers on one serial port to the servos.
 
-Resynchronised on noise, echoes of single-wire adapters dropped, every loss counted. No thread, no sleep; time is an argument.
+The parser resynchronises on noise, drops echoes of single-wire adapters and counts every loss. There is no thread and no
+sleep; time is an argument.
 """
 
 import errno
@@ -29,12 +30,12 @@ log = logging.getLogger(__name__)
 REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
 BAUD_RATE = 1_000_000
 REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
-_WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
+_WRITE_TIMEOUT = 0.5  # [s] without progress of a write after which the port is gone
 _MAX_LENGTH = dxl.TABLE_SIZE + 2  # length byte of the longest answer
-_SETTLES_NS = 100_000_000  # [ns] after which no lost answer comes any more: six USB transactions at the slowest
-_UNASKED_NS = 1_100_000_000  # [ns] that another device may be silent for: many send once a second
-_UNASKED_BYTES, _UNASKED_READS = 64, 2000  # that are read of it, at most
-_ALL = 4096  # [bytes] more than comes within a timeout
+_SETTLES_NS = 100_000_000  # [ns] after which a lost answer cannot arrive any more: six USB transactions at the slowest
+_UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once a second
+_UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
+_ALL = 4096  # [bytes] more than can arrive within a timeout
 _SEC = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 _LAST_PORT = 65535
@@ -42,7 +43,7 @@ _EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
 
 
 class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
-    """The port was closed, unplugged or hung up; open a new one and set the bus up again."""
+    """The port was closed, unplugged or hung up; open a new one and run setup."""
 
 
 class Port(Protocol):
@@ -52,22 +53,28 @@ class Port(Protocol):
         """Send bytes."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """At most `size` bytes, fewer after the port's timeout."""
+        """Return at most `size` bytes, fewer after the port's timeout."""
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard received bytes."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class _Connection(protocol_socket.Serial):
-    """A port over TCP that closes at once: pyserial's own sleeps for 0.3 s then, for which no control cycle can wait."""
+    """TCP port with immediate close; pyserial's own sleeps for 0.3 s.
+
+    No control cycle can wait that long.
+    """
 
     _socket: socket.socket | None
 
     def read(self, size: int = 1) -> bytes:
-        """At most `size` bytes, fewer after the timeout, which is of simulated time where that is shared."""
+        """Return at most `size` bytes, fewer after the timeout.
+
+        The timeout runs in simulated time if that is shared.
+        """
         until_ns = now_ns() + round((self.timeout or 0.0) * 1e9)
         data: bytes = super().read(size)
         while len(data) < size and now_ns() < until_ns:
@@ -82,7 +89,7 @@ class _Connection(protocol_socket.Serial):
         return sent
 
     def close(self) -> None:
-        """Close it, whether the other end is still there or not."""
+        """Close the connection, whether or not the peer is still there."""
         connection, self._socket, self.is_open = self._socket, None, False
         if connection is not None:
             with suppress(OSError):
@@ -91,7 +98,10 @@ class _Connection(protocol_socket.Serial):
 
 
 class Lost(StrEnum):
-    """Why a question got no usable answer; `Dropped` reasons of a parser and a `Doubt` for good are counted beside these."""
+    """Why a request got no usable answer.
+
+    `Dropped` reasons of a parser and final `Doubt` reasons are counted separately.
+    """
 
     TIMEOUT = "no answer"
     STRANGER = "answer from another servo"
@@ -126,7 +136,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except LOST as error:
         raise BusGone(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
-    except (ValueError, TypeError) as error:  # as pyserial has it for an address that is none
+    except (ValueError, TypeError) as error:  # raised by pyserial for an invalid address
         raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected") from error
     if slow := usb_adapter.quicken(url, port):
         log.warning(slow)
@@ -134,8 +144,8 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
 
 
 def _advice(error: Exception) -> str:
-    """What to do about a port that cannot be opened."""
-    match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial keeps that of a socket back
+    """Return what to do about a port that cannot be opened."""
+    match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial hides the errno of a socket
         case errno.EACCES | errno.EPERM:
             return "this user has no right to it: `sudo usermod -aG dialout $USER`, then log in again"
         case errno.EAGAIN | errno.EBUSY:
@@ -148,7 +158,7 @@ def _advice(error: Exception) -> str:
 
 
 class Line:
-    """Questions and answers over an open port."""
+    """Requests and answers over an open port."""
 
     def __init__(self, port: Port, clock: Callable[[], int], *, echo: bool, reply_timeout_ns: int) -> None:
         """Take over an open port; see `ServoBus`."""
@@ -158,9 +168,9 @@ class Line:
         self._clock = clock
         self._echo = echo
         self._parser = PacketParser(max_length=_MAX_LENGTH)
-        self._stale = False  # bytes of a lost answer may still lie in the port ...
-        self._settled_ns = 0  # ... or come until then
-        self._unheard = bytearray()  # sent, its echo not yet read
+        self._stale = False  # bytes of a lost answer may remain in the port ...
+        self._settled_ns = 0  # ... or arrive until then
+        self._unheard = bytearray()  # sent, echo not yet read
 
     @property
     def dropped(self) -> Counter[str]:
@@ -168,13 +178,13 @@ class Line:
         return self._parser.dropped
 
     def send(self, data: bytes) -> None:
-        """Put a packet on the wire.
+        """Send a packet.
 
         Raises:
             BusGone: The port is gone.
         """
         try:
-            # A late answer would be taken for that to the next question; behind an echo it gives itself away.
+            # A late answer would be taken for that to the next request; with echo it is recognised, as it precedes the echo.
             if self._stale or (not self._echo and self._clock() < self._settled_ns):
                 self._port.reset_input_buffer()
                 self._unheard.clear()
@@ -186,20 +196,22 @@ class Line:
             self._unheard += data
 
     def exchange(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
-        """As `attempt`; no answer is counted."""
+        """Like `attempt`, and count a missing answer."""
         answer = self.attempt(request, servo_id, size, end_ns)
         self.lost[Lost.TIMEOUT] += answer is None
         return answer
 
     def attempt(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
-        """Send a request and return what the servo says to it, be it a refusal; None when it says nothing of `size` parameters.
+        """Send a request and return the servo's answer or refusal, else None.
 
-        A read that may take a whole timeout begins by `end_ns`, but for the first.
+        An answer has `size` parameters.
+
+        A read that may take a whole timeout begins by `end_ns`, except for the first.
 
         Raises:
             BusGone: The port is gone.
         """
-        if self._parser.pending:  # of what was heard before
+        if self._parser.pending:  # from earlier data
             self._parser.flush()
         self.send(request)
         answer = self._await(servo_id, size, end_ns)
@@ -208,7 +220,10 @@ class Line:
         return answer
 
     def overhear(self, request: bytes) -> tuple[list[Packet], bool]:
-        """All that comes back on a request while an answer may be awaited: packets, and whether there was anything else."""
+        """Return all packets after a request, and whether anything else came.
+
+        It listens for the reply timeout.
+        """
         parser, packets = PacketParser(max_length=_MAX_LENGTH), []
         self.send(request)
         deadline = self._clock() + self.reply_timeout_ns
@@ -221,14 +236,14 @@ class Line:
         return packets, parser.dropped.total() > 0
 
     def unasked(self) -> bytes:
-        """The first bytes that come within a second in which nothing is asked; servos send none.
+        """Return the first bytes within a second without a request; servos send none.
 
         Raises:
             BusGone: The port is gone.
         """
         heard = b""
         try:
-            self._port.read(_ALL)  # what is left of an answer
+            self._port.read(_ALL)  # rest of an answer
             deadline = self._clock() + _UNASKED_NS
             for _ in range(_UNASKED_READS):
                 heard += self._port.read(_UNASKED_BYTES - len(heard))
@@ -250,19 +265,19 @@ class Line:
             for packet in self._parser.feed(data):
                 if self._is_answer(packet, servo_id, size):
                     return packet
-            # It has come, broken, and no more will.
+            # A broken answer has arrived, and no other will follow.
             broken = not self._parser.pending and len(data) == dxl.OVERHEAD + size and data.startswith(own)
             if broken or self._clock() >= deadline:
                 break
-            # Noise in front has pushed the packet's tail out of what was read.
+            # Noise before the packet has displaced its end from the bytes read.
             wanted = max(dxl.OVERHEAD + size - self._parser.pending, 1)
-        for packet in self._parser.flush():  # noise may have announced a longer packet than what came
+        for packet in self._parser.flush():  # noise may have announced a longer packet than received
             if self._is_answer(packet, servo_id, size):
                 return packet
         return None
 
     def _drain(self, end_ns: int) -> None:
-        """Let what is on its way come and go, or it would be taken for the next echo; skipped where there is no time."""
+        """Discard late bytes, which would be taken for the next echo, if time allows."""
         if self._clock() <= end_ns:
             try:
                 self._port.read(_ALL)
@@ -270,7 +285,7 @@ class Line:
                 raise gone(error) from error
 
     def _receive(self, count: int) -> bytes | None:
-        """Up to `count` bytes from the servos, behind the adapter's echo; None when the echo is not what was sent."""
+        """Return up to `count` bytes after the adapter's echo; None for a wrong echo."""
         due = len(self._unheard)
         try:
             data = self._port.read(count + due)
@@ -296,7 +311,7 @@ class Line:
 
 
 def gone(error: Exception) -> BusGone:
-    """What a failure of the port means."""
+    """Return the `BusGone` error for a failure of the port."""
     return BusGone(
         f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and whether another program uses it"
     )

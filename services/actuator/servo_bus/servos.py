@@ -1,4 +1,4 @@
-"""The servos as the actuator uses them, whether it speaks their bus itself or through a bridge."""
+"""Common interface to servos on a Dynamixel bus or behind a bridge."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -17,50 +17,53 @@ from sextant.shared.servo.dynamixel import Register
 
 
 class Servos(Protocol):
-    """A fixed list of servos; arrays are in its order. `ServoBus` and `Bridge` are such."""
+    """Interface to a fixed list of servos, as `ServoBus` and `Bridge` have it.
+
+    Arrays are in the order of the list.
+    """
 
     servo_ids: tuple[int, ...]
     errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
-    between: Callable[[], None]  # done before each question outside the loop
+    between: Callable[[], None]  # called before each request outside the loop
 
     @property
     def lost(self) -> Counter[str]:
-        """What was lost on the way, by reason."""
+        """Lost packets and requests, by reason."""
         ...
 
     @property
     def trouble(self) -> str:
-        """What is wrong between here and the servos, in words, or nothing."""
+        """Problem of the link to the servos, or an empty string."""
         ...
 
     @property
     def missed(self) -> NDArray[np.int64]:
-        """(n,) questions in the loop that each servo has left open in a row."""
+        """(n,) consecutive unanswered requests of each servo in the loop."""
         ...
 
     @property
     def loss(self) -> float:
-        """Share of the questions of late without a usable answer."""
+        """Recent share of requests without a usable answer."""
         ...
 
     def meet(self) -> None:
-        """Open a session with whoever stands between here and the servos, if somebody does, on a port that was opened anew."""
+        """Open a session with a microcontroller, if there is one, on a newly opened port."""
         ...
 
     def setup(self) -> None:
-        """Meet them, check that all servos are there and right, and make them answer quickly; torque and limits stay."""
+        """Open a session, check all servos, configure fast answers; torque stays."""
         ...
 
     def read(self, servo_id: int, register: Register) -> int | None:
-        """Value of one register, None when the servo does not answer."""
+        """Return the value of a register, None when the servo does not answer."""
         ...
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
-        """Bytes of a control table, None when the servo does not answer."""
+        """Return bytes of a control table, None when the servo does not answer."""
         ...
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
-        """Write one register; whether the servo took it."""
+        """Write one register; return whether the servo acknowledges it."""
         ...
 
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
@@ -68,7 +71,7 @@ class Servos(Protocol):
         ...
 
     def set_torque(self, enabled: bool) -> None:
-        """Turn the torque of all servos on or off; the goals that shall hold have been sent before it goes on."""
+        """Turn all torque on or off; send the goals to hold before turning it on."""
         ...
 
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
@@ -76,34 +79,34 @@ class Servos(Protocol):
         ...
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
-        """New readings, as many as a time budget allows, those of `first` in any case."""
+        """Return new readings within a time budget; those of `first` in any case."""
         ...
 
     def ages(self) -> NDArray[np.float64]:
-        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        """Return (n,) [s] since each newest reading was requested, infinite before."""
         ...
 
     def close(self) -> None:
-        """Close the port; the servos keep their torque and their last goal."""
+        """Close the port; the servos keep their torque and last goals."""
         ...
 
 
 def read_timeout_ns(settings: Settings) -> int:
-    """[ns] longest wait of one read of the port that suits what is at its other end."""
+    """Return the read timeout [ns] of the port to a servo bus or a bridge."""
     return mcu_bridge.READ_NS if settings.bridge else REPLY_TIMEOUT_NS
 
 
 class Outlet:
-    """Where the servos' port is found, again and again: by any of its names, or by what the adapter says of itself."""
+    """Finds the servo port by any of its names or its adapter's USB identity."""
 
     def __init__(self, settings: Settings):
-        """Look at the port that the settings name; several are separated by commas."""
+        """Store the port names of the settings, which are separated by commas."""
         self._names = [name.strip() for name in settings.port.split(",")]
         self._timeout_ns = read_timeout_ns(settings)
         self._adapter: tuple[int, int, str] | None = None
 
     def open(self) -> Port:
-        """Open the first port that there is.
+        """Open the first port that is available.
 
         Raises:
             BusGone: None can be opened.
@@ -121,7 +124,7 @@ class Outlet:
 
 
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
-    """The robot's servos, on an open port."""
+    """Return the robot's servos on an open port."""
     model, names, lock = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names, profile.servo.lock_eeprom
     if settings.bridge:
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)

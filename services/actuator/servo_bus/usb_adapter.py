@@ -1,4 +1,4 @@
-"""The USB adapter's latency timer: how long an FTDI chip keeps bytes back; its 16 ms are 16 ms for every question."""
+"""Latency timer of the USB adapter: an FTDI chip delays answers by 16 ms."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -7,13 +7,13 @@ from typing import Any
 
 from serial.tools.list_ports import comports
 
-DEVICES = Path("/sys/bus/usb-serial/devices")  # each with its latency timer, where the driver has one
+DEVICES = Path("/sys/bus/usb-serial/devices")  # serial devices, each with its latency timer if the driver has one
 WANTED_MS = 1
 _RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 def identity(url: str, ports: Callable[[], Iterable[Any]] = comports) -> tuple[int, int, str] | None:
-    """Maker, product and serial number of the adapter behind a serial device, None where it has none."""
+    """Return vendor id, product id and serial number of an adapter, or None."""
     device = str(Path(url).resolve())
     for port in ports():
         if port.device == device and port.vid is not None and port.serial_number:
@@ -22,17 +22,17 @@ def identity(url: str, ports: Callable[[], Iterable[Any]] = comports) -> tuple[i
 
 
 def devices(ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
-    """The serial devices of this machine that something is plugged into."""
+    """Return the USB serial devices that are plugged in."""
     return sorted(port.device for port in ports() if port.vid is not None)
 
 
 def named_anew(who: tuple[int, int, str] | None, ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
-    """Devices that an adapter answers to now: one that was unplugged and is back may have another name."""
+    """Return the present device names of an adapter, also after replugging."""
     return [port.device for port in ports() if who is not None and (port.vid, port.pid, port.serial_number) == who]
 
 
 def latency_ms(url: str, devices: Path = DEVICES) -> int | None:
-    """Latency timer [ms] of a serial device, None where there is none: no FTDI chip, or a network port."""
+    """Return the latency timer [ms] of a device; None without FTDI chip."""
     try:
         return int(_timer(url, devices).read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -40,17 +40,17 @@ def latency_ms(url: str, devices: Path = DEVICES) -> int | None:
 
 
 def quicken(url: str, port: Any, devices: Path = DEVICES) -> str:
-    """Set the latency timer of an open port to 1 ms, where there is one and rights allow.
+    """Set the latency timer of an open port to 1 ms, if permissions allow.
 
-    The driver takes the low latency flag from anybody who has the port open; its file belongs to root.
+    The driver accepts the low-latency flag from any process that has the port open; its sysfs file belongs to root.
 
     Args:
-        url: What was opened, links as in /dev/serial/by-id included.
+        url: The opened URL or device, also a link as in /dev/serial/by-id.
         port: A pyserial port.
         devices: Folder of the system's USB serial devices.
 
     Returns:
-        What to do where it could not be set; nothing where all is well.
+        What to do if it could not be set, otherwise an empty string.
     """
     found = latency_ms(url, devices)
     if found is None or found <= WANTED_MS:
@@ -65,7 +65,7 @@ def quicken(url: str, port: Any, devices: Path = DEVICES) -> str:
 
 
 def advice(url: str, devices: Path = DEVICES) -> str:
-    """What is wrong with the latency timer and how to set it, once and for good; nothing where all is well."""
+    """Return what is wrong with the latency timer and its remedy, or ""."""
     found = latency_ms(url, devices)
     if found is None or found <= WANTED_MS:
         return ""
