@@ -105,7 +105,8 @@ class Perception:
             self._keep_for_color(image)
         if not used:
             return
-        if image.stamp_ns >= self._preview_ns and inbox.wanted(topics.PREVIEW) and image.depth.size:
+        waits = 0 < self._preview_ns - image.stamp_ns <= _PREVIEW_NS  # a stamp further back is of another clock
+        if not waits and inbox.wanted(topics.PREVIEW) and image.depth.size:
             self._preview_ns = image.stamp_ns + _PREVIEW_NS
             yield self._preview(image, inbox)
         if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
@@ -199,7 +200,7 @@ class Perception:
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
         """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon.
 
-        For how long that may be so is for `cameras.watch` to say.
+        For how long that may be so is for `cameras.image_quality` to say.
         """
         if self._last is None or motion.silence_s > _SILENT_S:
             return False

@@ -378,3 +378,12 @@ def test_a_picture_for_people_comes_five_times_a_second_and_only_where_it_is_wan
     near, far = depth[depth > 0].min(), depth.max()
     blue, red = shown[..., 0].astype(int), shown[..., 2].astype(int)
     assert (red - blue)[(depth > 0) & (depth < near + (far - near) / 6)].mean() > 60.0, "near is red"
+
+
+def test_pictures_for_people_go_on_where_the_clock_of_the_camera_begins_again(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.wanted = {topics.PREVIEW}
+    rig.now_ns = 1_000_000 * MS
+    assert any(isinstance(m, Preview) for _ in range(6) for m in rig.frame(body_at(0.0)))
+    rig.now_ns = 0
+    assert any(isinstance(m, Preview) for _ in range(6) for m in rig.frame(body_at(0.0)))
