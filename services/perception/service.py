@@ -105,7 +105,8 @@ class Perception:
             self._keep_for_color(image)
         if not used:
             return
-        waits = 0 < self._preview_ns - image.stamp_ns <= _PREVIEW_NS  # a stamp further back is of another clock
+        before_ns = self._preview_ns - image.stamp_ns
+        waits = 0 < before_ns <= _PREVIEW_NS + _OUT_OF_ORDER_NS  # a stamp further back is of another clock
         if not waits and inbox.wanted(topics.PREVIEW) and image.depth.size:
             self._preview_ns = image.stamp_ns + _PREVIEW_NS
             yield self._preview(image, inbox)
