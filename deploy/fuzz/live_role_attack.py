@@ -17,7 +17,18 @@ import numpy as np
 from sextant.deploy.bench.soak import own_mb
 from sextant.deploy.faults import tap
 from sextant.deploy.faults.wire import Recorder
-from sextant.deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, WALKS, Attacker, Leader, Row, kinds, off_delay_s
+from sextant.deploy.fuzz.role_attack import (
+    OFF_HOLDER,
+    PERIOD_S,
+    ROLE_NAMES,
+    WALKS,
+    Attacker,
+    Leader,
+    Row,
+    kinds,
+    off_delay_s,
+    why_it_stands,
+)
 from sextant.deploy.launch import tapped_robot
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Page, Places
@@ -67,7 +78,8 @@ class _Robot:
         self.ended: list[str] = []
         self.reasons: Counter[str] = Counter()
         self.looks = self.walked = 0  # checks for walking, and those in which it walked
-        self._blocked, self._state = "", ""  # the planner's reason for not going on, and the actuator's mode with its reason
+        self.state: ActuatorState | None = None
+        self.planner: PlannerStatus | None = None
         self._track: list[tuple[float, float, float]] = []  # [s, m, m]
         self._over = threading.Event()
 
@@ -117,10 +129,6 @@ class _Robot:
             self.look(_LOOK_S)
         return True
 
-    def why_it_stands(self) -> str:
-        """Return the planner's reason for standing, or else the actuator's."""
-        return self._blocked or self._state
-
     def memory_mb(self) -> dict[str, float]:
         """Return the memory [MB] of each process: the minimum in one second.
 
@@ -159,15 +167,13 @@ class _Robot:
 
     def _hear_state(self, _topic: AnyTopic, frame: bytes) -> None:
         with contextlib.suppress(codec.DecodeError):
-            state, _ = codec.decode(frame, ActuatorState)
-            self._state = f"{state.mode}: {state.reason}"
+            self.state = state = codec.decode(frame, ActuatorState)[0]
             if state.mode is not Mode.WALK:
                 self.reasons[f"{state.mode}: {state.reason}"] += 1
 
     def _hear_status(self, _topic: AnyTopic, frame: bytes) -> None:
         with contextlib.suppress(codec.DecodeError):
-            status, _ = codec.decode(frame, PlannerStatus)
-            self._blocked = status.reason if status.state == "blocked" else ""
+            self.planner = codec.decode(frame, PlannerStatus)[0]
 
 
 def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
@@ -212,7 +218,7 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
         attacking.join()
         offs += [robot.off(bystander) for _ in range(_OFFS - len(offs))]  # for an attack that ended earlier
         # 3. Check the robot afterwards.
-        afterwards = WALKS if robot.until_it_walks(_BACK_S) else robot.why_it_stands()
+        afterwards = WALKS if robot.until_it_walks(_BACK_S) else why_it_stands(robot.state, robot.planner)
         after = robot.memory_mb()
     growth, taken = _more(after, half), _more(after, before)
     walking = round(robot.walked / max(robot.looks, 1), 3)

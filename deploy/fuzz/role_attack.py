@@ -171,7 +171,7 @@ class _Walk:
         self.profile = load_profile(SCENARIO.robot)
         self.recorder = Recorder(self.profile)
         self.state: ActuatorState | None = None
-        self.blocked = ""  # its own planner's reason for not going on
+        self.planner: PlannerStatus | None = None  # of its own planner
         self.states: Counter[str] = Counter()
         self._attacker, self._foreign = attacker, False
         self._translation = Foxglove(self.profile)  # as in a recorder
@@ -190,8 +190,7 @@ class _Walk:
             return
         self._attacker.learn(topic, frame)
         if topic is topics.PLANNER_STATUS:
-            status = codec.decode(frame, PlannerStatus)[0]
-            self.blocked = status.reason if status.state == "blocked" else ""
+            self.planner = codec.decode(frame, PlannerStatus)[0]
         if topic is topics.ACTUATOR_STATE:
             self.state = codec.decode(frame, ActuatorState)[0]
             self.states["" if self.state.mode is Mode.WALK else f"{self.state.mode}: {self.state.reason}"] += 1
@@ -217,10 +216,6 @@ class _Walk:
             self.run.run(self.run.now_ns() + _LOOK_NS)
         return True
 
-    def why_it_stands(self) -> str:
-        """Return the planner's reason for standing, or else the actuator's."""
-        return self.blocked or ("" if self.state is None else f"{self.state.mode}: {self.state.reason}")
-
     def off(self) -> float:
         """Order torque off as a bystander; return the time [ms] until it is off.
 
@@ -232,6 +227,18 @@ class _Walk:
         self.run.run(now_ns + _AGAIN_NS)
         delay_s = off_delay_s(self.recorder, now_ns * 1e-9, self.ids)
         return float("inf") if delay_s is None else round(1e3 * delay_s, 1)
+
+
+def why_it_stands(state: ActuatorState | None, planner: PlannerStatus | None) -> str:
+    """Return the robot's own reason for not walking, or an empty text.
+
+    A robot that holds or walks in place without a reason of the planner reports none.
+    """
+    if planner is not None and planner.state in ("blocked", "waiting"):
+        return planner.reason
+    if state is not None and state.mode in (Mode.OFF, Mode.READY, Mode.FAULT):
+        return f"{state.mode}: {state.reason}"
+    return ""
 
 
 def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
@@ -266,7 +273,7 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
                 walk.until(lambda state: state.mode is not Mode.OFF, _BACK_NS)
                 offs.append(walk.off())
                 back = walk.until(lambda state: state.mode is Mode.WALK, _UP_NS)
-        reason = WALKS if back else walk.why_it_stands()
+        reason = WALKS if back else why_it_stands(walk.state, walk.planner)
     except ServiceFailedError as error:
         ended = (str(error),)
     finally:

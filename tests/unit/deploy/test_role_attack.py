@@ -10,11 +10,13 @@ from sextant.deploy import cli
 from sextant.deploy.fuzz import role_attack
 from sextant.deploy.fuzz.role_attack import Row
 from sextant.deploy.fuzz.worst import worst
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec
 from sextant.shared.wire.access import ROLE_NAMED
-from sextant.shared.wire.messages import schema
+from sextant.shared.wire.messages import Mode, PlannerStatus, schema
 from sextant.shared.wire.topics import TOPICS
+from tests.support.states import actuator_state
 
 NOW_NS = 10_000_000_000
 
@@ -47,6 +49,23 @@ def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time()
     assert not Row("viewer", 10, 1.0, (), (31.0,), afterwards="").passed, "it stands without a reason"
     assert "| `viewer` | 10 | 100 % |" in role_attack.in_words([good])
     assert '"passed": true' in role_attack.to_json([good])
+
+
+@pytest.mark.parametrize(
+    ("mode", "planner", "reason"),
+    [
+        (Mode.HOLD, "blocked", "no foothold"),
+        (Mode.HOLD, "waiting", "no foothold"),
+        (Mode.HOLD, "stepping", ""),
+        (Mode.WALK, "resting", ""),
+        (Mode.FAULT, "stepping", "fault: a servo is silent"),
+        (Mode.STAND, "resting", ""),
+    ],
+)
+def test_only_the_reason_of_a_robot_that_cannot_walk_counts(mode: Mode, planner: str, reason: str) -> None:
+    state = actuator_state(load_profile("phantomx_mk2"), mode=mode, reason="a servo is silent")
+    assert role_attack.why_it_stands(state, PlannerStatus(0, planner, "no foothold", 0, 0, -1)) == reason
+    assert role_attack.why_it_stands(None, None) == ""
 
 
 def test_a_walk_in_lockstep_holds_against_a_robot_s_certificate() -> None:
