@@ -26,7 +26,7 @@ test:
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
 
 live: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m live; status=$$?; rm -f $(VENV)/.live; exit $$status
+	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m live
 
 others: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --give-way=$(VENV)/.live

@@ -13,6 +13,7 @@ OFFLINE = (
     "WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError': /simple/setuptools/",
     "ERROR: Could not find a version that satisfies the requirement setuptools>=77 (from versions: none)",
 )
+ALONE = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
 CONFLICT = ("ERROR: Cannot install numpy==1.0 and numpy==2.0 because these package versions have conflicting dependencies.",)
 
 
@@ -29,8 +30,7 @@ def test_make_without_a_package_index_says_so_in_one_line(tmp_path: Path, pip: t
     python.write_text("#!/bin/sh\n" + "".join(f'echo "{line}" >&2\n' for line in pip) + "exit 1\n")
     python.chmod(0o755)
     make = ["make", "--no-print-directory", "demo"]
-    alone = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
-    done = subprocess.run(make, cwd=tmp_path, env=alone, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(make, cwd=tmp_path, env=ALONE, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     *lines, last = done.stderr.splitlines()
     assert last.startswith("make: ***")
@@ -53,3 +53,18 @@ def test_a_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
     around = {"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"}
     done = subprocess.run(words, cwd=tmp_path, env=around, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("end", ["exit 0", "exit 1", "kill -TERM $PPID; exec sleep 0.1"])
+def test_the_mark_of_live_tests_is_gone_however_they_end(tmp_path: Path, end: str) -> None:
+    (tmp_path / "bin").mkdir()
+    python = tmp_path / "bin" / "python"
+    python.write_text(f"#!/bin/sh\n{end}\n")
+    python.chmod(0o755)
+    for name in (".installed-all", ".installed-dev", ".live"):
+        (tmp_path / name).touch()
+    done = subprocess.run(
+        ["make", "live", f"VENV={tmp_path}"], cwd=ROOT, env=ALONE, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode == 0) == (end == "exit 0"), done.stdout + done.stderr
+    assert not (tmp_path / ".live").exists()
