@@ -15,7 +15,7 @@ _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
 STOPS: tuple[What, ...] = ("off", "stop")  # any client may send these
-_SETTLED: dict[What, tuple[Mode, ...]] = {
+SETTLED: dict[What, tuple[Mode, ...]] = {  # modes in which an order is executed
     "off": (Mode.OFF,),
     "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
     "ready": (Mode.READY, Mode.HOLD),
@@ -56,7 +56,7 @@ class Order:
         self._robot = RobotTime()
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # last state before the order
-        self._refused: dict[str, int] = {}  # messages refused by the router of each role, at its first health report
+        self._routers = RouterRefusals()
 
     def doing(self) -> str:
         """Return the progress of the order as text."""
@@ -79,7 +79,9 @@ class Order:
         now = tick.stamp_ns
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
-        self._watch_routers(inbox, state)
+        obeyed = self._what in STOPS or (state is not None and state.lease == self._holder)
+        if (why := self._routers.look(inbox)) and not obeyed:
+            self._end(why)
         self._heard = self._heard or state
         if void := self._robot.see(now, None if state is None else state.stamp_ns):
             self._end(void)
@@ -98,30 +100,13 @@ class Order:
         if self._what in STOPS:  # also where this machine's router is chained to one that only lets it stop
             yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
 
-    def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
-        """Fail if a router on the way refuses such orders.
-
-        A router's health is trusted only under the key of the router's role.
-        """
-        for role, topic in topics.HEALTH_OF.items():
-            for health in inbox.drain(topic):
-                if health.service != f"{ROUTER_OF}{role}":
-                    continue
-                if self._what not in STOPS and (why := refusal_here([role], [topics.MODE])):
-                    self._end(why)
-                before = self._refused.setdefault(role, health.refused)
-                leads = self._what in STOPS or (state is not None and state.lease == self._holder)
-                if health.refused > before and health.last_refusal.endswith(_KEPT_BACK) and not leads:
-                    self._end(f"the {health.service} {health.last_refusal}; use the keys of another role (docs/access.md)")
-
     def _see(self, state: ActuatorState | None, since_ns: int) -> None:
         if self._heard is None or state is None:
             if since_ns > _UNHEARD_NS:
                 self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, and met here?")
             return
         self.words = f"{state.mode}: {state.reason}"
-        mine = (f"`{self._what}` refused", f"`{self._what}` of {self._holder} refused", "torque stays off")
-        refused = next((words for words in state.warnings if words.startswith(mine)), "")
+        refused = refusal(self._what, self._holder, state)
         if refused and refused not in self._heard.warnings:
             self._end(refused)
         elif self._done(state):
@@ -134,7 +119,37 @@ class Order:
         assert self._heard is not None
         news = state.stamp_ns > self._heard.stamp_ns and (self._what in ("off", "stop") or state.lease == self._holder)
         changed = self._what not in ("stand", "sit") or state.reason != self._heard.reason
-        return news and changed and state.mode in _SETTLED[self._what]
+        return news and changed and state.mode in SETTLED[self._what]
 
     def _end(self, why: str) -> None:
         self.finished, self.failed = True, why
+
+
+class RouterRefusals:
+    """Detects that a router on the way refuses commands to move, by the health messages of the routers.
+
+    A router's health is trusted only under the key of the router's role.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[str, int] = {}  # messages refused by the router of each role, in its first health message
+
+    def look(self, inbox: Inbox) -> str:
+        """Read the health messages that have arrived; return why commands to move were refused, or an empty text."""
+        found = ""
+        for role, topic in topics.HEALTH_OF.items():
+            for health in inbox.drain(topic):
+                if health.service != f"{ROUTER_OF}{role}":
+                    continue
+                before = self._before.setdefault(role, health.refused)
+                if why := refusal_here([role], [topics.MODE]):
+                    found = why
+                elif health.refused > before and health.last_refusal.endswith(_KEPT_BACK):
+                    found = f"the {health.service} {health.last_refusal}; use the keys of another role (docs/access.md)"
+        return found
+
+
+def refusal(what: What, holder: str, state: ActuatorState) -> str:
+    """Return why the actuator refuses an order of a holder, or an empty text."""
+    starts = (f"`{what}` refused", f"`{what}` of {holder} refused", "torque stays off")
+    return next((warning for warning in state.warnings if warning.startswith(starts)), "")

@@ -10,7 +10,9 @@ from types import TracebackType
 from typing import Literal, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sextant.deploy.order import SETTLED, STOPS, RouterRefusals, refusal
 from sextant.deploy.robot_time import RobotTime
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -34,16 +36,16 @@ Command: TypeAlias = Literal["off", "stop", "stand", "walk", "sit"]
 
 CONNECT_S = 10.0  # [s] in which the actuator has to publish its first state
 COMMAND_S = 20.0  # [s] in which a command has to be finished
-BLOCKED_S = 20.0  # [s] for which the planner may be blocked before `goto` gives up
+BLOCKED_S = 20.0  # [s] for which the planner may be blocked, or the robot silent, before `goto` gives up
+_SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silent
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the same command: the robot may restart
 _SETTLED_NS = 200_000_000  # [ns] after a command, before a state counts as its result
-_DONE: dict[Command, tuple[Mode, ...]] = {
-    "off": (Mode.OFF,),
-    "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
-    "stand": (Mode.HOLD,),
-    "walk": (Mode.WALK, Mode.HOLD),
-    "sit": (Mode.READY, Mode.OFF),
-}
+_REFUSED_NS = 1_000_000_000  # [ns] after a command, before a refusal that was already reported counts as its result
+_ARRIVED_M = 0.05  # [m] beyond the tolerance within which "arrived" is of this goal, not of an earlier one
+_WALKING = (Mode.WALK, Mode.HOLD)  # modes while a walk command is obeyed: the robot holds while the planner plans
+
+
+_SILENT = f"the actuator has published no state for {_SILENT_S:g} s: it has ended, or the connection is interrupted"
 
 
 class ClientError(RuntimeError):
@@ -52,18 +54,19 @@ class ClientError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the robot has published last."""
+    """What the robot publishes: the newest message of each kind, at most 2 s old."""
 
     actuator: ActuatorState
-    pose: BodyPose | None  # None before the first one
+    pose: BodyPose | None
     planner: PlannerStatus | None
 
 
 class Client:
     """A connection to a robot; a context manager.
 
-    One client at a time leads a robot. A client that leads repeats its commands while it is connected; when it leaves, the
-    robot stops. Methods that command the legs block until the robot has done so, but `walk`, which returns once it walks.
+    One client at a time leads a robot. A client that leads repeats its command while it is connected; when it disconnects, the
+    robot stops. Methods that command the legs block until the robot has executed the command; `walk` blocks until the robot
+    has accepted it. A command that fails is not repeated.
 
         with sextant.Client("tcp/robot.local:7447") as robot:
             robot.stand()
@@ -98,19 +101,20 @@ class Client:
             ClientError: No actuator publishes its state there.
         """
         loaded = None if keys is None else Keys.load(Path(keys))
-        role = "robot" if loaded is None else loaded.role.name
-        self._commander = Commander(name, take)
+        endpoints = Endpoints((endpoint,), namespace=namespace, keys=loaded)
+        self._may_only_stop = "" if loaded is None else loaded.refusal([topics.MODE])
+        self._commander = Commander(name, take, may_lead=not self._may_only_stop)
         with contextlib.ExitStack() as stack:
-            link = stack.enter_context(ZenohLink(Endpoints((endpoint,), namespace=namespace, keys=loaded)))
+            link = stack.enter_context(ZenohLink(endpoints))
             over = threading.Event()
             running = threading.Thread(
-                target=run_live, args=(self._commander, link, over), kwargs={"role": role}, name=f"client {name}"
+                target=run_live, args=(self._commander, link, over), kwargs={"role": endpoints.role}, name=f"client {name}"
             )
             running.start()
             stack.callback(running.join)
             stack.callback(over.set)
             stack.callback(self._commander.withdraw)
-            self._until(lambda _: True, CONNECT_S, f"no actuator has published its state at {endpoint}")
+            self._until(lambda _: True, CONNECT_S, f"no actuator publishes its state at {endpoint}")
             self._open = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -125,14 +129,23 @@ class Client:
 
     @property
     def status(self) -> Status:
-        """What the robot has published last."""
+        """The newest messages of the robot.
+
+        Raises:
+            ClientError: The actuator has published no state for 2 s: it has ended, or the connection is interrupted.
+        """
         status = self._commander.status
-        assert status is not None  # the constructor has waited for it
+        if status is None:
+            raise ClientError(_SILENT)
         return status
 
     @property
     def state(self) -> ActuatorState:
-        """The newest state of the legs: mode, reason, joint angles, feet, contact, load, voltage and temperature."""
+        """The newest state of the legs: mode, reason, joint angles, feet, contact, load, voltage and temperature.
+
+        Raises:
+            ClientError: The actuator has published no state for 2 s.
+        """
         return self.status.actuator
 
     def stand(self) -> None:
@@ -154,8 +167,10 @@ class Client:
     ) -> None:
         """Walk at a velocity in {body} until another command; the planner moves each foothold to where the map allows it.
 
+        Returns once the robot has accepted the command; it holds until the planner has planned the first steps.
+
         Raises:
-            ClientError: The robot refuses, or does not stand.
+            ClientError: The robot refuses.
         """
         velocity = np.array([forward_mps, left_mps])
         self._commander.move(VelocityCommand(0, velocity, yaw_rate_rad_s, body_height_m, lift_m))
@@ -175,17 +190,26 @@ class Client:
         """Walk to a place in {world}, around what the robot cannot cross, and stop there.
 
         Raises:
-            ClientError: The robot refuses, finds no way for `BLOCKED_S`, or does not arrive in time.
+            ClientError: The robot refuses, finds no way for `BLOCKED_S`, stops walking, obeys another client, or does not
+                arrive in time.
         """
         goal = np.array([[x_m, y_m]])
         self._commander.move(Goal(0, goal, tolerance_m, speed_mps, body_height_m, lift_m))
         given_ns = self._command("walk")
+        blocked = _Blocked()
+
+        def done(status: Status) -> bool:
+            if failure := self._not_walking(status.actuator) or blocked.see(status.planner):
+                raise ClientError(failure)
+            planner = status.planner
+            arrived = planner is not None and planner.state == "arrived" and planner.stamp_ns > given_ns + _SETTLED_NS
+            return arrived and status.pose is not None and _distance_m(status.pose, goal[0]) < tolerance_m + _ARRIVED_M
+
         try:
-            self._until(
-                lambda status: _arrived(status, given_ns), within_s, f"the goal is not reached within {within_s:g} s", True
-            )
+            self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=BLOCKED_S)
         finally:
-            self.stop()
+            if self._commander.doing():
+                self.stop()
 
     def stop(self) -> None:
         """Finish the step and stand still.
@@ -212,100 +236,149 @@ class Client:
         self._command("off")
 
     def _command(self, command: Command) -> int:
-        """Give a command and wait until it is done; the time [ns] at which it was given, by the robot's clock."""
-        before = self.state
+        """Give a command and wait until it is executed; return its sequence number, a time [ns] of the robot's clock."""
+        leads = command not in STOPS
+        if leads and self._may_only_stop:
+            raise ClientError(self._may_only_stop)
+        before = self._commander.status
         given_ns = self._commander.give(command)
-        leads = command not in ("off", "stop")
 
         def done(status: Status) -> bool:
             state = status.actuator
-            if refusal := _refusal(command, self._commander.name, state, before):
-                raise ClientError(refusal)
-            late_enough = state.stamp_ns > given_ns + _SETTLED_NS
-            return late_enough and state.mode in _DONE[command] and (not leads or state.lease == self._commander.name)
+            obeyed = state.lease == self._commander.name
+            found = refusal(command, self._commander.name, state)
+            known = before is not None and found in before.actuator.warnings
+            if found and (not known or state.stamp_ns > given_ns + _REFUSED_NS):
+                raise ClientError(found)
+            if leads and not obeyed and self._commander.refused_by_router:
+                raise ClientError(self._commander.refused_by_router)
+            return state.stamp_ns > given_ns + _SETTLED_NS and state.mode in SETTLED[command] and (obeyed or not leads)
 
-        self._until(done, COMMAND_S, f"`{command}` is not done within {COMMAND_S:g} s")
+        try:
+            self._until(done, COMMAND_S, f"`{command}` is not done within {COMMAND_S:g} s")
+        except ClientError:
+            self._commander.cancel(given_ns)
+            raise
+        if not leads and not self._commander.leads:
+            self._commander.cancel(given_ns)
         return given_ns
 
-    def _until(self, holds: Callable[[Status], bool], within_s: float, failure: str, may_be_blocked: bool = False) -> None:
-        """Wait for a status.
+    def _not_walking(self, state: ActuatorState) -> str:
+        """Return why the robot no longer obeys this client's walk command, or an empty text."""
+        if state.lease not in ("", self._commander.name):
+            return f"{state.lease} has taken over the robot"
+        return "" if state.mode in _WALKING else f"the robot is in mode {state.mode}: {state.reason}"
+
+    def _until(self, holds: Callable[[Status], bool], within_s: float, failure: str, silent_s: float = np.inf) -> None:
+        """Wait until a condition holds; it may raise.
 
         Raises:
-            ClientError: It does not come in time, or the planner is blocked for long where that matters.
+            ClientError: It does not hold in time, or the actuator is silent for longer than `silent_s`.
         """
-        until, blocked_since = time.monotonic() + within_s, None
+        until, heard_s = time.monotonic() + within_s, time.monotonic()
         with self._commander.changed:
             while (status := self._commander.status) is None or not holds(status):
                 now = time.monotonic()
-                planner = None if status is None else status.planner
-                blocked = may_be_blocked and planner is not None and planner.state == "blocked"
-                blocked_since = (blocked_since or now) if blocked else None
-                if blocked_since is not None and planner is not None and now - blocked_since > BLOCKED_S:
-                    raise ClientError(f"no way to the goal: {planner.reason}")
+                heard_s = heard_s if status is None else now
+                if now - heard_s > silent_s:
+                    raise ClientError(_SILENT)
                 if now >= until:
-                    raise ClientError(failure if status is None else f"{failure}: {_words(status)}")
+                    raise ClientError(f"{failure}: {_SILENT if status is None else _text(status)}")
                 self._commander.changed.wait(min(until - now, 0.5))
 
 
 class Commander:
     """Repeats the commands of a client and keeps what the robot publishes; a service."""
 
-    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.PLANNER_STATUS)
+    reads: tuple[AnyTopic, ...] = (
+        topics.ACTUATOR_STATE,
+        topics.BODY_POSE,
+        topics.PLANNER_STATUS,
+        *topics.HEALTH_OF.values(),
+    )
     writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP, topics.VELOCITY, topics.GOAL)
 
-    def __init__(self, name: str, take: bool = False):
-        """Begin without a command."""
+    def __init__(self, name: str, take: bool = False, may_lead: bool = True):
+        """Start without a command.
+
+        Args:
+            name: Holder of the lease.
+            take: Take the lease from another holder.
+            may_lead: Whether this client's certificate permits commands to move; else it may only stop.
+        """
         self.name = name
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
-        self.status: Status | None = None
-        self.changed = threading.Condition()  # notified when there is a new status
-        self._take = take
+        self.status: Status | None = None  # None while the actuator is silent
+        self.changed = threading.Condition()  # notified after each step
+        self.leads = False  # whether this client holds the lease, or held it last and no other does
+        self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
+        self._may_lead, self._take = may_lead, take
         self._robot = RobotTime()
-        self._now_ns = 0
+        self._routers = RouterRefusals()
+        self._holder = ""  # of the lease, in the newest state
         self._command: tuple[Command, int] | None = None  # and its sequence number: the robot's time [ns] when it was given
         self._motion: VelocityCommand | Goal | None = None
         self._due_ns: dict[str, int] = {}
         self._lock = threading.Lock()
 
     def doing(self) -> str:
-        """The command that is repeated."""
+        """Return the command that is repeated, or an empty text."""
         return "" if self._command is None else self._command[0]
 
     def give(self, command: Command) -> int:
-        """Begin to repeat a command; its sequence number [ns], a time of the robot's clock."""
+        """Start to repeat a command; return its sequence number, a time [ns] of the robot's clock."""
         with self._lock:
             number = self._robot() if self._command is None else max(self._robot(), self._command[1] + 1)
             self._command = command, number
             self._due_ns.clear()
+            self.refused_by_router = ""
             return number
 
+    def cancel(self, number: int) -> None:
+        """Stop repeating a command, unless a newer one was given."""
+        with self._lock:
+            if self._command is not None and self._command[1] == number:
+                self._command = None
+
     def move(self, motion: VelocityCommand | Goal) -> None:
-        """Set the motion that is repeated while the robot is to walk; its stamp does not count."""
+        """Set the motion that is repeated while the robot is to walk; its stamp is ignored."""
         with self._lock:
             self._motion = motion
             self._due_ns.clear()
 
     def withdraw(self) -> None:
-        """Command a stop if a walk is commanded; it is published at least once before the service ends."""
-        if self._command is not None and self._command[0] == "walk":
+        """Command a stop if this client commands a walk and no other client leads; return once it is published."""
+        if self.doing() == "walk" and self._holder in ("", self.name):
             self.give("stop")
             with self.changed:
                 self.changed.wait_for(lambda: "stop" in self._due_ns, timeout=1.0)
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Publish what is due, and keep what has come."""
-        state = inbox.latest(topics.ACTUATOR_STATE)
+        """Publish the messages that are due, and keep the newest messages of the robot."""
+        state = inbox.fresh(topics.ACTUATOR_STATE, _SILENT_S)
         with self._lock:
             if self._robot.see(tick.stamp_ns, None if state is None else state.stamp_ns):
-                self._command = None  # the robot has restarted its clock: nothing that was commanded before counts
-            self._take &= state is None or state.lease != self.name  # once it leads, it gives way to another that takes over
+                self._command = None  # the robot's clock has restarted: earlier commands are void
+            if state is not None:
+                self._see_lease(state.lease)
             due = list(self._due(tick.stamp_ns)) if self._robot.known else []
         yield from due
-        if state is not None:
-            with self.changed:
-                self.status = Status(state, inbox.latest(topics.BODY_POSE), inbox.latest(topics.PLANNER_STATUS))
-                self.changed.notify_all()
+        with self.changed:
+            self.refused_by_router = self._routers.look(inbox) or self.refused_by_router
+            self.status = None
+            if state is not None:
+                planner = inbox.fresh(topics.PLANNER_STATUS, _SILENT_S)
+                self.status = Status(state, inbox.fresh(topics.BODY_POSE, _SILENT_S), planner)
+            self.changed.notify_all()
+
+    def _see_lease(self, holder: str) -> None:
+        """Give way to another client that has taken the lease from this one."""
+        self._holder = holder
+        if holder == self.name:
+            self.leads, self._take = True, False
+        elif holder and self.leads:
+            self.leads, self._command = False, None
 
     def _due(self, now_ns: int) -> Iterator[Message]:
         if self._command is None:
@@ -314,8 +387,9 @@ class Commander:
         stamp_ns = self._robot()
         if now_ns >= self._due_ns.get(command, 0):
             self._due_ns[command] = now_ns + _REPEAT_NS
-            yield ModeCommand(stamp_ns, command, number, self.name, self._take)
-            if command == "off" or command == "stop":
+            if self._may_lead:
+                yield ModeCommand(stamp_ns, command, number, self.name, self._take)
+            if command in ("off", "stop"):
                 yield StopOrder(stamp_ns, command, number, self.name)
         if command == "walk" and self._motion is not None:
             topic = topics.OF_TYPE[type(self._motion)]
@@ -324,18 +398,29 @@ class Commander:
                 yield replace(self._motion, stamp_ns=stamp_ns)
 
 
-def _refusal(command: Command, name: str, state: ActuatorState, before: ActuatorState) -> str:
-    """Why the actuator refuses a command, if it says so since."""
-    starts = (f"`{command}` refused", f"`{command}` of {name} refused", "torque stays off")
-    found = next((warning for warning in state.warnings if warning.startswith(starts)), "")
-    return "" if found in before.warnings else found
+class _Blocked:
+    """How long the planner has been blocked."""
+
+    def __init__(self) -> None:
+        self._since_ns = -1
+
+    def see(self, planner: PlannerStatus | None) -> str:
+        """Return why there is no way to the goal, once the planner is blocked for `BLOCKED_S`; else an empty text."""
+        if planner is None:
+            return ""
+        if planner.state != "blocked":
+            self._since_ns = -1
+            return ""
+        self._since_ns = planner.stamp_ns if self._since_ns < 0 else self._since_ns
+        blocked_s = (planner.stamp_ns - self._since_ns) * 1e-9
+        return f"no way to the goal: {planner.reason}" if blocked_s > BLOCKED_S else ""
 
 
-def _arrived(status: Status, given_ns: int) -> bool:
-    planner = status.planner
-    return planner is not None and planner.state == "arrived" and planner.stamp_ns > given_ns + _SETTLED_NS
+def _distance_m(pose: BodyPose, place: NDArray[np.float64]) -> float:
+    """Return the horizontal distance [m] of the body from a place (2,) in {world}."""
+    return float(np.linalg.norm(pose.T_world_body[:2, 3] - place))
 
 
-def _words(status: Status) -> str:
+def _text(status: Status) -> str:
     planner = f"; planner {status.planner.state}: {status.planner.reason}" if status.planner is not None else ""
     return f"the robot is in mode {status.actuator.mode} ({status.actuator.reason}){planner}"

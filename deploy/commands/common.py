@@ -42,14 +42,6 @@ def met(arguments: argparse.Namespace) -> "Endpoints":
         raise InputError(str(error)) from None
 
 
-def role_of(endpoints: "Endpoints") -> str:
-    """Return the role under which a command reports its health.
-
-    It is the role of its certificate; without a certificate, "robot".
-    """
-    return endpoints.keys.role.name if endpoints.keys is not None else "robot"
-
-
 def out_folder(arguments: argparse.Namespace, name: str) -> Path:
     """Create and return the output folder of a command."""
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")

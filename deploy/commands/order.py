@@ -6,7 +6,7 @@ import os
 import socket
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, role_of, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
     from sextant.deploy.order import Order
@@ -54,7 +54,7 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
 
     stop, told = threading.Event(), ""
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
-        running = threading.Thread(target=run_live, args=(given, link, stop), kwargs={"role": role_of(endpoints)}, name="order")
+        running = threading.Thread(target=run_live, args=(given, link, stop), kwargs={"role": endpoints.role}, name="order")
         running.start()
         try:
             while not given.finished and not interrupts.asked():

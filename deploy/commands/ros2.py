@@ -2,7 +2,7 @@
 
 import argparse
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, role_of, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, say
 
 _LOOK_S = 0.1
 
@@ -44,7 +44,7 @@ def ros2(arguments: argparse.Namespace) -> int:
         say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C ends it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
         say(f"listens to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")
-        running = threading.Thread(target=run_live, args=(bridge, link, stop), kwargs={"role": role_of(endpoints)}, name="ros2")
+        running = threading.Thread(target=run_live, args=(bridge, link, stop), kwargs={"role": endpoints.role}, name="ros2")
         running.start()
         try:
             while not interrupts.asked() and running.is_alive():

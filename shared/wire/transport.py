@@ -71,6 +71,11 @@ class Endpoints:
         if secure and self.keys is None:
             raise ValueError(f"{', '.join(secure)} asks for a certificate: give the folder of this machine's with --keys DIR")
 
+    @property
+    def role(self) -> str:
+        """Role under which a client reports its health: that of its certificate, "robot" without one."""
+        return "robot" if self.keys is None else self.keys.role.name
+
     def zenoh_config(self) -> dict[str, Any]:
         """Return the complete Zenoh configuration.
 

@@ -13,7 +13,6 @@ import zenoh
 
 from sextant.deploy import cli
 from sextant.deploy.commands import up
-from sextant.deploy.commands.common import role_of
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.network import gate
 from sextant.deploy.network.gate import Gate
@@ -308,8 +307,8 @@ def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.parametrize("role", ["console", "viewer"])
 def test_a_command_reports_its_health_under_its_own_role(keys: Path, role: str) -> None:
-    assert role_of(Endpoints(("tls/robot.local:7448",), keys=Keys.load(keys / role))) == role
-    assert role_of(Endpoints(("tcp/127.0.0.1:7447",))) == "robot"
+    assert Endpoints(("tls/robot.local:7448",), keys=Keys.load(keys / role)).role == role
+    assert Endpoints(("tcp/127.0.0.1:7447",)).role == "robot"
 
 
 def test_where_anybody_is_let_in_the_robots_own_processes_meet_on_loopback() -> None:

@@ -1,0 +1,300 @@
+"""Commands of `sextant.Client` to a scripted actuator: result, refusal, lost lease, silence."""
+
+import contextlib
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sextant import client
+from sextant.client import BLOCKED_S, Client, ClientError, Commander
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import AnyTopic, Inbox
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.access import ROLE_NAMED, ROUTER_OF
+from sextant.shared.wire.messages import (
+    BodyPose,
+    Goal,
+    Health,
+    Message,
+    Mode,
+    ModeCommand,
+    PlannerStatus,
+    StopOrder,
+    Tick,
+    VelocityCommand,
+)
+from tests.support.states import actuator_state
+
+MS = 1_000_000
+BEAT_NS = 50 * MS
+PROFILE = load_profile("phantomx_mk2")
+NOWHERE = np.zeros(0)
+MODES = {"off": Mode.OFF, "stand": Mode.HOLD, "walk": Mode.WALK, "sit": Mode.READY}
+
+
+class Robot(threading.Condition):
+    """A robot and its clock: in each wait of the client, 50 ms pass, it obeys what was sent, and publishes its state."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_ns = 1_000_000 * MS
+        self.state = actuator_state(PROFILE, mode=Mode.READY, lease="", reason="sitting")
+        self.planner = PlannerStatus(0, "waiting", "", 0, 0, -1)
+        self.pose = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
+        self.ahead_ns = 0  # offset of the robot's clock from the client's
+        self.silent = False
+        self.sent: list[Message] = []
+        self.obey: Callable[[ModeCommand | StopOrder], object] = self.obeys
+        self.then: Callable[[], object] = lambda: None  # what else happens in each period
+        self.heard: list[tuple[AnyTopic, Message]] = []  # other messages that the client receives in the next period
+
+    def commander(self, *args: Any, **options: Any) -> Commander:
+        made = Commander(*args, **options)
+        made.changed = self
+        self.inbox = Inbox(made.reads, made.stages)
+        self.made = made
+        return made
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.now_ns += BEAT_NS
+        self.inbox.now_ns = self.now_ns
+        self.then()
+        if not self.silent:
+            self.publish(topics.ACTUATOR_STATE, self.state)
+            self.publish(topics.PLANNER_STATUS, self.planner)
+            self.publish(topics.BODY_POSE, self.pose)
+        for topic, message in self.heard:
+            self.publish(topic, message)
+        self.heard.clear()
+        for message in self.made.step(Tick(self.now_ns), self.inbox):
+            self.sent.append(message)
+            if isinstance(message, ModeCommand | StopOrder) and not self.silent:
+                self.obey(message)
+        return True
+
+    def publish(self, topic: AnyTopic, message: Message) -> None:
+        self.inbox.receive(topic, codec.encode(replace(message, stamp_ns=self.now_ns + self.ahead_ns)), self.now_ns)
+
+    def set(self, **changes: Any) -> None:
+        self.state = replace(self.state, **changes)
+
+    def obeys(self, order: ModeCommand | StopOrder) -> None:
+        if isinstance(order, ModeCommand):
+            mode = MODES.get(order.mode, Mode.HOLD)
+            self.set(mode=mode, lease=order.holder, warnings=(), reason="obeyed")
+        elif order.mode == "off":
+            self.set(mode=Mode.OFF)
+        elif self.state.mode is Mode.WALK:
+            self.set(mode=Mode.HOLD)
+
+    def refuses(self, order: ModeCommand | StopOrder) -> None:
+        if isinstance(order, ModeCommand) and order.mode == "walk":
+            self.set(warnings=("`walk` refused: the mode is ready, order `stand` first",))
+
+    def orders(self) -> list[str]:
+        """The orders that were sent, without repetitions of the same one."""
+        numbered = dict.fromkeys((m.mode, m.sequence) for m in self.sent if isinstance(m, ModeCommand | StopOrder))
+        return [mode for mode, _ in numbered]
+
+
+@pytest.fixture
+def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
+    made = Robot()
+    monkeypatch.setattr(client, "Commander", made.commander)
+    monkeypatch.setattr(client, "ZenohLink", lambda _: contextlib.nullcontext())
+    monkeypatch.setattr(client, "run_live", lambda *_, **__: None)
+    monkeypatch.setattr(client.time, "monotonic", lambda: made.now_ns * 1e-9)
+    return made
+
+
+def test_a_walk_is_stopped_when_the_client_disconnects(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        me.walk(0.08)
+        assert me.state.mode is Mode.WALK
+        assert robot.state.lease == "me"
+    assert robot.orders() == ["stand", "walk", "stop"]
+    assert robot.state.mode is Mode.HOLD
+
+
+def test_a_refusal_is_raised_with_its_reason_each_time_and_the_command_is_not_repeated(robot: Robot) -> None:
+    robot.obey = robot.refuses
+    with Client(name="me") as me:
+        for _ in range(2):  # the second refusal has the words of the first
+            began_ns = robot.now_ns
+            with pytest.raises(ClientError, match="order `stand` first"):
+                me.walk(0.08)
+            assert robot.now_ns - began_ns < 2_000 * MS
+        sent = len(robot.sent)
+        for _ in range(100):
+            robot.wait()
+        assert len(robot.sent) == sent
+    assert robot.orders() == ["walk", "walk"], "there is no walk to be stopped"
+
+
+def test_a_command_that_nothing_answers_fails_with_the_state_of_the_robot(robot: Robot) -> None:
+    robot.obey = lambda _: None
+    with (
+        Client(name="me") as me,
+        pytest.raises(ClientError, match=r"`sit` is not done within 20 s: the robot is in mode ready \(sitting\)"),
+    ):
+        me.sit()
+
+
+def test_a_silent_actuator_has_no_state(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        robot.silent = True
+        for _ in range(50):
+            robot.wait()
+        for read in (lambda: me.state, lambda: me.status, me.sit):
+            with pytest.raises(ClientError, match="published no state for 2 s"):
+                read()
+        robot.silent = False
+        robot.wait()
+        assert me.state.mode is Mode.HOLD
+
+
+def test_no_actuator_at_an_endpoint_is_an_error(robot: Robot) -> None:
+    robot.silent = True
+    with pytest.raises(ClientError, match=r"no actuator publishes its state at tcp/127\.0\.0\.1:7447"):
+        Client()
+
+
+def walks_to(robot: Robot, me: Client, *, arrives_after: int = 10**9, **during: Any) -> None:
+    """Go to a place; `during` changes the robot's state after 20 periods, and it arrives after more."""
+    periods = 0
+
+    def then() -> None:
+        nonlocal periods
+        periods += 1
+        if periods == 20:
+            robot.set(**during)
+        if periods == arrives_after:
+            place = np.eye(4)
+            place[:2, 3] = (1.0, 0.5)
+            robot.pose = replace(robot.pose, T_world_body=place)
+            robot.planner = replace(robot.planner, state="arrived")
+
+    robot.then = then
+    me.goto(1.0, 0.5)
+
+
+def test_goto_ends_with_a_stop_at_the_goal(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        walks_to(robot, me, arrives_after=100)
+    assert robot.orders() == ["stand", "walk", "stop"]
+    assert any(isinstance(m, Goal) and m.waypoints.tolist() == [[1.0, 0.5]] for m in robot.sent)
+
+
+def test_goto_does_not_take_the_arrival_at_an_earlier_goal_for_its_own(robot: Robot) -> None:
+    robot.planner = replace(robot.planner, state="arrived")
+    with Client(name="me") as me, pytest.raises(ClientError, match="not reached within 5 s"):
+        me.goto(1.0, 0.5, within_s=5.0)
+    assert robot.orders() == ["walk", "stop"]
+
+
+@pytest.mark.parametrize("mode", [Mode.FAULT, Mode.OFF, Mode.READY])
+def test_goto_ends_when_the_robot_no_longer_walks(robot: Robot, mode: Mode) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        robot.obey = lambda order: robot.obeys(order) if robot.state.mode in (Mode.HOLD, Mode.WALK) else None
+        with pytest.raises(ClientError, match=f"the robot is in mode {mode}: a servo is silent"):
+            walks_to(robot, me, mode=mode, reason="a servo is silent")
+
+
+def test_goto_ends_without_a_stop_when_another_client_takes_over(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        robot.obey = lambda order: robot.obeys(order) if robot.state.lease != "you" else None
+        with pytest.raises(ClientError, match="you has taken over the robot"):
+            walks_to(robot, me, lease="you")
+        sent = len(robot.sent)
+        for _ in range(100):
+            robot.wait()
+        assert len(robot.sent) == sent, "it gives way"
+    assert robot.orders() == ["stand", "walk"]
+
+
+def test_goto_ends_when_there_is_no_way_or_no_word(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        robot.planner = replace(robot.planner, state="blocked", reason="a gap of 0.3 m")
+        began_ns = robot.now_ns
+        with pytest.raises(ClientError, match=r"no way to the goal: a gap of 0.3 m"):
+            me.goto(1.0, 0.5)
+        assert robot.now_ns - began_ns == pytest.approx((BLOCKED_S + 1.0) * 1e9, abs=1e9)
+        robot.planner = replace(robot.planner, state="stepping", reason="")
+        robot.then = lambda: setattr(robot, "silent", robot.state.mode is Mode.WALK)
+        with pytest.raises(ClientError, match="published no state"):
+            me.goto(1.0, 0.5)
+
+
+def test_a_client_that_does_not_lead_stops_the_robot_once_and_leaves_its_lease(robot: Robot) -> None:
+    robot.set(mode=Mode.WALK, lease="you")
+    robot.obey = lambda order: robot.obeys(order) if isinstance(order, StopOrder) else None
+    with Client(name="me") as me:
+        me.stop()
+        assert robot.state.mode is Mode.HOLD
+        assert robot.state.lease == "you"
+        robot.set(mode=Mode.WALK)
+        sent = len(robot.sent)
+        for _ in range(100):
+            robot.wait()
+        assert len(robot.sent) == sent
+
+
+def test_a_certificate_that_may_not_lead_may_stop(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewer = ROLE_NAMED["viewer"]
+    monkeypatch.setattr(client.Keys, "load", lambda _: SimpleNamespace(role=viewer, refusal=viewer.refusal))
+    robot.set(mode=Mode.WALK, lease="you")
+    with Client("tls/robot.local:7448", keys="keys", name="me") as me:
+        began_ns = robot.now_ns
+        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5)):
+            with pytest.raises(ClientError, match="this certificate"):
+                command()
+        assert robot.now_ns == began_ns, "at once"
+        me.stop()
+        me.torque_off()
+    assert robot.state.mode is Mode.OFF
+    assert all(isinstance(message, StopOrder) for message in robot.sent)
+
+
+def test_a_router_that_refuses_a_command_is_its_reason(robot: Robot) -> None:
+    refused = Health(0, f"{ROUTER_OF}viewer", "listening", 0, 0, 0, "", (), NOWHERE, NOWHERE)
+    robot.obey = lambda _: None
+    robot.then = lambda: robot.heard.append((topics.HEALTH_OF["viewer"], refused))
+    with Client(name="me") as me, pytest.raises(ClientError, match="use the keys of another role"):
+        me.stand()
+
+
+def test_a_velocity_is_repeated_while_the_robot_is_to_walk(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        me.walk(0.08, yaw_rate_rad_s=0.1)
+        for _ in range(20):
+            robot.wait()
+        me.stop()
+        sent = [m for m in robot.sent if isinstance(m, VelocityCommand)]
+        assert len(sent) >= 20
+        assert {(*m.velocity.tolist(), m.yaw_rate) for m in sent} == {(0.08, 0.0, 0.1)}
+        robot.sent.clear()
+        robot.wait()
+        assert not any(isinstance(m, VelocityCommand) for m in robot.sent)
+
+
+def test_a_restarted_robot_clock_voids_the_command(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        me.walk(0.08)
+        robot.ahead_ns = -100_000 * MS
+        for _ in range(400):
+            robot.wait()
+        assert robot.made.doing() == ""
+        me.walk(0.08)
