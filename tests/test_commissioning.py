@@ -1,4 +1,7 @@
-"""docs/commissioning.md is true: its tutorial runs as it is written, against emulated servos in a process of their own."""
+"""Run the tutorial of docs/commissioning.md as it is written.
+
+The emulated servos run in a separate process.
+"""
 
 import re
 import subprocess
@@ -22,7 +25,7 @@ TUTORIAL = TEXT[TEXT.index("## Without hardware") : TEXT.index("## With servos")
 
 
 class Emulator:
-    """`sextant servos emulate` in a process of its own, and its terminal."""
+    """`sextant servos emulate` in a separate process, and its terminal."""
 
     def __init__(self, words: list[str]) -> None:
         command = [sys.executable, "-m", "sextant.deploy.cli", *words]
@@ -49,7 +52,7 @@ class Emulator:
 
 
 class Keyboard:
-    """Standard input: lines, and what hands do before they press Enter."""
+    """Standard input: lines, and what the user does before pressing Enter."""
 
     def __init__(self, lines: Iterator[str | Callable[[], str]]) -> None:
         self.lines = lines

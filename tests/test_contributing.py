@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md names files, targets and names that exist."""
+"""CONTRIBUTING.md names only files, targets and names that exist."""
 
 import re
 from pathlib import Path

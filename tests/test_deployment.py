@@ -1,4 +1,4 @@
-"""Every command of docs/deployment.md is run by a test, or is named there as not run."""
+"""Each command of docs/deployment.md is run by a test, or listed there as not run."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The Makefile and the test run themselves, where the machine is not as expected: no network, or a foreign pytest plugin."""
+"""The Makefile and the tests run offline and with foreign pytest plugins."""
 
 import os
 import shutil
@@ -41,7 +41,7 @@ def test_make_without_a_package_index_says_so_in_one_line(tmp_path: Path, pip: t
 
 
 def test_a_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
-    """A distribution whose plugin warns as it is imported, as one that another package brings along."""
+    """Install a plugin that warns on import, as another package may bring one."""
     (tmp_path / "warning_plugin.py").write_text("import warnings\nwarnings.warn('from a plugin', DeprecationWarning)\n")
     about = tmp_path / "warning_plugin-1.0.dist-info"
     about.mkdir()

@@ -1,4 +1,7 @@
-"""Every command that README.md shows exists, and some test runs its like; a command that nobody runs is found here."""
+"""Each command of README.md exists and a test runs one like it.
+
+This module fails for a command without a test.
+"""
 
 import re
 import shlex
@@ -19,14 +22,14 @@ ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
 PASSAGES, DRAWN = ROOT / "docs" / "passages.jsonl", ROOT / "docs" / "passages_commit.jsonl"
 TROUBLES = ROOT / "docs" / "troubles.jsonl"
-KEPT_DRAWN = ROOT / "docs" / "campaign_commit.jsonl"  # on seeds that a commit's hash gives, as DRAWN
+KEPT_DRAWN = ROOT / "docs" / "campaign_commit.jsonl"  # with seeds from a commit's hash, as in DRAWN
 
-# What a `make` target comes to.
+# The commands behind each `make` target.
 MAKE = {
     "demo": ("sextant demo",),
     "test": ("ruff check", "ruff format --check", "mypy", "lint-imports", "pytest"),
 }
-# Which test runs a `sextant` command; an option that makes it another way of running counts.
+# The test that runs each `sextant` command; an option counts if it makes another way of running.
 RUN_BY = {
     "demo": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
     "demo gap": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
@@ -87,7 +90,7 @@ SHELL = ("source .venv/bin/activate",)  # of the shell itself
 
 
 def commands(text: str) -> Iterator[list[str]]:
-    """The words of each command in the fenced `sh` blocks, comments left out."""
+    """Yield the words of each command in the fenced `sh` blocks, without comments."""
     for block in re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
@@ -96,7 +99,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 
 def way_of_running(words: list[str]) -> str:
-    """The key in RUN_BY of a `sextant` command."""
+    """Return the key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "troubles"], ["trials", "table"], ["demo", "gap"])
     group = words[:2] if words[0] in ("topics", "bench", "servos", "keys") or words[:2] in pairs else words[:1]
     ways = [

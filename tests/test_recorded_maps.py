@@ -1,4 +1,7 @@
-"""The foothold layers of height maps that a quadruped saved: stairs, rubble, stepping stones, half of them unknown."""
+"""Foothold layers of height maps that a quadruped recorded, half of them unknown.
+
+The maps show stairs, rubble and stepping stones.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ from tests.support.recordings import recording
 pytestmark = pytest.mark.data
 
 RESOLUTION = {"demo_map": 0.02, "realStairs_125cm": 0.02, "elevationMap_8_139cm": 0.03, "stepping_stones_65cm": 0.04}  # [m]
-SCALE = 0.3  # of heights, for a robot that is as much smaller than the quadruped
+SCALE = 0.3  # of heights: the robot is smaller than the quadruped by this factor
 WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 N = 48
 
@@ -42,7 +45,7 @@ def test_some_ground_carries_a_foot_and_what_is_unknown_does_not(name: str) -> N
 
 @pytest.mark.parametrize("name", RESOLUTION)
 def test_risers_and_rims_carry_no_foot(name: str) -> None:
-    """Where a cell's neighbours lie 3 cm above or below it, no foot stands, by either layer."""
+    """Neither layer accepts a cell with neighbours 3 cm above or below it."""
     z = heights(name)
     made = layers(name, z)
     steep = np.zeros(z.shape, dtype=bool)

@@ -1,4 +1,7 @@
-"""Real depth pictures through the real parts: how far poses and heights are off where somebody has measured them."""
+"""Real depth pictures through the real parts: errors of poses and heights.
+
+The references were measured by the recordings' authors.
+"""
 
 import json
 from pathlib import Path
@@ -21,7 +24,7 @@ from tests.support.recordings import recording
 
 pytestmark = pytest.mark.data
 
-SOMEWHERE_NEAR = np.diag([0.05**2] * 6)  # [m, rad] a hand that moved between two pictures
+SOMEWHERE_NEAR = np.diag([0.05**2] * 6)  # [m, rad] covariance of a hand that moved between two pictures
 TREADS = (0.17, 0.36, 0.55, 0.93, 1.13)  # [m] above the floor, measured
 
 
@@ -71,18 +74,18 @@ def test_treads_are_mapped_at_their_height() -> None:
         grid.fuse(CheckedScan.of(scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, T[:3, 3]))
     snapshot = grid.snapshot()
     y = snapshot.origin[1] + snapshot.resolution * np.arange(snapshot.elevation.shape[1])
-    staircase = snapshot.elevation[:, (y > 0.5) & (y < 1.3)]  # beside it is furniture
+    staircase = snapshot.elevation[:, (y > 0.5) & (y < 1.3)]  # furniture stands next to it
     for tread in TREADS:
-        # Of those that lie higher than the camera only the risers' upper rims show.
+        # Treads above the camera show only the upper rims of their risers.
         off = 0.012 if tread < T[2, 3] else 0.025
         assert commonest(staircase[np.isfinite(staircase)], tread) == pytest.approx(tread, abs=off)
 
 
 @pytest.mark.parametrize(
     ("pair", "turn_deg"),
-    # Both pairs have one and the same second depth picture, though not the same pose: poses belong to the colour pictures,
-    # which were taken at other moments. In the second pair features of colour agree with the poses to 0.14 deg, while all
-    # that sees depth alone (small_gicp's GICP and point-to-plane too) is off by 0.7 to 1.2 deg the same way.
+    # Both pairs have the same second depth picture but different poses: poses belong to the colour pictures, which were
+    # taken at other moments. In the second pair colour features agree with the poses to 0.14 deg. Every method on depth
+    # alone (small_gicp's GICP and point-to-plane too) is off by 0.7 to 1.2 deg in the same direction.
     [("pair_1", 0.3), ("pair_2", 0.8)],
 )
 def test_pairs_agree_with_motion_capture(pair: str, turn_deg: float) -> None:
@@ -109,14 +112,15 @@ def test_the_depth_of_the_second_pair_does_not_belong_to_its_pose() -> None:
 
 
 def metres(raw: NDArray[np.uint16], sensor: DepthSensor) -> Array:
-    """Depth (h, w) [m], NaN where there is none."""
+    """Return depth (h, w) [m], NaN where there is none."""
     return np.where(raw > 0, raw / sensor.depth_scale, np.nan)
 
 
 def standing_on_the_floor(points: Array) -> Array:
-    """Pose (4, 4) over the floor of a camera that looks ahead, from 0.85 m and 3.5 deg down as its owner measured.
+    """Return the pose (4, 4) over the floor of a camera that looks ahead.
 
-    The pitch is known to a tenth of a degree and the roll not at all: both, and the height, are those of the floor seen.
+    Its owner measured a height of 0.85 m and a pitch of 3.5 deg down. The pitch is known to a tenth of a degree, and the roll
+    is unknown. The result takes roll, pitch and height from the visible floor.
     """
     down = np.radians(3.5)
     R = np.array([[0.0, -np.sin(down), np.cos(down)], [-1.0, 0.0, 0.0], [0.0, -np.cos(down), -np.sin(down)]])
@@ -135,13 +139,13 @@ def standing_on_the_floor(points: Array) -> Array:
 
 
 def commonest(heights: Array, near: float) -> float:
-    """The height [m] within 6 cm of another that most of some heights are at, smoothed over 8 mm."""
+    """Return the most frequent height [m] within 6 cm of `near`, smoothed over 8 mm."""
     candidates = np.arange(near - 0.06, near + 0.06, 0.002)
     density = np.exp(-0.5 * ((heights[:, None] - candidates) / 0.008) ** 2).sum(axis=0)
     return float(candidates[np.argmax(density)])
 
 
 def captured(path: Path) -> Array:
-    """Pose (4, 4) of a file with tx ty tz qx qy qz qw."""
+    """Read a pose (4, 4) from a file with tx ty tz qx qy qz qw."""
     x, y, z, qx, qy, qz, qw = (float(word) for word in path.read_text().split())
     return transform(rotation_from_quaternion(np.array([qw, qx, qy, qz])), np.array([x, y, z]))

@@ -1,4 +1,7 @@
-"""The swing that the planner checks lies under the one that the actuator flies: what it clears, the foot clears."""
+"""The swing that the planner checks lies below the one that the actuator performs.
+
+The foot therefore clears all that the planner's swing clears.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ CYCLES = 60
 
 
 def flown(end: Array, clearance: Array) -> Array:
-    """Way (n, 3) of a foot from the origin to end (1, 3)."""
+    """Return the path (n, 3) of a foot from the origin to end (1, 3)."""
     swing = Swing(np.zeros((1, 3)), end, clearance)
     return np.array([np.zeros(3), *(swing.update(end, k / CYCLES, 1 / CYCLES)[0].copy() for k in range(CYCLES))])
 
@@ -33,7 +36,7 @@ def test_the_foot_flies_no_lower_than_the_planner_thinks(length: float, rise: fl
 def test_a_foot_comes_down_over_what_stands_before_its_touchdown(
     length: float, before: float, block: float, rise: float
 ) -> None:
-    """A block from the middle of the way on, up to so much before its end."""
+    """A block begins at the middle of the path and ends at `before` [m] from its end."""
     end, share = np.array([[length, 0.0, rise]]), np.linspace(0.0, 1.0, 21)
     along = share * length
     stands = (share >= 0.5) & (along <= length - before)
@@ -49,7 +52,10 @@ def test_even_ground_asks_for_nothing() -> None:
 
 
 def test_the_compiled_search_takes_swings_to_fly_as_high_as_the_planner_does() -> None:
-    """It may not read the other file's number: its cache would not notice a change of it."""
+    """Keep both copies of the number equal.
+
+    The compiled search has its own copy, because its cache ignores changes in other files.
+    """
     assert roadmap_search._LEVEL_SHARE == LEVEL
 
 

@@ -1,4 +1,4 @@
-"""What is live keeps its times only once everything is compiled."""
+"""Compile everything before live tests, so that their times are kept."""
 
 import io
 

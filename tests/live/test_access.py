@@ -1,4 +1,4 @@
-"""The bench of access: nothing of what may not be put comes through, and a walk that is put again moves nothing."""
+"""The bench of access: no unauthorized message passes, and replays move nothing."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.Capt
     assert {row["through"] for row in rows.values()} == {0}
     assert [row["tried"] for row in rows.values()] == [300] * 6 + [10] + [300] * 4
     led, alone, anew, around = [row["note"] for row in rows.values()][-4:]
-    for said in (led, alone, anew):  # of each kind that was put again, why it does not count
+    for said in (led, alone, anew):  # the reason for rejection of each kind of replayed message
         assert "`walk` of operator refused: it is" in said
         assert "plan of step" in said
     assert "s old" in led.partition("plan of step")[2], "it is led, so what speaks against the plan is its age"

@@ -1,4 +1,4 @@
-"""The robot's side as it is started on a robot: emulated servos on a port, a recorded folder as the camera."""
+"""The robot's own services, with emulated servos and a recorded folder as camera."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 def record(folder: Path) -> None:
-    """A few pictures of level ground, with noise."""
+    """Record a few pictures of level ground, with noise."""
     camera, rng = PROFILE.camera, np.random.default_rng(0)
     rows = np.linspace(2000.0, 600.0, camera.intrinsics.height)[:, None]
     with tum.RecordingWriter(folder, tum.Camera(camera.intrinsics, 1000.0, 30.0, None)) as writer:

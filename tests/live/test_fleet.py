@@ -1,4 +1,7 @@
-"""A base of two robots, which the test plays: who hears what, and what becomes of one when something fails of the other."""
+"""A base of two robots that the test simulates.
+
+Each robot receives its own messages only, and failures of one do not affect the other.
+"""
 
 import contextlib
 import json
@@ -32,13 +35,16 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 class Robot:
-    """A router, and behind it an actuator that says how it fares and notes what it is told; a context manager."""
+    """A router and an actuator that reports its state and records its orders.
+
+    This class is a context manager.
+    """
 
     def __init__(self, name: str, mode: Mode, reason: str):
         self.name, self.mode, self.reason = name, mode, reason
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.told: list[str] = []
-        self.rival = False  # another machine says that it has started a mapper for this robot, long ago
+        self.rival = False  # another machine claims an older start of this robot's mapper
         self._over = threading.Event()
 
     def __enter__(self) -> "Robot":
@@ -93,7 +99,7 @@ def glance(port: int, name: str) -> ClientConnection:
 
 def shows(port: int, name: str, mode: str) -> bool:
     with contextlib.suppress(Exception), glance(port, name) as page:
-        return json.loads(page.recv(5.0)).get("mode") == mode  # whoever is not up yet, or has nothing to say
+        return json.loads(page.recv(5.0)).get("mode") == mode  # raises while the console is not up or has no state
     return False
 
 
@@ -104,16 +110,16 @@ def process(base: Command, module: str, name: str = "") -> Process | None:
 def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp_path: Path) -> None:
     port = free_port()
     with Command("fleet", str(written(tmp_path, robots, port)), cwd=tmp_path) as base:
-        # 1. Each is seen as it is, on one address.
+        # 1. One address shows the state of each robot.
         base.wait_for(lambda: shows(port, "alpha", Mode.HOLD), "the page of alpha")
         base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page of beta")
         assert f"the page of all robots: http://127.0.0.1:{port}/" in base.text()
-        # 2. What is ordered there reaches that one alone.
+        # 2. An order there reaches its robot only.
         with glance(port, "alpha") as page:
             page.send(json.dumps({"type": "order", "order": "off"}))
             base.wait_for(lambda: "off" in robots["alpha"].told, "the order at alpha")
         assert robots["beta"].told == []
-        # 3. What dies is started again, also the page that leads to all of them.
+        # 3. Killed processes are started again, also the page of all robots.
         for module, name in (("sextant.services.mapper", "alpha"), ("sextant.services.console.fleet_proxy", "")):
             found = process(base, module, name)
             assert found is not None
@@ -121,11 +127,11 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
             base.wait_for(lambda m=module, n=name, old=found: process(base, m, n) not in (None, old), f"{module} again")
         base.wait_for(lambda: "alpha: mapper ended (killed by SIGKILL)" in base.text(), "the word of it")
         base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page, again")
-        # 4. A machine that claims to have started the same is reported, and ends nothing.
+        # 4. A machine that claims the same services is reported, and ends no process.
         mapper = process(base, "sextant.services.mapper", "alpha")
         robots["alpha"].rival = True
         base.wait_for(lambda: "alpha: a rival (offboard) has started mapper already" in base.text(), "the report of a rival")
-        # 5. What does not stay up of one robot is ended with the reason, and the other goes on.
+        # 5. Services of one robot that keep failing are ended with the reason, and the other robot goes on.
         while "the other robots go on" not in base.text():
             found = process(base, "sextant.services.mapper", "alpha")
             if found is not None:
@@ -146,7 +152,10 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
 def test_one_page_shows_all_robots_and_leads_to_each(
     robots: dict[str, Robot], tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
-    """The picture of the docs: `pytest tests/live/test_fleet.py -k page --pictures docs`."""
+    """Draw the picture of the docs.
+
+    pytest tests/live/test_fleet.py -k page --pictures docs
+    """
     folder, port = Path(pytestconfig.getoption("--pictures") or tmp_path), free_port()
     file = written(tmp_path, robots, port, '"mapper", "planner", "recorder"')
     with Command("fleet", str(file), cwd=tmp_path) as base, browsers.browser() as chromium:
@@ -160,7 +169,7 @@ def test_one_page_shows_all_robots_and_leads_to_each(
         cards = page.locator(".robot")
         assert [card.locator(".mode").inner_text().lower() for card in cards.all()] == ["hold", "fault"]
         assert cards.nth(1).locator(".reason").inner_text() == "servo 7 (LF femur) is silent"
-        # 1. One robot is let go, then all.
+        # 1. Torque goes off for one robot, then for all.
         cards.nth(1).locator(".off").click()
         base.wait_for(lambda: "off" in robots["beta"].told, "the order at beta")
         assert robots["alpha"].told == []
@@ -179,7 +188,10 @@ def test_one_page_shows_all_robots_and_leads_to_each(
 
 
 def test_a_base_is_loaded_with_a_recorded_robot(tmp_path: Path) -> None:
-    """How much it carries is measured by the same command; here the machine may be busy."""
+    """Load a base for a short time; here the machine may be busy.
+
+    The same command measures the capacity of a base.
+    """
     course = str(write_course(tmp_path, "there", 0.8))
     words = ("bench", "fleet", "--robots", "1", "--course", course, "--out", str(tmp_path / "out"))
     with Command(*words, cwd=tmp_path) as bench:

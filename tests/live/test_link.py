@@ -1,4 +1,4 @@
-"""Two machines that only a radio joins: the commands of docs/two_machines.md, and what becomes of a walk whose radio is cut."""
+"""Two machines joined by a radio: the commands of docs/two_machines.md, and cuts."""
 
 import contextlib
 import json
@@ -46,7 +46,10 @@ def test_they_do_where_only_their_connections_can_be_relayed(tmp_path: Path) -> 
 
 
 def documented(words: list[str], bed: Bed, folder: Path) -> tuple[str, ...]:
-    """A command of the page without its first word, with what the bed has in place of what is a reader's own."""
+    """Return a command of the page without its first word.
+
+    The testbed's values replace the reader's own ones.
+    """
     own = {
         "keys": str(folder / "keys"),
         "keys/robot": str(folder / "keys" / "robot"),
@@ -69,7 +72,7 @@ def walks_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
         halves.meet(PATIENCE_S)
         client = bed.on_base(sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), bed.base_router)
 
-        def walked() -> bool:  # a servo of a busy machine may answer late: then it refuses to stand
+        def walked() -> bool:  # a servo of a busy machine may answer late: the robot then refuses to stand
             subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
             return len({heard.step for heard in halves.heard if heard.walks}) > 2
 
@@ -79,7 +82,10 @@ def walks_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("bed")
 def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path) -> None:
-    """How soon is measured by the same command with more cuts; here the machine may be busy."""
+    """Hold during cuts, and walk on; here the machine may be busy.
+
+    The same command with more cuts measures the times.
+    """
     words = ("bench", "link", "--cuts", "2", "--longest", "0.9", "--seed", "1000", "--out", str(tmp_path / "out"))
     with Command(*words, cwd=tmp_path) as bench:
         assert bench.status() == 0
@@ -121,7 +127,10 @@ with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))
 
 
 def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: Bed) -> None:
-    """Its sockets, closed with something unsent, must not hold up the new ones; they do for 3 s where nobody limits them."""
+    """Connect again soon after a cut that killed the connection.
+
+    Its sockets were closed with unsent data and must not delay the new ones. Without a limit they do so for 3 s.
+    """
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     hears = subprocess.Popen(bed.on_robot(sys.executable, "-c", _HEARS), **piped)  # type: ignore[call-overload]
     words = bed.on_base(sys.executable, "-c", _SPEAKS, f"tcp/{bed.seen(PORT)}")

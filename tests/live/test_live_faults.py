@@ -1,4 +1,4 @@
-"""A fault injected into processes over Zenoh, as `sextant faults --live` does it."""
+"""Faults in processes over Zenoh, as `sextant faults --live` injects them."""
 
 import json
 from pathlib import Path

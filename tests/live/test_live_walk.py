@@ -1,4 +1,4 @@
-"""Walks of real processes over Zenoh, started as their user starts them, and what becomes of them when something dies."""
+"""Walks of real processes over Zenoh, as users start them, and their failures."""
 
 import json
 import os
@@ -34,7 +34,7 @@ from tests.support.composed import commands_of
 pytestmark = pytest.mark.live
 
 CLIENT_RUNS = ORDERS = 3  # at most
-ENDS_WITHIN_S = 6.0  # after Ctrl-C; on a quiet machine it takes less than two
+ENDS_WITHIN_S = 6.0  # [s] after Ctrl-C; a quiet machine takes less than two
 ROUTER_PORT = 7447
 PAGE_PORT = 8080
 
@@ -88,12 +88,12 @@ def test_a_goal_on_the_wire_is_walked_to(tmp_path: Path) -> None:
 
 
 def named(command: Command, service: str) -> Callable[[], bool]:
-    """Whether the command has said that a service was killed, and started it again."""
+    """Return a condition: the command reported a kill and restarted the service."""
     return lambda: f"{service} ended (killed by SIGKILL)" in command.text() and command.service(service) is not None
 
 
 def test_services_that_are_killed_in_turn_are_named_and_started_again(tmp_path: Path) -> None:
-    """The walk goes on after each, or ends and says why."""
+    """Kill services: the walk goes on after each kill, or ends with a reason."""
     course, out = write_course(tmp_path, "long", 1.8), tmp_path / "out"
     killed: list[str] = []
     with Command("run", str(course), "--seed", "1001", "--out", str(out), cwd=tmp_path) as command:
@@ -138,7 +138,7 @@ def test_a_simulator_that_is_killed_ends_the_run_with_that_reason(tmp_path: Path
 
 
 def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> None:
-    """One ends soon after Ctrl-C, the other's launcher is killed outright."""
+    """End one run with Ctrl-C, and kill the launcher of the other."""
     outs = {name: tmp_path / name for name in ("left", "right")}
     words = {name: ("run", str(write_course(tmp_path, name, 8.0)), "--seed", "1002", "--out", str(outs[name])) for name in outs}
     with Command(*words["left"], cwd=tmp_path) as left, Command(*words["right"], cwd=tmp_path) as right:
@@ -166,7 +166,7 @@ def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> No
 
 
 def serves(url: str) -> bool:
-    """Whether a page is to be had."""
+    """Return whether the page is available."""
     try:
         with urllib.request.urlopen(url, timeout=5.0) as answer:
             return b"Sextant" in answer.read()
@@ -175,9 +175,9 @@ def serves(url: str) -> bool:
 
 
 def walk_by_the_client_of_the_docs(endpoint: str) -> None:
-    """The client that docs/keys.md shows, which knows nothing of Sextant, walks the robot.
+    """Walk the robot with the client of docs/keys.md, which is independent of Sextant.
 
-    On a busy machine it may have to be run again: a servo that answers late is a reason not to stand.
+    On a busy machine it may have to run again: the robot refuses to stand if a servo answers late.
     """
     client = [sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), endpoint]
     with Ear.at(Endpoints((endpoint,))) as ear:
@@ -195,7 +195,10 @@ def walk_by_the_client_of_the_docs(endpoint: str) -> None:
 
 
 def walk_by_the_public_client(endpoint: str) -> None:
-    """A program stands the robot up, walks it, sends it to a place, and is told what the robot refuses."""
+    """Make the robot stand up, walk, and go to a place by a program.
+
+    The program also receives the reasons of refusals.
+    """
 
     def place() -> NDArray[np.float64]:
         pose = robot.status.pose
@@ -229,13 +232,16 @@ def walk_by_the_program_of_the_readme(endpoint: str) -> None:
 
 
 def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
-    """What `sextant order` says that ends as it must; given again where a servo of a busy machine has answered late."""
+    """Return the output of `sextant order` with the expected exit status.
+
+    The order is repeated if a servo of a busy machine answered late.
+    """
     told: list[str] = []
     for _ in range(ORDERS):
         with Command("order", order, "--take", "--holder", order, *meet, cwd=folder) as given:
             ended = given.status()
         told.append(given.text())
-        if ended == status or status != 0:  # what must be refused is ordered once
+        if ended == status or status != 0:  # an order that must be refused is sent once
             break
     assert ended == status, "\n".join(told)
     return told[-1]
@@ -272,7 +278,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
 
 
 def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> None:
-    """The off-board half has a router of its own, and waits for the robot."""
+    """Start the off-board half first: it has its own router and waits for the robot."""
     course, out = str(write_course(tmp_path, "split", 0.3)), tmp_path / "out"
     robot, base = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     meet = ("--namespace", "split")
@@ -292,13 +298,16 @@ def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> 
 
 
 def composed(file: str, mounts: dict[str, str], **variables: str) -> tuple[LaunchedCommand, ...]:
-    """The commands of a compose file, without its warm-up: what is compiled here is compiled already."""
+    """Return the commands of a compose file, without its warm-up.
+
+    The functions are compiled already on this machine.
+    """
     found = commands_of((Path(deploy.__file__).resolve().parent / file).read_text(encoding="utf-8"), variables, mounts)
     return tuple(replace(c, after=tuple(n for n in c.after if n != WARM_UP)) for c in found if c.name != WARM_UP)
 
 
 def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Over a shorter course than that of the file; all else is as it is written."""
+    """Walk a shorter course than that of the file; all else is unchanged."""
     skip_where_taken(ROUTER_PORT, BUS_PORT)
     written = composed("compose.yaml", {NOTIFY_SOCKET: str(tmp_path / "NAME.notify")})
     other = {"steps": str(write_course(tmp_path, "low", 0.3))}
@@ -346,7 +355,7 @@ def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_eac
             client = [sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), base]
             with Ear.at(Endpoints((base,))) as ear:
 
-                def walks() -> bool:  # a servo of a busy machine may answer late: then it refuses to stand
+                def walks() -> bool:  # a servo of a busy machine may answer late: the robot then refuses to stand
                     subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
                     return len(ear.steps) > 2
 

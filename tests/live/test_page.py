@@ -1,6 +1,6 @@
-"""The operator's page in a real browser, before a simulated robot that walks live.
+"""The operator's page in a real browser, with a simulated robot that walks live.
 
-What must come within a time has time to spare here, for machines are shared; `sextant bench page` measures it.
+Time limits are generous here because machines are shared; `sextant bench page` measures the times.
 """
 
 import time
@@ -22,9 +22,9 @@ pytestmark = [
     pytest.mark.live,
     pytest.mark.skipif(not browsers.find(), reason=f"no browser found of {', '.join(browsers.BROWSERS)}: install Chromium"),
 ]
-SCAN_RATE_HZ = 5.0  # registered: the two cores of a small machine have the browsers to carry as well
-STAND_S = 30.0  # within which a robot that is not led any more stands, however busy the machine
-SOON_S = 2.0  # for what takes some tenths of a second where nobody else is busy
+SCAN_RATE_HZ = 5.0  # registered scans; the two cores of a small machine also run the browsers
+STAND_S = 30.0  # limit for a robot without an operator to stand, on a busy machine
+SOON_S = 2.0  # limit for what takes some tenths of a second on a quiet machine
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def hand(robot: PageRobot, chromium: Any) -> Iterator[Hand]:
-    """A page before a robot that stands, and is led by nobody else."""
+    """Open a page for a standing robot that no other page leads."""
     with open_page(robot, chromium) as made:
         if not robot.is_in(Mode.HOLD) or robot.state is None or robot.state.reason == "torque was on at the start":
             robot.stand(lambda: made.click('[data-order="stand"]'))
@@ -54,7 +54,7 @@ def hand(robot: PageRobot, chromium: Any) -> Iterator[Hand]:
 
 
 class open_page:  # noqa: N801 - it reads as what it does
-    """A page, closed at the end; what it has asked the network for is noted."""
+    """A page that is closed at the end; its network requests are recorded."""
 
     def __init__(self, robot: PageRobot, chromium: Any, size: tuple[int, int] = SMALL):
         self._robot, self._chromium, self._size = robot, chromium, size
@@ -73,7 +73,7 @@ class open_page:  # noqa: N801 - it reads as what it does
         return Hand(page)
 
     def _note(self, line: Any) -> None:
-        if line.type == "error" and "WebSocket connection" not in line.text:  # a test has cut it off
+        if line.type == "error" and "WebSocket connection" not in line.text:  # a test closed the connection
             self.errors.append(line.text)
 
     def __exit__(self, *_: object) -> None:
@@ -83,9 +83,12 @@ class open_page:  # noqa: N801 - it reads as what it does
 
 
 def walk(robot: PageRobot, hand: Hand) -> None:
-    """Hold the pad until it has walked for a second; a page that stood still, on a machine that is busy, is pressed anew."""
+    """Hold the pad until the robot has walked for a second.
+
+    The pad is pressed again if the page of a busy machine let the press lapse.
+    """
     presses, limit = 0, time.monotonic() + PATIENCE_S
-    walking: float | None = None  # since when
+    walking: float | None = None  # beginning of the walk
     while walking is None or time.monotonic() < walking + 1.0:
         if time.monotonic() > limit:
             said = f"the page says {hand.says('#leader-words')!r} and {hand.says('#notice')!r} after {presses} presses"
@@ -106,7 +109,10 @@ def stands(robot: PageRobot) -> None:
 
 
 def is_stopped(robot: PageRobot, since_s: float) -> None:
-    """The console itself has ordered it since a time; a robot that only waits for its next step stands, too."""
+    """Wait until the console has ordered a stop since `since_s`, and the robot stands.
+
+    A robot that waits for its next step stands too, without an order.
+    """
     robot.until(lambda: np.isfinite(robot.stop_ordered_after(since_s)), what="the console's order to stop")
     stands(robot)
 
@@ -138,7 +144,7 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
     page = hand.page
     if how == "keys":
         limit = time.monotonic() + PATIENCE_S
-        while not robot.is_in(Mode.WALK):  # a page that stood still, on a machine that is busy, is pressed anew
+        while not robot.is_in(Mode.WALK):  # the page of a busy machine may let a press lapse; it is then pressed again
             assert time.monotonic() < limit, f"a walk by keys; the page says {hand.says('#notice')!r}"
             page.keyboard.up("KeyW")
             page.keyboard.down("KeyW")
@@ -196,7 +202,7 @@ def test_torque_off_reaches_the_bus_while_it_walks(robot: PageRobot, hand: Hand)
 
 
 def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageRobot, chromium: Any, hand: Hand) -> None:
-    with open_page(robot, chromium) as second:  # before the walk: a browser that is busy opening a page lets a press lapse
+    with open_page(robot, chromium) as second:  # before the walk: a press lapses while a browser is busy with opening a page
         walk(robot, hand)
         assert second.says("#leader-words") == "page 1 leads"
         second.hold_forward()
@@ -278,7 +284,10 @@ def test_a_console_that_dies_stops_the_robot_and_the_page_comes_back(robot: Page
 def test_it_looks_right_on_a_desk_and_on_a_phone(
     robot: PageRobot, chromium: Any, hand: Hand, tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
-    """The pictures of the docs: `pytest tests/live/test_page.py -k looks --pictures docs`."""
+    """Draw the pictures of the docs.
+
+    pytest tests/live/test_page.py -k looks --pictures docs
+    """
     folder = Path(pytestconfig.getoption("--pictures") or tmp_path)
     hand.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
     hand.click("#look")

@@ -1,4 +1,4 @@
-"""The recorder as a process: what it keeps when it is killed, and what it says when it cannot record."""
+"""The recorder as a process: its recordings after a kill, and errors."""
 
 import subprocess
 import sys
@@ -30,7 +30,7 @@ def endpoints() -> Iterator[Endpoints]:
 
 @pytest.fixture
 def said(endpoints: Endpoints) -> Iterator[threading.Event]:
-    """Somebody who says something all the time, until the event is set."""
+    """Publish velocities continuously until the event is set."""
     stop = threading.Event()
 
     def speak() -> None:

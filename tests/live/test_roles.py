@@ -1,4 +1,4 @@
-"""An attack with a role's certificate on the processes of a robot that walks."""
+"""An attack with a role's certificate on the processes of a walking robot."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,7 @@
-"""The units that `sextant service install` writes, started by a test that plays systemd: their commands, nothing else."""
+"""The units that `sextant service install` writes, with the test as systemd.
+
+The test runs their commands, and nothing else.
+"""
 
 import os
 import re
@@ -20,13 +23,13 @@ from tests.support.unit_files import read_unit, words_of
 
 pytestmark = pytest.mark.live
 
-_ENDS_WITHIN_S = 5.0  # TimeoutStopSec=
+_ENDS_WITHIN_S = 5.0  # [s] TimeoutStopSec= of the units
 # As systemd does: the process finds its own number in WATCHDOG_PID.
 _START = 'export WATCHDOG_PID=$$ && exec "$@"'
 
 
 class Started:
-    """One unit's process, and what it has notified."""
+    """The process of a unit, and its notifications."""
 
     def __init__(self, unit: dict[str, dict[str, list[str]]], folder: Path, name: str):
         service = unit["Service"]

@@ -1,4 +1,7 @@
-"""A computer that is too slow, made by pausing processes: a run names what is late, and simulated time waits where it may."""
+"""A computer that is too slow, simulated by pausing processes.
+
+A run names its late inputs, and simulated time waits where it may.
+"""
 
 import json
 import os
@@ -17,7 +20,7 @@ pytestmark = pytest.mark.live
 
 @contextmanager
 def paused(command: Command, service: str, stands_s: float, runs_s: float) -> Iterator[None]:
-    """Let a service of a command stand still again and again."""
+    """Pause a service of a command repeatedly."""
     over = threading.Event()
 
     def send(number: signal.Signals) -> None:
@@ -42,7 +45,7 @@ def paused(command: Command, service: str, stands_s: float, runs_s: float) -> It
 
 
 def said(command: Command, *words: str) -> Callable[[], bool]:
-    """Whether one line of a command has all these words."""
+    """Return a condition: one line of the command's output has all these words."""
     return lambda: any(all(word in line for word in words) for line in command.said)
 
 

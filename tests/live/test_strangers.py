@@ -1,4 +1,7 @@
-"""The bench of strangers: while they connect, a base and a restarted actuator are let in."""
+"""The bench of unauthorized clients.
+
+A base and a restarted actuator connect while such clients connect.
+"""
 
 import json
 from pathlib import Path

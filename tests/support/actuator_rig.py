@@ -1,4 +1,4 @@
-"""The actuator whole, on emulated servos that go where they are told."""
+"""The whole actuator on emulated servos that follow their goals."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,12 +28,15 @@ TRIPOD = np.arange(6) % 2 == 0
 TICK = dxl.TICK_RAD
 OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 UP = np.array([0.0, 0.0, 1.0])
-STILL = 0.02  # [rad] of goals: sag that is integrated away, and rounding to ticks
+STILL = 0.02  # [rad] tolerance of goals: sag that is integrated away, and rounding to ticks
 CRAWL = PROFILE.rest_feet(0.03) + 0.05 * OUT
 
 
 class Rig:
-    """Servos on a bus, and the actuator that owns them. A servo with torque is at its goal a cycle later."""
+    """Servos on a bus, and the actuator that owns them.
+
+    A servo with torque reaches its goal one cycle later.
+    """
 
     def __init__(self, feet: Array = REST, torque: bool = True, latch: Latch | None = None) -> None:
         self.now_ns = 0
@@ -44,20 +47,20 @@ class Rig:
             self.bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
             self.bank.write(row, dxl.TORQUE_ENABLE.address, bytes([torque]))
         self.bus = ServoBusEmulator(self.bank)
-        self.push = np.zeros((6, 3))  # [N] {body} on the feet, as the servos feel it, besides what the ground gives
+        self.push = np.zeros((6, 3))  # [N] (6, 3) {body} on the feet, as the servos feel it, in addition to the ground's force
         self.ground = np.full(6, True)  # legs that stand on something when they are down
         self.order = 0
         self.ordered: ModeCommand | None = None
-        self.leads = True  # the planner sends the running step again and again, and the operator the order
+        self.leads = True  # the planner resends the running step periodically, and the operator resends the order
         self.running: StepPlan | None = None
-        self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay where they are, whatever they are told
+        self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay at this angle and ignore their goals
         self.state: ActuatorState | None = None
         self.permit = Permit()
-        self.suspended_ns = 0  # of the computer
+        self.suspended_ns = 0  # time for which the computer was suspended
         self.start()
 
     def start(self) -> None:
-        """A new actuator on the same servos."""
+        """Start a new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
         self.actuator = Actuator(
             PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.permit, lambda: self.suspended_ns
@@ -67,7 +70,7 @@ class Rig:
 
     @property
     def goals(self) -> Array:
-        """Joint angles (6, 3) that the servos are told."""
+        """Goal joint angles (6, 3) of the servos."""
         ticks = [int.from_bytes(self.bank.read(row, dxl.GOAL_POSITION.address, 2), "little") for row in range(18)]
         return PROFILE.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
 
@@ -86,7 +89,7 @@ class Rig:
         self.hear(self.ordered)
 
     def lead(self) -> None:
-        """What operator and planner say as long as they are there."""
+        """Resend the order and the running step, as the operator and the planner do."""
         state, plan = self.state, self.running
         if self.ordered is not None and self.now_ns % (25 * PERIOD) < PERIOD:
             self.hear(replace(self.ordered, stamp_ns=self.now_ns))
@@ -96,7 +99,7 @@ class Rig:
             self.hear(replace(plan, stamp_ns=self.now_ns, revision=plan.revision + 1))
 
     def cycle(self, count: int = 1) -> ActuatorState:
-        """Let cycles pass; the last state."""
+        """Run cycles and return the last state."""
         for _ in range(count):
             self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
             self.bus.advance(self.now_ns)
@@ -112,10 +115,10 @@ class Rig:
             self.made = list(self.actuator.step(Tick(self.now_ns), self.inbox))
             self.state = next((m for m in self.made if isinstance(m, ActuatorState)), self.state)
         assert self.state is not None
-        return self.state  # the last word: it speaks every other cycle, and when there is news
+        return self.state  # the newest one: the actuator publishes every second cycle, and at once on changes
 
     def plan(self, state: ActuatorState, x: float = 0.04, **changes: Any) -> StepPlan:
-        """The next step straight ahead, {world} being {odom}."""
+        """Return the next step straight ahead; {world} equals {odom}."""
         goal = state.body_ref @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3))
         feet = apply(state.T_odom_body, state.feet)
         swing = TRIPOD if (state.step + 1) % 2 else ~TRIPOD
@@ -137,16 +140,16 @@ class Rig:
         return replace(plan, **changes)
 
     def joint(self, row: int) -> float:
-        """[rad] where a joint (0 to 17) is."""
+        """Return the angle [rad] of a joint (0 to 17)."""
         return float(PROFILE.joint_angles(self.bank._q.reshape(6, 3)).flat[row])
 
     def air(self, state: ActuatorState) -> NDArray[np.bool_]:
-        """(6,) feet that are over the others."""
+        """Return a mask (6,) of the feet that are above the others."""
         heights = apply(state.T_odom_body, state.feet)[:, 2]
         return np.asarray(heights > heights.min() + 0.01)
 
     def walking(self) -> ActuatorState:
-        """Ordered to walk and standing."""
+        """Order the standing robot to walk, and return the state."""
         self.cycle(2)
         self.command("walk")
         return self.cycle()

@@ -1,4 +1,4 @@
-"""Who builds the robot, in a test: answers questions from a script, and has a hand on the workbench."""
+"""A scripted user for tests who builds a robot and answers questions."""
 
 from collections.abc import Callable, Iterable
 
@@ -6,7 +6,10 @@ Answer = str | bool | Callable[[], str | bool]
 
 
 class Builder:
-    """An operator whose answers are given in advance; a call among them is done when its turn comes."""
+    """An operator whose answers are given in advance.
+
+    An answer that is callable runs when its turn comes, and its result is the answer.
+    """
 
     def __init__(self, answers: Iterable[Answer] = (), absent: bool = False) -> None:
         self.absent = absent

@@ -1,4 +1,4 @@
-"""The command line as its user starts it, and everything that descends from it, alive or left behind."""
+"""Run the command line as its user does, and find all its descendants."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.idle import is_giving_way, weigh_little
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 180.0  # for whatever a busy machine may take long to do
+PATIENCE_S = 180.0  # for anything that may take long on a busy machine
 _LOOK_S = 0.02
 _MARK = "SEXTANT_TEST_MARK"
 
@@ -33,7 +33,7 @@ _MARK = "SEXTANT_TEST_MARK"
 def eventually(
     holds: Callable[[], object], what: str, within_s: float = PATIENCE_S, alive: Callable[[], bool] | None = None
 ) -> None:
-    """Wait for a condition; `alive` says whether it can still come."""
+    """Wait for a condition; `alive` tells whether it can still become true."""
     until, never = time.monotonic() + within_s, threading.Event()
     while not holds():
         assert alive is None or alive() or holds(), f"ended while waiting for {what}"
@@ -43,24 +43,27 @@ def eventually(
 
 @dataclass(frozen=True)
 class Process:
-    """One process of the family."""
+    """One process of those that a command started."""
 
     pid: int
     words: tuple[str, ...]  # its command line
 
     def value(self, option: str) -> str:
-        """What follows an option."""
+        """Return the word that follows an option."""
         return self.words[self.words.index(option) + 1]
 
 
 class Command:
-    """`python -m sextant.deploy.cli WORDS` in a process group of its own, as a shell starts it; a context manager."""
+    """`python -m sextant.deploy.cli WORDS` in a separate process group.
+
+    A shell starts commands in the same way. This class is a context manager.
+    """
 
     def __init__(self, *words: str, cwd: Path):
         self.said: list[str] = []  # lines of stdout and stderr
         self._words = words
         self._cwd = cwd
-        self._mark = uuid.uuid4().hex  # inherited by all descendants, whoever their parent is by then
+        self._mark = uuid.uuid4().hex  # inherited by all descendants, also after their parent has changed
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
@@ -90,44 +93,47 @@ class Command:
             error.add_note("it said:\n" + "\n".join(self.said[-30:]))
 
     def status(self, within_s: float = PATIENCE_S) -> int:
-        """Its exit status, once all that it said is read."""
+        """Return its exit status after all its output is read."""
         status = self.process.wait(within_s)
         self._reader.join(within_s)
         return status
 
     def text(self) -> str:
-        """All that it said so far."""
+        """Return all its output so far."""
         return "\n".join(self.said)
 
     def running(self) -> bool:
         return self.process.poll() is None
 
     def interrupt(self) -> None:
-        """Ctrl-C: the terminal signals the whole foreground group."""
+        """Send SIGINT to the foreground process group, as a terminal does on Ctrl-C."""
         os.killpg(self.process.pid, signal.SIGINT)
 
     def family(self) -> list[Process]:
-        """The processes that descend from it, itself among them, wherever they hang by now; zombies do not count."""
+        """Return the process and all its descendants, except zombies.
+
+        A descendant counts even if its parent has changed.
+        """
         mark = f"{_MARK}={self._mark}".encode()
         return [Process(pid, words) for pid, words, around in _processes() if mark in around]
 
     def service(self, name: str) -> Process | None:
-        """The running process of a service."""
+        """Return the running process of a service."""
         return next((found for found in self.family() if f"sextant.services.{name}" in found.words), None)
 
     def endpoints(self) -> Endpoints:
-        """Where its services meet, once they run."""
+        """Return the endpoints of its services after they have started."""
         self.wait_for(lambda: self.service("actuator"), "the actuator's process")
         found = self.service("actuator")
         assert found is not None
         return Endpoints((found.value("--connect"),), namespace=found.value("--namespace"))
 
     def wait_for(self, holds: Callable[[], object], what: str) -> None:
-        """Wait for a condition while it runs."""
+        """Wait for a condition while the command runs."""
         eventually(holds, what, alive=self.running)
 
     def gone(self, within_s: float = PATIENCE_S) -> None:
-        """Wait until nothing of it is left."""
+        """Wait until no process of it is left."""
         try:
             eventually(lambda: not self.family(), "no orphan", within_s)
         except AssertionError as error:
@@ -141,14 +147,14 @@ class Command:
 
 
 class Ear:
-    """Hears what a run says on the wire."""
+    """A listener for the messages of a run."""
 
     def __init__(self) -> None:
         self.mode: Mode | None = None
         self.lease: str | None = None
         self.reasons: set[str] = set()
-        self.steps: list[int] = []  # numbers of the steps walked, as they come
-        self.places: list[tuple[float, float]] = []  # [m] {odom} of the body in those
+        self.steps: list[int] = []  # numbers of the steps, in the order of arrival
+        self.places: list[tuple[float, float]] = []  # [m] {odom} positions of the body in those steps
 
     @classmethod
     @contextlib.contextmanager
@@ -164,7 +170,7 @@ class Ear:
         try:
             message = codec.decode(frame, topic.type)[0]
         except codec.DecodeError:
-            return  # where a connection is lost and made anew Zenoh may bring a frame under another's key; services refuse it
+            return  # after a reconnection Zenoh may deliver a frame under another frame's key; services reject it
         match message:
             case ActuatorState():
                 self.mode, self.lease = message.mode, message.lease
@@ -177,28 +183,28 @@ class Ear:
                 self.reasons.add(message.reason)
 
     def forget(self) -> None:
-        """Begin counting anew."""
+        """Clear the mode, the steps and the places."""
         self.mode, self.steps, self.places = None, [], []
 
     def walked(self, steps: int) -> bool:
-        """Whether it walks, and has done so for some steps."""
+        """Return whether it walks and has walked more than this number of steps."""
         return self.mode is Mode.WALK and len(self.steps) > steps
 
 
 def environment() -> dict[str, str]:
-    """What a process needs to find the program from any folder."""
+    """Return the environment with which a process finds the program from any folder."""
     return {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
 
 
 def skip_where_taken(*ports: int) -> None:
-    """Skip a test of commands that use these ports of 127.0.0.1 where somebody else does."""
+    """Skip a test of commands if another process uses one of their ports of 127.0.0.1."""
     for port in ports:
         if port_taken(port):
             pytest.skip(f"port {port} of 127.0.0.1, which these commands use, is taken; end what listens there")
 
 
 def write_course(folder: Path, name: str, distance: float) -> Path:
-    """A scenario file of somebody who writes his own: level ground."""
+    """Write a scenario file as a user might write one: level ground."""
     path = folder / f"{name}.toml"
     text = f'name = "{name}"\ntime_limit_s = 120.0\n[goal]\ndistance = {distance}\n[[terrain]]\nkind = "plane"\n'
     path.write_text(text, encoding="utf-8")
@@ -206,7 +212,10 @@ def write_course(folder: Path, name: str, distance: float) -> Path:
 
 
 def _processes() -> Iterator[tuple[int, tuple[str, ...], tuple[bytes, ...]]]:
-    """Id, command line and environment of every process of this user that is not a zombie."""
+    """Yield the ID, command line and environment of this user's processes.
+
+    Zombies are omitted.
+    """
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
@@ -214,7 +223,7 @@ def _processes() -> Iterator[tuple[int, tuple[str, ...], tuple[bytes, ...]]]:
             state = re.sub(r"\(.*\)", "", (entry / "stat").read_text()).split()[1]
             words = (entry / "cmdline").read_bytes()
             around = (entry / "environ").read_bytes()
-        except OSError:  # somebody else's, or gone meanwhile
+        except OSError:  # another user's process, or one that has ended meanwhile
             continue
         if state not in "ZX":
             yield int(entry.name), tuple(os.fsdecode(word) for word in words.split(b"\0")[:-1]), tuple(around.split(b"\0"))

@@ -1,6 +1,8 @@
-"""What is compiled, or loaded, when services rehearse, on one line; then what a walk after it adds, a line each.
+"""Compiled and loaded functions: during the warm-up, then during a walk.
 
-python -m tests.support.compiled steps 5.0     a process of its own: what another test has called is compiled already
+The first line of the output lists the functions of the warm-up. Each further line is one that the walk adds.
+
+python -m tests.support.compiled steps 5.0     needs a separate process: other tests have compiled functions already
 """
 
 import sys
@@ -14,14 +16,14 @@ SERVICES = ("sextant.services.perception", "sextant.services.mapper", "sextant.s
 
 
 def signatures() -> set[str]:
-    """Every signature of every compiled function of the services that rehearse."""
+    """Return every signature of the compiled functions of services that warm up."""
     modules = [module for name, module in sys.modules.items() if name.startswith(SERVICES)]
     functions = {f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return {f"{f.__module__}.{f.__name__}{signature}" for f in functions for signature in f.signatures}
 
 
 def main() -> None:
-    """Rehearse, walk, and tell what was new."""
+    """Warm up, walk, and print the new signatures."""
     scenario, until_s = load_scenario(sys.argv[1]), float(sys.argv[2])
     profile = load_profile(scenario.robot)
     rehearse(profile, sys.argv[1])

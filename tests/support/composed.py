@@ -1,4 +1,4 @@
-"""A compose file read back as the launcher's commands, so that a test can start exactly what it says without containers."""
+"""Read a compose file as the launcher's commands, to start it without containers."""
 
 import re
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ _FOR_EVER = 99
 
 
 def services_of(text: str, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """The services of a compose file by name, variables put in as compose does."""
+    """Return the services of a compose file by name, with variables substituted."""
     services = yaml.safe_load(_interpolated(text, variables or {}))["services"]
     assert isinstance(services, dict)
     return services
@@ -21,11 +21,11 @@ def services_of(text: str, variables: Mapping[str, str] | None = None) -> dict[s
 def commands_of(
     text: str, variables: Mapping[str, str] | None = None, mounts: Mapping[str, str] | None = None
 ) -> tuple[Command, ...]:
-    """The commands, environments, restarts and dependencies of a compose file.
+    """Return the commands, environments, restarts and dependencies of a compose file.
 
     Args:
-        text: Of the file.
-        variables: Of the shell that starts compose.
+        text: Content of the file.
+        variables: Environment of the shell that starts compose.
         mounts: Path as a container sees it -> this machine's; `NAME` in the latter is the service's name.
     """
     found = []
@@ -55,7 +55,10 @@ def commands_of(
 
 
 def _interpolated(text: str, variables: Mapping[str, str]) -> str:
-    """${NAME:-default} and ${NAME:?what is missing}; without a value the latter is an error, as it is to compose."""
+    """Substitute ${NAME:-default} and ${NAME:?message}.
+
+    As in compose, the second form raises an error if the variable has no value.
+    """
 
     def value(found: re.Match[str]) -> str:
         name, kind, rest = found.groups()

@@ -1,4 +1,4 @@
-"""Recorded depth sequences of made-up scenes, in the TUM RGB-D layout."""
+"""Recorded depth sequences of synthetic scenes, in the TUM RGB-D layout."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,16 +26,16 @@ def write_folder(
     depth_scale: float = 1000.0,
     min_range: float = 0.5,
 ) -> Path:
-    """Write what a camera sees of a floor with boxes.
+    """Write the depth images that a camera takes of a floor with boxes.
 
     Args:
-        folder: Made here.
+        folder: Folder to create.
         poses: (4, 4) T_world_camera of each picture.
-        boxes: (n, 6) [m] lower and upper corners, or those of each picture.
-        seed: Of the noise.
+        boxes: (n, 6) [m] lower and upper corners, the same for all pictures or one set for each picture.
+        seed: Seed of the noise.
         truth: Whether groundtruth.txt is written.
-        depth_scale: What camera.toml states; the images are in millimetres.
-        min_range: [m] what camera.toml states.
+        depth_scale: Value in camera.toml; the images are in millimetres.
+        min_range: [m] Value in camera.toml.
     """
     rng = np.random.default_rng(seed)
     camera = tum.Camera(CAMERA, depth_scale, RATE_HZ, np.array([0.0, 0.0, -1.0]), min_range=min_range)
@@ -47,7 +47,10 @@ def write_folder(
 
 
 def room() -> NDArray[np.float64]:
-    """Boxes of different sizes on a floor, in no pattern: every direction is observable wherever the camera looks."""
+    """Boxes of different sizes at random places on a floor.
+
+    Every direction is observable from every camera pose.
+    """
     rng = np.random.default_rng(11)
     corners = rng.uniform([0.6, -1.5], [6.0, 1.5], (70, 2))
     sizes = rng.uniform(0.08, 0.2, (70, 2))

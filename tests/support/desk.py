@@ -1,4 +1,4 @@
-"""Emulated servos on a workbench, reached in memory, with the time in the test's hand."""
+"""Emulated servos on a workbench, reached in memory, in virtual time."""
 
 import numpy as np
 
@@ -21,14 +21,14 @@ class Desk:
         self.profile = profile
         self.bench = Workbench(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
         self.tables = self.bench._servos.tables
-        self.rates: list[int] = []  # at which a port was opened
+        self.rates: list[int] = []  # rates at which a port was opened
         self.port = MemoryPort(self.bench, lambda: 0)
 
     def clock(self) -> int:
         return self.port.now_ns()
 
     def open(self, rate: int = 1_000_000) -> MemoryPort:
-        """Another port to the same servos, at another rate, later."""
+        """Close the port, and open another to the same servos, possibly at another rate."""
         now = self.clock()
         self.port.close()
         self.port = MemoryPort(self.bench, lambda: now)
@@ -43,22 +43,22 @@ class Desk:
         return ServoBus(self.open(), list(names), self.clock, model=model, names=names)
 
     def settle(self) -> None:
-        """Let what was written arrive, and joints come to rest."""
+        """Wait until written data has arrived and the joints are at rest."""
         for _ in range(100):
             self.port.read(1)
         self.bench.receive(b"", self.clock())
 
     def row(self, servo_id: int) -> int:
-        """The first servo that has an id."""
+        """Return the row of the first servo that has this ID."""
         return self.bench._with_id(servo_id)[0]
 
     def change(self, servo_id: int, register: dxl.Register, value: int) -> None:
-        """Have a servo another value than anybody wrote."""
+        """Change a value in a servo's table, bypassing the host."""
         self.bench._servos.write(self.row(servo_id), register.address, register.encode(value))
         self.bench._find_listeners()
 
     def reset(self, servo_id: int) -> None:
-        """Have a servo back as from the factory."""
+        """Reset a servo to its factory settings."""
         row = self.row(servo_id)
         position = self.tables[row, 36:38].copy()
         self.bench._servos.write(row, 0, self.bench._servos.model.factory_table())

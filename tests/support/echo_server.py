@@ -1,4 +1,4 @@
-"""A TLS server that asks for certificates, and stands in for a router."""
+"""A TLS server that requires client certificates; it replaces a router in tests."""
 
 import socket
 import ssl
@@ -8,7 +8,10 @@ from pathlib import Path
 
 
 class EchoServer:
-    """Answers with the common name that a client's certificate has, 16 bytes, then sends back what comes."""
+    """A server that sends the client's common name (16 bytes), then echoes all data.
+
+    The name is that of the client's certificate.
+    """
 
     def __init__(self, authority: Path, certificate: Path, key: Path | None = None, port: int = 0):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -53,7 +56,7 @@ class EchoServer:
 
 
 def read(link: socket.socket, size: int) -> bytes:
-    """Read so many bytes."""
+    """Read this number of bytes."""
     data = b""
     while len(data) < size:
         more = link.recv(1 << 16)

@@ -1,11 +1,11 @@
-"""Frames of machines that speak otherwise."""
+"""Frames with another version's schema."""
 
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import Message
 
 
 def of_another_version(message: Message) -> bytes:
-    """A frame of a message as a version in which its type was declared otherwise would have made it."""
+    """Return the frame of a message whose type is declared differently elsewhere."""
     name = codec.schema_id(type(message))
     other = name.partition(":")[0] + ":00000000"
     assert len(other) == len(name)

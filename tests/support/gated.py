@@ -1,4 +1,4 @@
-"""A guarded router on loopback, keys of every role and of strangers, and a reader that counts what comes through."""
+"""A secured router on loopback, valid and foreign keys, and a counting reader."""
 
 import json
 import threading
@@ -17,12 +17,12 @@ from sextant.shared.wire.topics import Topic
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 NAMESPACE = "here"
-PATIENCE_S = 10.0  # an event that has not come by then never will
-_REFUSAL_S = 1.5  # for which somebody tries who is not to be let in
+PATIENCE_S = 10.0  # longest wait for an event
+_REFUSAL_S = 1.5  # [s] for which an unauthorized client tries to connect
 
 
 def make_keys(folder: Path) -> Path:
-    """A folder for each role, one that has expired, and one of another authority that has made the same roles."""
+    """Create keys of each role, expired keys, and keys by another authority."""
     authority, other = Authority(days=30), Authority(days=30)
     for role in ROLES:
         authority.issue(folder / role.name, role.name)
@@ -32,10 +32,10 @@ def make_keys(folder: Path) -> Path:
 
 
 def stranger(endpoint: str, tls: dict[str, Any] | None, mode: str = "client") -> zenoh.Session:
-    """A client that is not to be let in, and soon gives up.
+    """Try briefly to open a session with a client that has to be refused.
 
     Raises:
-        zenoh.ZError: It is not let in.
+        zenoh.ZError: The router refuses it.
     """
     return session(endpoint, tls, mode, patience_s=_REFUSAL_S)
 
@@ -43,10 +43,10 @@ def stranger(endpoint: str, tls: dict[str, Any] | None, mode: str = "client") ->
 def session(
     endpoint: str, tls: dict[str, Any] | None, mode: str = "client", listen: str = "", patience_s: float = PATIENCE_S
 ) -> zenoh.Session:
-    """A client that keeps to no rules of ours: only what the listener lets through comes through.
+    """Open a session without this project's rules; only the listener restricts it.
 
     Raises:
-        zenoh.ZError: It is not let in.
+        zenoh.ZError: The router refuses it.
     """
     config: dict[str, Any] = {
         "mode": mode,
@@ -59,7 +59,10 @@ def session(
 
 
 def tls_of(folder: Path, trusted: Path | None = None) -> dict[str, Any]:
-    """What a client shows, of keys that may have expired or be foreign; `trusted` has the authority that it takes."""
+    """Return the TLS settings of a client, possibly with expired or foreign keys.
+
+    `trusted` is the folder with the authority that the client accepts; the default is its own folder.
+    """
     return {
         "root_ca_certificate": str((trusted or folder) / "ca.pem"),
         "enable_mtls": True,
@@ -70,7 +73,7 @@ def tls_of(folder: Path, trusted: Path | None = None) -> dict[str, Any]:
 
 
 class Inside:
-    """A process of the robot's own machine that reads topics, and counts."""
+    """A process on the robot's own machine that reads topics and counts their frames."""
 
     def __init__(self, plain: str, *topics: Topic[Any]):
         self.count: Counter[str] = Counter()
@@ -88,7 +91,7 @@ class Inside:
             self._news.notify_all()
 
     def until(self, done: Callable[[], bool], what: str) -> None:
-        """Wait for something to have come."""
+        """Wait until a condition on the received frames holds."""
         with self._news:
             assert self._news.wait_for(done, PATIENCE_S), f"{what}; so far {dict(self.count)}"
 
@@ -97,12 +100,15 @@ class Inside:
 
 
 def put_until(inside: Inside, link: ZenohLink, topic: Topic[Any], frame: bytes) -> None:
-    """Put a frame again and again until it has come: what was put before it by the same client has then been judged."""
+    """Send a frame repeatedly until it is received.
+
+    The router has then processed all that this client sent before.
+    """
     again(inside, topic, frame, lambda: link.send(topic, frame))
 
 
 def again(inside: Inside, topic: Topic[Any], frame: bytes, put: Callable[[], object]) -> None:
-    """Likewise, by whatever puts it."""
+    """Call `put` repeatedly until this frame is received on the topic."""
     until, pause = time.monotonic() + PATIENCE_S, threading.Event()
     while inside.newest.get(topic.key) != frame:
         assert time.monotonic() < until, f"{topic.key} does not come through; so far {dict(inside.count)}"

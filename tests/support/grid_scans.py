@@ -1,4 +1,4 @@
-"""Scans as tests put them into an elevation grid."""
+"""Fuse scans into an elevation grid in tests."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ CAMERA = np.array([0.0, 0.0, 0.25])
 
 
 def centres(grid: ElevationGrid) -> NDArray[np.float64]:
-    """(nx * ny, 2) centres of every cell of the window, in world order."""
+    """Return the centres (nx * ny, 2) of all cells of the window, in {world} order."""
     i, j = np.mgrid[: grid.shape[0], : grid.shape[1]]
     return np.asarray(grid.origin + grid.resolution * np.stack([i, j], axis=-1).reshape(-1, 2))
 
@@ -21,7 +21,7 @@ def centres(grid: ElevationGrid) -> NDArray[np.float64]:
 def scan(
     grid: ElevationGrid, xy: NDArray[np.float64], z: NDArray[np.float64] | float, count: int = 4, **kwargs: Any
 ) -> FusionCount:
-    """Fuse heights [m] at places (n, 2) [m], seen from CAMERA."""
+    """Fuse heights [m] at positions (n, 2) [m], seen from CAMERA."""
     points = np.column_stack([xy, np.broadcast_to(z, len(xy))])
     return grid.fuse(scan_of(points, np.full(len(xy), count), np.zeros(len(xy)), CAMERA, **kwargs))
 

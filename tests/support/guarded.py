@@ -1,4 +1,4 @@
-"""A small model of the actuator around the guard, and plans that must not pass."""
+"""A small model of the actuator around the guard, and plans that must be rejected."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +24,10 @@ BROKEN, SPENT = Verdict(broken="a servo is silent"), Verdict(sit="the battery is
 
 
 class Robot:
-    """Legs that do what the guard says, and nothing else that an actuator has: a step runs or not, a pose is taken or not."""
+    """Legs that follow the guard, without the rest of an actuator.
+
+    A step runs or does not run; a pose is reached or not reached.
+    """
 
     def __init__(self, torque: bool) -> None:
         self.guard = Guard(PROFILE, AGE_NS * 1e-9, EPOCH, torque)
@@ -32,10 +35,10 @@ class Robot:
         self.torque, self.still, self.posing = torque, False, ""
         self.verdict = Verdict()
         self.step, self.swing = 0, np.zeros(6, dtype=bool)
-        self.running = self.own = self.searching = False  # a step, and whether it is none of a plan; a foot on its way down
+        self.running = self.own = self.searching = False  # a step runs; it is not from a plan; a foot searches for the ground
         self.next: StepPlan | None = None
         self.trouble = ""
-        self.lifted = np.full(6, np.inf)  # [m] clearance of the running step's feet, once they are in the air
+        self.lifted = np.full(6, np.inf)  # [m] clearance of the running step's swing feet
         self.number = 0
 
     @property
@@ -51,10 +54,10 @@ class Robot:
             self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.trouble if self.searching else ""
         )
 
-    # What the operator, the planner and the clock do.
+    # Actions of the operator, the planner and the clock.
 
     def order(self, mode: str, holder: str = "a", take: bool = False) -> tuple[Act, ...]:
-        """A new order."""
+        """Send a new order."""
         self.number = max(self.number + 1, self.now)
         return self.hear(ModeCommand(self.now, mode, self.number, holder, take))  # type: ignore[arg-type]
 
@@ -62,7 +65,7 @@ class Robot:
         return self.perform(self.guard.hear(order, self.now))
 
     def plan(self, **changes: Any) -> StepPlan:
-        """The next step, on the spot; the other legs than those of the last one."""
+        """Return the next step, in place; it swings the other tripod."""
         good = StepPlan(
             stamp_ns=self.now,
             epoch=self.guard.epoch,
@@ -79,7 +82,7 @@ class Robot:
         return replace(good, **changes)
 
     def renewal(self, **changes: Any) -> StepPlan:
-        """The running step, planned once more."""
+        """Return a new revision of the running step."""
         return self.plan(**{"step": self.step, "swing": self.swing, **changes})
 
     def consider(self, plan: StepPlan) -> bool:
@@ -89,13 +92,13 @@ class Robot:
         return taken
 
     def cycle(self, after: int = CYCLE, ends: bool = False) -> tuple[Act, ...]:
-        """The next cycle; on demand what goes on in it ends."""
+        """Run the next cycle; with `ends`, complete the current motion."""
         self.now += after
         acts = self.move(ends) if self.torque and not self.still else ()
         return (*acts, *self.perform(self.guard.watch(self.now, self.legs, self.verdict)))
 
     def move(self, ends: bool) -> tuple[Act, ...]:
-        """The legs go on; on demand what they are about ends."""
+        """Advance the legs; with `ends`, complete their current motion."""
         if self.posing and ends:
             posing, self.posing = self.posing, ""
             if posing == "lie":
@@ -114,7 +117,7 @@ class Robot:
         return ()
 
     def perform(self, acts: tuple[Act, ...]) -> tuple[Act, ...]:
-        """As the actuator does."""
+        """Perform the guard's acts as the actuator does."""
         for act in acts:
             match act:
                 case Act.LET_GO:
@@ -131,10 +134,10 @@ class Robot:
                     self.next = None
         return acts
 
-    # How it gets where.
+    # Ways to reach a state.
 
     def walking(self) -> "Robot":
-        """In the middle of a step."""
+        """Bring the robot to the middle of a step."""
         self.order("walk")
         assert self.consider(self.plan())
         self.cycle()
@@ -144,7 +147,7 @@ class Robot:
 
 
 def in_mode(mode: Mode) -> Robot:
-    """A robot whose operator is `a`."""
+    """Return a robot in a mode; its operator is `a`."""
     robot = Robot(torque=mode is not Mode.OFF)
     robot.cycle()
     match mode:
@@ -165,7 +168,7 @@ def in_mode(mode: Mode) -> Robot:
 
 
 def rested(robot: Robot, cycles: int = 6) -> Robot:
-    """After everything that goes on has ended."""
+    """Complete all current motions."""
     for _ in range(cycles):
         robot.cycle(ends=True)
     return robot

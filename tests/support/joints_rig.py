@@ -1,4 +1,4 @@
-"""The joints on emulated servos that go where they are told, and all that was said to them."""
+"""The joints on emulated servos that follow their goals, with a log of the bus."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,12 +24,12 @@ IDS = PROFILE.servo_ids.ravel().tolist()
 STAND = PROFILE.servo_angles(body_inverse(PROFILE, PROFILE.rest_feet())).ravel()  # (18,) [rad]
 PERIOD = 20_000_000
 TICK = dxl.TICK_RAD
-SERVO = 7  # of 0 to 17
+SERVO = 7  # row of a servo, 0 to 17
 LEG, JOINT = divmod(SERVO, 3)
 
 
 class Tap(BusFaults):
-    """The bus with its faults, and all that a host has said on it."""
+    """The bus with its faults, and a log of all packets from the host."""
 
     def __init__(self, bank: ServoBank) -> None:
         super().__init__(ServoBusEmulator(bank), bank)
@@ -41,17 +41,17 @@ class Tap(BusFaults):
 
 
 class JointsRig:
-    """Servos that go where they are told within a cycle, if they pull."""
+    """Servos that reach their goals within a cycle if their torque is on."""
 
     def __init__(self, torque: bool = True, off: Array | float = 0.0, opener: Callable[[], Any] | None = None) -> None:
-        """Goals may lie off where the joints are, by (18,) [rad]."""
+        """Create servos whose goals differ from the joint positions by `off` (18,) [rad]."""
         self.now_ns = 0
         self.bank = ServoBank(IDS, q=STAND)
         for row, goal in enumerate(STAND + off):
             self.put(row, dxl.GOAL_POSITION, dxl.ticks_from_angle(goal))
             self.put(row, dxl.TORQUE_ENABLE, int(torque))
         self.bus = Tap(self.bank)
-        self.device: Tap | Board = self.bus  # that the port leads to
+        self.device: Tap | Board = self.bus  # the device behind the port
         self.q = STAND.copy()
         self.port: MemoryPort | None = None
         self.opener = opener or self.plug_in
@@ -102,12 +102,12 @@ class JointsRig:
 
     @property
     def said_speeds(self) -> list[int]:
-        """Moving speeds of the newest goals, heard or not."""
+        """Moving speeds in the newest goals that were sent, received or not."""
         goals = next(p for p in reversed(self.bus.said) if p.code == Instruction.SYNC_WRITE and p.parameters[1] == 4)
         return [int.from_bytes(goals.parameters[at + 3 : at + 5], "little") for at in range(2, len(goals.parameters), 5)]
 
     def orders(self, since: int = 0) -> list[str]:
-        """What was said to the servos, but for questions."""
+        """Return what the host wrote to the servos; reads are omitted."""
         words = []
         for packet in self.bus.said[since:]:
             if packet.code in (Instruction.WRITE, Instruction.SYNC_WRITE):

@@ -1,9 +1,11 @@
-"""How many small changes of a module its tests notice: `python -m tests.support.mutate services/actuator/safety/guard.py`.
+"""Mutation tests of a module.
 
-Of guard.py the tests are test_guard_*.py, then test_guard.py; they must know the module by its classes. Comparisons, Boolean
-words, numbers, words, members of enumerations, arithmetic, branches, statements and returns are changed one at a time in the
-module's syntax tree; its tests run against each changed module until one fails. What survives is printed: a law that nobody has
-written down, or a change that makes no difference.
+python -m tests.support.mutate services/actuator/safety/guard.py
+
+The tests of guard.py are test_guard_*.py, then test_guard.py; they must use the module by its classes. Comparisons, Boolean
+operators, numbers, strings, members of enumerations, arithmetic, branches, statements and returns are changed one at a time in
+the module's syntax tree. The tests run against each changed module until one fails. The survivors are printed: each is a rule
+without a test, or a change that makes no difference.
 """
 
 import ast
@@ -44,16 +46,16 @@ _COMPUTED: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitOr: ast.BitAnd,
     ast.BitAnd: ast.BitOr,
 }
-_LEAST_S = 5.0  # of the processor's time that a mutant has
-_TIMES = 3.0  # what the unchanged module takes, likewise: what takes longer hangs
-_MOST = 255  # exit codes
+_LEAST_S = 5.0  # [s] least processor time of a mutant
+_TIMES = 3.0  # limit as a multiple of the unchanged module's time; a mutant that takes longer hangs
+_MOST = 255  # largest exit code
 _QUIETLY = ("-q", "--no-header", "-s", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
-_UNTOUCHED = ("annotation", "returns", "decorator_list", "bases")  # what types say, and what makes a class
-_Way = tuple[tuple[str, int | None], ...]  # from the root of a tree to a node
+_UNTOUCHED = ("annotation", "returns", "decorator_list", "bases")  # type annotations, and the definition of a class
+_Way = tuple[tuple[str, int | None], ...]  # path from the root of a tree to a node
 
 
 class Mutant(NamedTuple):
-    """A changed module; as long as the next one is not asked for."""
+    """A changed module; valid until the next one is requested."""
 
     line: int
     was: str
@@ -62,12 +64,12 @@ class Mutant(NamedTuple):
 
 
 def mutants(module: ModuleType, source: str) -> Iterator[Mutant]:
-    """Every change of a module's functions and numbers, one at a time."""
+    """Yield every change of a module's functions and numbers, one at a time."""
     root = ast.parse(source)
     for way, node in list(_nodes(root)):
         within = [type(step) for step in _along(root, way)]
         if ast.ClassDef in within and ast.FunctionDef not in within:
-            continue  # fields, and words of enumerations
+            continue  # fields, and strings of enumerations
         for change, other in _changes(node, module, ast.FunctionDef in within):
             was = ast.unparse(node).splitlines()[0]
             _put(root, way, copy.deepcopy(other))
@@ -76,7 +78,10 @@ def mutants(module: ModuleType, source: str) -> Iterator[Mutant]:
 
 
 def _changes(node: ast.AST, module: ModuleType, inside: bool) -> Iterator[tuple[str, ast.AST]]:
-    """What may stand in place of a node; statements go only inside functions, where their absence is not noticed at once."""
+    """Yield the replacements of a node.
+
+    Statements are removed only inside functions; outside them their absence is noticed at once.
+    """
     match node:
         case ast.Compare(left, ops, comparators):
             for i, op in enumerate(ops):
@@ -116,7 +121,7 @@ def _changes(node: ast.AST, module: ModuleType, inside: bool) -> Iterator[tuple[
 
 
 def _nodes(node: ast.AST, way: _Way = ()) -> Iterator[tuple[_Way, ast.AST]]:
-    """Every node that may be changed, with the way to it."""
+    """Yield every node that may be changed, with its path."""
     for name, value in ast.iter_fields(node):
         if name in _UNTOUCHED or (isinstance(node, ast.Expr) and isinstance(value, ast.Constant)):  # a docstring
             continue
@@ -143,16 +148,19 @@ def _put(tree: ast.AST, way: _Way, other: ast.AST) -> None:
 
 
 class Hunt:
-    """A plugin of pytest that runs the tests it has collected against one mutant after the other, in processes of their own."""
+    """A pytest plugin that runs the collected tests against each mutant.
+
+    Each mutant runs in a separate process.
+    """
 
     def __init__(self, path: str):
         self._path, self._source = path, Path(path).read_text(encoding="utf-8")
         self._module = importlib.import_module(".".join(Path(path).with_suffix("").parts))
-        self._tests: list[pytest.Item] = []  # those that have killed last come first: neighbours die alike
+        self._tests: list[pytest.Item] = []  # the latest killer comes first: neighbouring mutants often fail the same test
         self._patience_s = 60.0
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """In place of a run of the tests."""
+        """Run the hunt instead of the tests."""
         self._tests, made, left = list(session.items), 0, 0
         if not self._survives(ast.parse(self._source)):
             raise pytest.UsageError("the tests fail as the module is: mend that first")
@@ -168,22 +176,25 @@ class Hunt:
     def _survives(self, tree: ast.Module) -> bool:
         child = os.fork()
         if child == 0:
-            signal.setitimer(signal.ITIMER_VIRTUAL, self._patience_s)  # one that never ends is noticed, too
+            signal.setitimer(signal.ITIMER_VIRTUAL, self._patience_s)  # a mutant that never ends counts as noticed
             try:
                 os._exit(self._run(tree))
             finally:
-                os._exit(_MOST)  # whatever went wrong, there is one hunter
+                os._exit(_MOST)  # the child must not return to pytest
         failed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if 0 < failed <= len(self._tests):
             self._tests.insert(0, self._tests.pop(failed - 1))
         return failed == 0
 
     def _run(self, tree: ast.Module) -> int:
-        """Which test fails, counted from 1, if any; the classes that the tests know get the changed functions."""
+        """Return the number of the failing test from 1, or 0.
+
+        The classes that the tests know get the changed functions.
+        """
         changed: dict[str, object] = {"__name__": self._module.__name__}
         try:
             exec(compile(tree, self._path, "exec"), changed)
-        except Exception:  # noqa: BLE001  (whatever a changed module does, it is noticed)
+        except Exception:  # noqa: BLE001  (any exception of a changed module counts as noticed)
             return _MOST
         for name, known in [(n, k) for n, k in vars(self._module).items() if isinstance(k, type)]:
             if known.__module__ == self._module.__name__ and not issubclass(known, enum.Enum):
@@ -199,8 +210,8 @@ class Hunt:
 
 
 def main(path: str) -> int:
-    """Change a module in every way, and print what its tests did not notice."""
-    settings.register_profile("once", phases=[Phase.explicit, Phase.generate])  # a failure will do; none is made smaller
+    """Apply every change to a module, and print the changes that its tests miss."""
+    settings.register_profile("once", phases=[Phase.explicit, Phase.generate])  # any failure will do; no shrinking
     settings.load_profile("once")
     folder, stem = Path("tests/unit", *Path(path).parts[1:-1]), Path(path).stem
     tests = [*sorted(folder.glob(f"test_{stem}_*.py")), folder / f"test_{stem}.py"]

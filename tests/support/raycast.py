@@ -14,7 +14,10 @@ R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
 
 @compiled
 def _cast(rays, R, p, boxes, out):  # type: ignore[no-untyped-def]
-    """Depth of the nearest surface along each ray with z = 1: the floor z = 0 or a box; infinite where none."""
+    """Compute the depth of the nearest surface along each ray with z = 1.
+
+    Surfaces are the floor z = 0 and the boxes; the depth is infinite where a ray meets none.
+    """
     for n in range(len(rays)):
         dx = R[0, 0] * rays[n, 0] + R[0, 1] * rays[n, 1] + R[0, 2]
         dy = R[1, 0] * rays[n, 0] + R[1, 1] * rays[n, 1] + R[1, 2]
@@ -33,7 +36,10 @@ def _cast(rays, R, p, boxes, out):  # type: ignore[no-untyped-def]
 
 
 def depth_image(T_world_camera, boxes=(), rng=None, intrinsics=INTRINSICS, sensor=SENSOR) -> NDArray[np.uint16]:
-    """Raw depth (h, w) of the world at a pose, with disparity noise when a generator is given."""
+    """Return the raw depth (h, w) of the world at a pose.
+
+    Disparity noise is added if a generator is given.
+    """
     rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))).reshape(-1, 3)
     z = np.empty(len(rays))
     _cast(rays, T_world_camera[:3, :3].copy(), T_world_camera[:3, 3].copy(), np.reshape(boxes, (-1, 6)) * 1.0, z)
@@ -46,5 +52,5 @@ def depth_image(T_world_camera, boxes=(), rng=None, intrinsics=INTRINSICS, senso
 
 
 def camera_pose(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.25, pitch=0.5236, roll=0.0):
-    """A camera looking ahead and down: T_world_camera of its height and attitude."""
+    """Return T_world_camera of a camera that looks ahead and down."""
     return from_xyz_rpy([x, y, z], [roll, pitch, yaw]) @ transform(R_FORWARD_OPTICAL, np.zeros(3))

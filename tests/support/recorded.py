@@ -1,4 +1,4 @@
-"""Messages of every kind that a recording is made of."""
+"""Messages of every type that a recording contains."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def velocity(stamp_ns: int, rng: np.random.Generator) -> VelocityCommand:
 
 
 def some_messages(seed: int = 0, n: int = 40) -> list[tuple[AnyTopic, Message, int]]:
-    """Two a second."""
+    """Return two messages per second, one of each topic."""
     rng = np.random.default_rng(seed)
     made: list[tuple[AnyTopic, Message, int]] = []
     for i in range(n):
@@ -31,7 +31,7 @@ def some_messages(seed: int = 0, n: int = 40) -> list[tuple[AnyTopic, Message, i
 
 
 def terrain(stamp_ns: int, shape: tuple[int, int] = (5, 4), colored: bool = False) -> TerrainMap:
-    """A map of a slope, its first row unknown."""
+    """Return a map of a slope; its first row is unknown."""
     rng = np.random.default_rng(stamp_ns)
     elevation = rng.uniform(-0.1, 0.3, shape).astype(np.float32)
     elevation[0] = np.nan

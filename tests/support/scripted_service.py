@@ -1,4 +1,4 @@
-"""A service that does what a test says, and messages for it."""
+"""A service with scripted behaviour, and messages for it."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ def status(step: int) -> PlannerStatus:
 
 @dataclass
 class Scripted:
-    """A service that does what a test says."""
+    """A service whose behaviour the test defines."""
 
     name: str
     paced_by: Any

@@ -1,4 +1,4 @@
-"""A page's server that a thread waits with, so that the test can be the browser."""
+"""Serve a page in a thread, so that the test can act as the browser."""
 
 import threading
 from collections.abc import Callable
@@ -7,10 +7,13 @@ from typing import Self
 
 
 class Serving:
-    """Waits with a server again and again; whoever else calls the server takes `turn`. A context manager."""
+    """A thread that calls a server's `wait` repeatedly; a context manager.
+
+    Other callers of the server must hold `turn`.
+    """
 
     def __init__(self, wait: Callable[[float], object]):
-        """With its `wait` [s]."""
+        """Use this `wait` [s]."""
         self.turn = threading.Lock()
         self._wait = wait
         self._over = threading.Event()

@@ -1,4 +1,7 @@
-"""A small process for the launcher's tests, in place of a service: python stand_in.py BEHAVIOUR [WORD ...] [--parent PID]."""
+"""A small process that replaces a service in the launcher's tests.
+
+python stand_in.py BEHAVIOUR [WORD ...] [--parent PID]
+"""
 
 import faulthandler
 import os
@@ -28,13 +31,13 @@ def end_with(parent: int) -> None:
 
 
 def obedient() -> int:
-    """Ends when asked."""
+    """End on SIGTERM."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     return ready_and_wait()
 
 
 def counting() -> int:
-    """Says how often it has been asked to end, and ends half a second after the first time."""
+    """Report the number of SIGTERMs, and end half a second after the first."""
     asked: list[int] = []
     signal.signal(signal.SIGTERM, lambda *_: asked.append(1))
     say(f"ready {os.getpid()}")
@@ -46,13 +49,13 @@ def counting() -> int:
 
 
 def stubborn() -> int:
-    """Does not end when asked."""
+    """Ignore SIGTERM."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return ready_and_wait()
 
 
 def crash(message: str) -> int:
-    """Ends in a traceback once it gets SIGUSR1."""
+    """Fail with a traceback on SIGUSR1."""
 
     def fail(_number: int, _frame: FrameType | None) -> None:
         raise RuntimeError(message)
@@ -62,27 +65,27 @@ def crash(message: str) -> int:
 
 
 def refuse(message: str) -> int:
-    """Says what the caller got wrong."""
+    """Print an error of the caller, and end with status 2."""
     say(message)
     return 2
 
 
 def listen(port: str) -> int:
-    """Listens on a port once it gets SIGUSR1."""
+    """Listen on a port after SIGUSR1."""
     opened = []
     signal.signal(signal.SIGUSR1, lambda *_: opened.append(socket.create_server(("127.0.0.1", int(port)))))
     return ready_and_wait()
 
 
 def family() -> int:
-    """Has a child of its own that does not end when asked."""
+    """Start a child process that ignores SIGTERM."""
     child = subprocess.Popen([sys.executable, __file__, "stubborn"])
     say(f"child {child.pid}")
     return ready_and_wait()
 
 
 def beating() -> int:
-    """Gives a sign of life ten times a second, as a service's loop does, until it ends when asked."""
+    """Send watchdog pulses at 10 Hz, as a service's loop does, until SIGTERM."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     name = os.environ["NOTIFY_SOCKET"].replace("@", "\0", 1)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as watcher:
@@ -94,7 +97,7 @@ def beating() -> int:
 
 
 def hanging() -> int:
-    """Gives one sign of life, and then none while it goes round in circles."""
+    """Send one watchdog pulse, then loop forever without another."""
     faulthandler.enable()
     name = os.environ["NOTIFY_SOCKET"].replace("@", "\0", 1)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as watcher:

@@ -1,4 +1,4 @@
-"""What an actuator says of a robot that stands, to change what a test is about."""
+"""Actuator states of a standing robot, for tests to change."""
 
 from typing import Any
 
@@ -9,7 +9,10 @@ from sextant.shared.wire.messages import ActuatorState, Mode
 
 
 def actuator_state(profile: RobotProfile, **changes: Any) -> ActuatorState:
-    """The state of a robot that holds still with its feet at rest and its body at the origin of {odom}."""
+    """Return the state of a robot that holds still at the origin of {odom}.
+
+    Its feet are at rest.
+    """
     swing = np.asarray(changes.get("swing", np.zeros(6, dtype=bool)))
     values: dict[str, Any] = {
         "stamp_ns": 0,

@@ -1,7 +1,7 @@
-"""The grounds of the theses' own tests as heights: what the pictures beside the scenarios `lotriet_*` show.
+"""The grounds of the theses' tests as height maps, for the scenarios `lotriet_*`.
 
-The figures are missing; sizes are chosen, what stands where follows the text. The pictures are 16-bit grey, 0.1 mm a step
-from `BASE` up; run as a script this writes them anew.
+The figures are missing: sizes are chosen, the layout follows the text. The pictures are 16-bit grey with 0.1 mm per step, from
+`BASE` up. Run as a script, this module writes them again.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,14 +16,14 @@ from sextant.shared.geometry import Array
 STEP = 0.02  # [m] grid
 ORIGIN = (-0.8, -1.2)  # [m] of grid point (0, 0)
 SHAPE = (201, 121)
-SCALE = 1e-4  # [m] a grey step
+SCALE = 1e-4  # [m] per grey step
 BASE = -0.1  # [m]
 
 # Lotriet 2024, section 6.5: top is ahead, left is left.
 PILLAR, PEDESTAL, HOLE = (2.2, 0.46), (1.6, -0.46), (1.0, 0.46)  # [m] centres
 PILLAR_TOP, PEDESTAL_TOP, HOLE_BOTTOM = 0.08, 0.06, -0.05  # [m]
 FLAT = 0.08  # [m] radius of the level surface of each
-_SIDE = np.tan(np.radians(60.0))  # of the sloped sides, beyond what either thesis stands on
+_SIDE = np.tan(np.radians(60.0))  # slope of the sides, steeper than either thesis stands on
 
 # Section 4.6: the piggybank and the stone; boxes and the wedge are primitives of the scenario.
 PIG = (1.0, 0.48)
@@ -36,7 +36,10 @@ def _grid() -> tuple[Array, Array]:
 
 
 def scoring() -> Array:
-    """A sloped pillar, a round pedestal and a sloped hole in level ground (201, 121) [m]."""
+    """Heights of a sloped pillar, a round pedestal and a sloped hole (201, 121) [m].
+
+    They lie in level ground.
+    """
     x, y = _grid()
     z = np.zeros(SHAPE)
     square = np.maximum(np.abs(x - PILLAR[0]), np.abs(y - PILLAR[1]))
@@ -47,7 +50,10 @@ def scoring() -> Array:
 
 
 def walk_past() -> Array:
-    """A piggybank, nearly round, and an irregular stone on level ground (201, 121) [m]."""
+    """Heights of a nearly round piggybank and an irregular stone (201, 121) [m].
+
+    They lie on level ground.
+    """
     x, y = _grid()
     pig = 1.0 - ((x - PIG[0]) / 0.14) ** 2 - ((y - PIG[1]) / 0.11) ** 2
     u, v = x - STONE[0], y - STONE[1]

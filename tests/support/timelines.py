@@ -1,4 +1,4 @@
-"""Made-up timelines of faults: a robot that stands where it rests, and says what it is told to say."""
+"""Synthetic timelines of faults: a standing robot with scripted reports."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ WALKING = Word(BEGIN_S - 0.01, Mode.WALK, "walking")
 
 
 def standing(for_s: float = 4.0, **changes: Any) -> Truth:
-    """The truth of a robot that stands still, from a sample before the fault on."""
+    """Return the truth of a standing robot, starting one sample before the fault."""
     t = BEGIN_S - PERIOD_S + PERIOD_S * np.arange(round(for_s / PERIOD_S))
     n, height = len(t), PROFILE.stance.body_height
     body = np.tile(np.eye(4), (n, 1, 1))
@@ -31,7 +31,7 @@ def standing(for_s: float = 4.0, **changes: Any) -> Truth:
 
 
 def timeline(*words: Word, **changes: Any) -> Timeline:
-    """An injection in which the robot stood, with what the actuator said after its beginning."""
+    """Return an injection into a standing robot, and the actuator's reports after it."""
     values: dict[str, Any] = {
         "begin_s": BEGIN_S,
         "end_s": BEGIN_S + 2.0,
@@ -48,5 +48,5 @@ def timeline(*words: Word, **changes: Any) -> Timeline:
 
 
 def word(after_s: float, mode: Mode, reason: str = "") -> Word:
-    """Something said so long [s] after the beginning."""
+    """Return a report at this time [s] after the beginning."""
     return Word(BEGIN_S + after_s, mode, reason)

@@ -1,10 +1,10 @@
-"""Units of systemd as it reads them."""
+"""Read systemd units as systemd does."""
 
 import re
 
 
 def read_unit(text: str) -> dict[str, dict[str, list[str]]]:
-    """Section -> key -> values, in their order."""
+    """Return section -> key -> values, in their order."""
     found: dict[str, dict[str, list[str]]] = {}
     section: dict[str, list[str]] = {}
     for line in text.splitlines():
@@ -18,7 +18,10 @@ def read_unit(text: str) -> dict[str, dict[str, list[str]]]:
 
 
 def words_of(value: str) -> list[str]:
-    """The words of a command line or of an Environment=, systemd.service(5), "Command lines", as the process gets them."""
+    """Return the words of a command line or of an Environment=.
+
+    They are those that the process receives, by systemd.service(5), "Command lines".
+    """
     words = []
     for quoted, bare in re.findall(r'"((?:[^"\\]|\\.)*)"|(\S+)', value):
         word = re.sub(r"\\(.)", lambda found: {"n": "\n", "t": "\t"}.get(found[1], found[1]), quoted) if quoted else bare

@@ -1,4 +1,4 @@
-"""A walker by itself, and steps for it."""
+"""A separate walker, and steps for it."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -31,7 +31,10 @@ def body_at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = PROFILE.stanc
 
 
 def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> StepPlan:
-    """A step whose swinging feet land around rest, seen from the body's goal; {world} is {odom}."""
+    """Return a step whose swing feet land around rest, relative to the body's goal.
+
+    {world} equals {odom}.
+    """
     swing = TRIPOD if number % 2 else ~TRIPOD
     plan = StepPlan(
         stamp_ns=number,
@@ -58,12 +61,12 @@ def reaches(feet: Array) -> bool:
 
 
 def cycle(walker: Walker, dt: float = DT) -> Targets:
-    """One cycle of a robot that is exactly where it is told to be."""
+    """Run one cycle of a robot that is exactly at its reference."""
     return walker.update(dt, walker.body_ref)
 
 
 def walk(walker: Walker, plans: list[StepPlan], dt: float = DT, rest_s: float = 0.0) -> tuple[list[Targets], Array]:
-    """Feed plans as they fit; all targets, and the body's places (n, 3)."""
+    """Feed plans when they fit; return all targets and the body's positions (n, 3)."""
     targets, places, waiting = [], [], list(plans)
     while waiting or not walker.resting or rest_s > 0:
         if waiting and (walker.resting or (walker.phase > 0.5 and waiting[0].step == walker.step + 1)):

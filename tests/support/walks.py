@@ -1,4 +1,4 @@
-"""Walks in lockstep with an ear on the wire: what a run said, message by message."""
+"""Walks in lockstep, with a record of their messages."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,12 +24,12 @@ M = TypeVar("M", bound=Message)
 
 
 def flat(distance: float, **changes: Any) -> Scenario:
-    """A short course on level ground."""
+    """Return a short course on level ground."""
     return replace(Scenario("short", (Plane(),), Goal(distance), time_limit_s=40.0), **changes)
 
 
 def course(folder: Path, text: str) -> Scenario:
-    """A scenario as somebody would write one."""
+    """Load a scenario from text, as a user might write one."""
     path = folder / "course.toml"
     path.write_text(text, encoding="utf-8")
     return load_scenario(str(path))
@@ -47,7 +47,7 @@ class Heard:
             self.frames.append((topic, frame, at_ns))
 
     def of(self, topic: Topic[M], from_s: float = 0.0, until_s: float = float("inf")) -> list[M]:
-        """Messages of a topic that were sent in a stretch of time [s]."""
+        """Return the messages of a topic that were sent in an interval [s]."""
         return [
             codec.decode(frame, topic.type)[0]
             for sent, frame, at_ns in self.frames
@@ -70,7 +70,7 @@ class Walk:
         return self.heard.of(topics.PLANNER_STATUS, from_s, until_s)
 
     def feet(self) -> Array:
-        """Where the feet truly were, (n, 6, 3) [m] in the simulator's world."""
+        """Return the true foot positions (n, 6, 3) [m] in the simulator's {world}."""
         return np.array([truth.feet for truth in self.heard.of(topics.TRUTH)])
 
 
@@ -81,9 +81,9 @@ def walk(
     look: Callable[[LockstepRun], None] = lambda _: None,
     guests: Sequence[Service] = (),
 ) -> Walk:
-    """Walk to the end, as `run_lockstep` does, listening; `look` is called every tenth of a simulated second.
+    """Walk to the end as `run_lockstep` does, and record messages.
 
-    Guests are further services that take part.
+    `look` is called every tenth of a simulated second. Guests are additional services that take part.
     """
     heard = Heard(tuple(wanted))
     looked_at = topics.DEPTH in heard.wanted
@@ -96,7 +96,7 @@ def walk(
 
 
 def blocked(scenario: Scenario, seed: int, within_s: float = 30.0) -> tuple[str, TerrainMap]:
-    """Walk until the planner does not go on: its reason, and the map that it has then."""
+    """Walk until the planner stops; return its reason and its map at that time."""
     heard = Heard((topics.PLANNER_STATUS, topics.TERRAIN))
     run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, every_frame=False)
     while run.now_ns() < within_s * S:

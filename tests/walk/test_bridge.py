@@ -1,4 +1,7 @@
-"""Walks with a simulated microcontroller on the servo bus: in lockstep, with a restart of it, and over a real socket."""
+"""Walks with a simulated microcontroller on the servo bus.
+
+They run in lockstep, with a restart of the board, and over a real socket.
+"""
 
 import json
 import time
@@ -17,7 +20,7 @@ from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo.bridge_protocol import Mode
 from tests.support.walks import LockstepRun, flat, walk
 
-PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] until an order must have been followed, and after which it is given in a new session
+PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] limit for an order to take effect; time until a new session repeats it
 
 COURSE = """
 name = "level"
@@ -74,7 +77,10 @@ def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_
 
 
 def test_over_a_socket_as_on_a_serial_line() -> None:
-    """Live: a board behind a TCP port speaks by itself, and a pulled cable is a new connection."""
+    """Use a live board behind a TCP port that sends by itself.
+
+    A pulled cable is a new connection.
+    """
     bank = ServoBank((1, 2, 3))
     board = Board(ServoBusEmulator(bank, BusTiming(usb_transaction_ns=0)))
     with TcpBusServer(board) as server:
@@ -83,12 +89,12 @@ def test_over_a_socket_as_on_a_serial_line() -> None:
             while True:
                 try:
                     return driver.setup()
-                except BusSetupError:  # a machine that is busy leaves a servo no time to answer
+                except BusSetupError:  # a busy machine leaves a servo no time to answer
                     if time.monotonic() > limit_s:
                         raise
 
         def cycles(driver: Bridge, mode: Mode) -> int:
-            """Cycles until the board is in a mode; the readings that came on the way."""
+            """Run cycles until the board is in a mode; return the number of readings."""
             readings, limit_s = 0, time.monotonic() + PATIENCE_S
             while time.monotonic() < limit_s:
                 driver.set_torque(mode is Mode.ON)
@@ -100,7 +106,7 @@ def test_over_a_socket_as_on_a_serial_line() -> None:
                         board.advance(time.monotonic_ns())
                     if driver.state and driver.state.mode is mode:
                         return readings
-                set_up(driver, limit_s)  # a board that has been starved turns torque on in a new session only
+                set_up(driver, limit_s)  # a starved board turns torque on only in a new session
             pytest.fail(f"not {mode} within {PATIENCE_S} s: {driver.trouble}, {driver.lost}")
 
         for _ in range(2):

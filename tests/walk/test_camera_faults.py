@@ -1,4 +1,7 @@
-"""The camera fails in the middle of a walk: it is named, the robot stops on an old map, invents no ground, and goes on."""
+"""Camera faults during a walk.
+
+The fault is named, the robot stops on an old map, invents no ground, and goes on.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +26,10 @@ def faulty(kind: str, for_s: float = FOR_S, goal: float = 0.3) -> Walk:
 
 
 def assert_right_to_the_end(found: Walk) -> None:
-    """It came to its goal, and no map that was ever sent had ground where there is none."""
+    """Check that the robot reached its goal, and that every map was correct.
+
+    No map contains ground where there is none.
+    """
     assert found.report.success, found.report.reason
     assert found.report.falls == 0
     for terrain in found.heard.of(topics.TERRAIN):

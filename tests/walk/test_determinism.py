@@ -1,4 +1,4 @@
-"""One seed makes one walk, to the byte; what only says how long things took is left aside."""
+"""One seed gives one walk, byte by byte; durations are excluded."""
 
 import json
 import random
@@ -37,14 +37,17 @@ TIMING = ("real_time_factor", "stages_ms")
 
 
 def left_behind(folder: Path, seed: int) -> tuple[str, list[tuple[str, bytes, int]], dict[str, Any]]:
-    """A run's report without timing as text, its recorded frames but health, and the report."""
+    """Return a run's report without timing as text, its frames, and its report.
+
+    Health frames are excluded.
+    """
     scenario = flat(0.25, terrain=(*COURSE.terrain, BLOCKS))
     assert run_lockstep(scenario, seed, folder).success
     return without_timing(folder)
 
 
 def without_timing(folder: Path) -> tuple[str, list[tuple[str, bytes, int]], dict[str, Any]]:
-    """What a run has left in a folder: report as text, recorded frames, and report."""
+    """Read a run's folder: report as text, recorded frames, and report."""
     table = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     for name in TIMING:
         del table[name]
@@ -81,7 +84,10 @@ kind = "plane"
 
 
 def test_a_run_that_is_stopped_and_continued_at_random_is_the_same_run(tmp_path: Path) -> None:
-    """A preempted process reads its clocks at any distance from each other; nothing in lockstep may depend on that."""
+    """Stop and continue a run at random times.
+
+    A preempted process reads its clocks at any distance from each other; nothing in lockstep may depend on that.
+    """
     course = tmp_path / "course.toml"
     course.write_text(TEXT, encoding="utf-8")
     calm, stopped = tmp_path / "calm", tmp_path / "stopped"
@@ -99,7 +105,7 @@ def test_a_run_that_is_stopped_and_continued_at_random_is_the_same_run(tmp_path:
 
 
 def ended(process: subprocess.Popen[bytes], within_s: float) -> bool:
-    """Whether a process ends within some time."""
+    """Return whether a process ends within this time."""
     try:
         process.wait(within_s)
     except subprocess.TimeoutExpired:

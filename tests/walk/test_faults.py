@@ -1,4 +1,7 @@
-"""A service goes away in the middle of a walk: the robot holds, somebody says why, and the walk goes on to its goal."""
+"""Services fail during a walk.
+
+The robot holds, the reason is reported, and the walk goes on to its goal.
+"""
 
 import numpy as np
 import pytest
@@ -15,10 +18,10 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
 from tests.support.walks import Walk, flat, walk
 
-AT_S = 4.5  # the third step is in its middle, three feet are in the air
-TIMES_S = (AT_S, 10.0)  # and another after it has walked on
-FOR_S = 2.5  # longer than the oldest map that is stepped on, the step that was planned on it, and the one before
-SETTLE_S = 0.5  # in which servos without a master reach the last goal
+AT_S = 4.5  # [s] the third step is in its middle, three feet are in the air
+TIMES_S = (AT_S, 10.0)  # [s] and another fault after it has walked on
+FOR_S = 2.5  # [s] longer than the age limit of a map, the step planned on it, and the step before
+SETTLE_S = 0.5  # [s] in which servos without commands reach the last goal
 REASONS = {
     "perception": "no fresh pose from perception",
     "mapper": "no fresh terrain map",
@@ -28,19 +31,19 @@ SERVOS = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
 
 
 def course(service: str, *kinds: str, for_s: float = FOR_S) -> Scenario:
-    """A walk on which a service goes away, in one way after the other, each in the middle of a step."""
+    """Return a walk on which a service fails in several ways, each during a step."""
     faults = tuple(Fault(at_s, service, kind, for_s=for_s) for at_s, kind in zip(TIMES_S, kinds, strict=False))  # type: ignore[arg-type]
     return flat(0.4 + 0.25 * (len(kinds) - 1), faults=faults)
 
 
 def assert_carried_on(found: Walk) -> None:
-    """It stood safely from the first step to the last, and came to its goal."""
+    """Check that the robot stood safely throughout, and reached its goal."""
     report = found.report
     assert report.success, report.reason
     assert (report.falls, report.shutdowns) == (0, 0)
     assert report.min_stability_margin_m >= 0
     assert report.tilt_deg.max < 5
-    # A step is counted once, whoever walked it, and no foot slips by more than on other walks.
+    # A step counts once, also if a service restarts during it, and no foot slips more than on other walks.
     steps = np.array([state.step for state in found.states()])
     assert report.steps == np.count_nonzero(np.diff(steps) > 0)
     assert report.slip_m_per_step.p95 < 0.006
@@ -53,7 +56,7 @@ def assert_carried_on(found: Walk) -> None:
 
 @pytest.mark.parametrize("service", ["perception", "mapper", "planner"])
 def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str) -> None:
-    """Be it killed or hung."""
+    """Kill the service, then hang it."""
     found = walk(course(service, "kill", "hang"), 1000)
     for at_s in TIMES_S:
         states = found.states(at_s, at_s + FOR_S)
@@ -69,7 +72,7 @@ def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str) ->
 
 
 class Servos:
-    """What the servos' goals and torques are while nobody commands them, asked over the bus."""
+    """Goals and torques of the servos while no host commands them, read over the bus."""
 
     def __init__(self, for_s: float):
         self.seen: list[tuple[list[int | None], list[int | None]]] = []

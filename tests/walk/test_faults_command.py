@@ -1,4 +1,7 @@
-"""`sextant faults` as its user runs it: walks that are broken in earnest, a table, and nothing done twice."""
+"""`sextant faults` as a user runs it: real faults in walks, and a table.
+
+No injection runs twice.
+"""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Ripple and wave in lockstep: slower, on more legs."""
+"""Ripple and wave gaits in lockstep: slower, with more legs in stance."""
 
 import json
 from dataclasses import replace

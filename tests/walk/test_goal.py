@@ -1,4 +1,7 @@
-"""A goal behind a wall, in lockstep with camera and estimated pose: the planner finds the way around it."""
+"""A goal behind a wall: the planner finds a path around it.
+
+The walk runs in lockstep with camera and estimated pose.
+"""
 
 import numpy as np
 

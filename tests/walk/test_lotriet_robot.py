@@ -1,4 +1,7 @@
-"""The robot of the second thesis walks its tests: RX-64 servos behind the same actuator, its figures met or beaten."""
+"""The robot of the second thesis on its tests: RX-64 servos, the same actuator.
+
+Its figures equal the published ones, or are better.
+"""
 
 import pytest
 
@@ -19,7 +22,7 @@ def test_it_walks_the_tests_of_the_thesis(name: str) -> None:
     report = run.attendance.judge(1.0, in_a_hurry=True)
     assert report.success, report.reason
     assert report.torque_nm.rms_worst_joint < load_profile(scenario.robot).servo.stall_torque / 3.0
-    assert report.min_stability_margin_m >= 0.04  # no foot was taken to stand that hung in the air
+    assert report.min_stability_margin_m >= 0.04  # no foot in the air counted as standing
     measured, published = Measured.of(run.attendance.scorer.trace), TESTS[name]
     assert abs(measured.height_error_m) < abs(published.height_error_m or 0.0)
     assert measured.off_command_deg < (published.tilt_deg or 0.0)

@@ -1,4 +1,7 @@
-"""Gaps that only pillars bridge, crossed in lockstep: looked at, planned, walked one leg at a time."""
+"""Gaps with pillars, crossed in lockstep: surveyed, planned, and walked.
+
+One leg moves at a time.
+"""
 
 from itertools import pairwise
 
@@ -24,7 +27,7 @@ def test_a_passage_is_crossed_from_one_side_to_the_other() -> None:
     assert len(plans) <= 4
     assert plans[-1].state == "complete"
     assert {(r.length, r.width) for r in found.heard.of(topics.PASSAGE_REQUEST)} == {STRIP}
-    # The body is raised to look before it is planned.
+    # The body is raised to look before the plan.
     before = [s.body_ref[2, 3] for s in found.states() if s.stamp_ns < plans[0].stamp_ns]
     assert max(before) > scenario.walk.body_height + 0.03
     # One leg at a time, and none goes far back.

@@ -1,4 +1,7 @@
-"""Ground that depth alone calls flat: with colour the robot keeps off it, without it treads in, and before a pool it stops."""
+"""Water that depth alone shows as flat ground.
+
+With colour the robot avoids it, without colour it steps in; it stops before a pool.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,7 @@
-"""A recorded folder as the camera of the whole chain, in lockstep: it is mapped, missed when it goes, and mapped again."""
+"""A recorded folder as the camera of the whole chain, in lockstep.
+
+It is mapped, its loss is reported, and it is mapped again.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -31,7 +34,7 @@ T_BODY = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
 
 
 class Standing:
-    """Legs that stand, and an operator who wants them to walk."""
+    """Standing legs, and an operator that wants them to walk."""
 
     name = "legs"
     paced_by = Every.hz(50.0)
@@ -52,7 +55,7 @@ class Standing:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the camera sees of level ground in the second before the robot sets out."""
+    """Record one second of level ground before the robot walks."""
     made = tmp_path_factory.mktemp("recorded") / "ground"
     record_tum(flat(1.0), 1000, made, 1.0)
     return made
@@ -76,7 +79,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
         },
         heard.tap,
     )
-    # 1. It is mapped, as level as it is, and walked on.
+    # 1. The ground is mapped as level, and the planner steps.
     run.run(4 * S)
     assert len(heard.of(topics.DEPTH)) == pytest.approx(4 * 30, abs=4)
     terrain = heard.of(topics.TERRAIN)[-1]
@@ -84,7 +87,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     assert measured.sum() > 3000
     assert np.abs(terrain.elevation[measured]).max() < 0.03
     assert heard.of(topics.PLANNER_STATUS)[-1].state == "stepping"
-    # 2. It goes: no scan, no map, and the planner says on account of what.
+    # 2. The folder is gone: no scan, no map, and the planner states the reason.
     folder.rename(folder.with_name("elsewhere"))
     run.run(12 * S)
     assert not heard.of(topics.DEPTH, 4.2)
@@ -98,7 +101,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     said = [health.doing for health in heard.of(topics.HEALTH, 6.0) if health.service == "camera"]
     assert said
     assert all(reason in words for words in said)
-    # 3. It comes back.
+    # 3. The folder is back.
     folder.with_name("elsewhere").rename(folder)
     run.run(24 * S)
     assert heard.of(topics.CAMERA_STATE)[-1].ok

@@ -1,4 +1,7 @@
-"""Ground that carries no foot: the robot stops before it and says which leg finds nothing, and why."""
+"""Ground without footholds: the robot stops before it.
+
+It reports the leg without a foothold, and the reason.
+"""
 
 from pathlib import Path
 

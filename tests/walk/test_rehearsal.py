@@ -1,4 +1,4 @@
-"""What services compile they compile before they work: a walk after their rehearsals finds everything done."""
+"""Services compile everything during their warm-up; a walk after it adds nothing."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ SELDOM = (
     "planner.gap_crossing.roadmap_search.grow",
     "simulator.sensors.raster.draw_capsules",
 )
-PATIENCE_S = 300.0  # [s], where nothing has been compiled yet
+PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
 
 
 @pytest.mark.parametrize(("scenario", "until_s"), [("steps", 5.0), ("cobbles", 2.0), ("puddle", 3.0)])

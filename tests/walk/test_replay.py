@@ -1,4 +1,7 @@
-"""A walk's depth camera, recorded in the TUM RGB-D layout and played back through the real perception and mapper."""
+"""A recorded depth camera, replayed through perception and mapper.
+
+The recording of a walk is in the TUM RGB-D layout.
+"""
 
 import json
 from pathlib import Path
@@ -22,7 +25,7 @@ STEPS = load_scenario("steps")
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The beginning of a walk over the steps course."""
+    """Record the beginning of a walk over the steps course."""
     folder = tmp_path_factory.mktemp("recorded") / "sequence"
     record_tum(STEPS, 1000, folder, WALKED_S)
     return folder
@@ -42,7 +45,7 @@ def test_a_recorded_walk_reads_back_with_a_true_pose_for_every_picture(recorded:
     ahead, down = np.cos(np.radians(camera.pitch_down_deg)), np.sin(np.radians(camera.pitch_down_deg))
     assert np.allclose(way[0, :3, 2], [ahead, 0.0, -down], atol=0.02)
     assert np.allclose(way[0, :3, 0], [0.0, -1.0, 0.0], atol=0.02)
-    # What the first picture shows before the first block lies where the truth says that the ground is.
+    # In the first picture the points before the first block lie at the true ground's height.
     depth = sequence.depth(0) / camera.sensor.depth_scale
     points = apply(way[0], sequence.camera.intrinsics.points(depth)[depth > 0])
     ground = points[points[:, 0] < 0.75]

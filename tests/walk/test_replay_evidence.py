@@ -1,4 +1,7 @@
-"""`sextant replay` on made-up sequences: exit status 0 only where the pictures support the trajectory."""
+"""`sextant replay` on synthetic sequences.
+
+The exit status is 0 only if the pictures support the trajectory.
+"""
 
 import json
 from pathlib import Path
@@ -15,14 +18,14 @@ NOTHING = np.zeros((0, 6))
 
 
 def replayed(folder: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
-    """Exit status, table and last line on stderr."""
+    """Return exit status, table and last line on stderr."""
     status = cli.main(["replay", str(folder), "--out", str(out), "--json"])
     found = capsys.readouterr()
     return status, json.loads(found.out), found.err.splitlines()[-1]
 
 
 def ahead(n: int, speed: float) -> np.ndarray:
-    """Camera at a height of 0.6 m after n pictures at a speed [m/s]."""
+    """Return the camera's pose after n pictures at a speed [m/s], 0.6 m high."""
     return np.asarray(camera_pose(speed * n / RATE_HZ, z=0.6))
 
 
@@ -57,7 +60,7 @@ def test_a_wrong_scale_is_named_with_one_that_fits(tmp_path: Path, capsys: pytes
 
 
 def test_near_surfaces_want_a_nearer_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Boxes 0.35 to 0.48 m below a camera that looks down."""
+    """Show boxes 0.35 to 0.48 m below a camera that looks down."""
     boxes = [[x, y, 0, x + 0.06, y + 0.06, h] for x, y, h in ((-0.1, -0.1, 0.1), (0.05, 0.0, 0.06), (0.0, 0.12, 0.03))]
     poses = [np.asarray(camera_pose(0.1 * n / RATE_HZ, z=0.48, pitch=np.pi / 2)) for n in range(10)]
     status, _, error = replayed(write_folder(tmp_path / "far", poses, np.array(boxes)), tmp_path, capsys)

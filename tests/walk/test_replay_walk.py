@@ -1,4 +1,7 @@
-"""A walk is recorded and replayed through mapper and planner: the same comes of it; and then its inputs are broken."""
+"""A recorded walk, replayed through mapper and planner with the same results.
+
+Other tests replay it with faulty inputs.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -30,7 +33,7 @@ WALKED_S, BROKEN_S = 15.0, (7.0, 10.0)  # [s] simulated; the robot stands up for
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The beginning of a walk over the steps course."""
+    """Record the beginning of a walk over the steps course."""
     path, profile = tmp_path_factory.mktemp("recorded") / "recording.mcap", load_profile(STEPS.robot)
     with Recorder(path, about(STEPS, 1000, "lockstep"), Foxglove(profile)) as recorder:
         assemble(STEPS, 1000, profile, recorder.write, every_frame=False).run(round(WALKED_S * 1e9))
@@ -97,7 +100,7 @@ def test_scans_that_come_late_are_mapped_where_they_were_taken(recorded: Path, t
 
 
 def test_a_pose_that_jumps_is_not_walked_on(recorded: Path, tmp_path: Path) -> None:
-    """Perception that is suddenly half a metre off, and sure of it: the map's cells are not below these feet any more."""
+    """Shift a confident pose by half a metre: the map no longer fits these feet."""
     aside = transform(np.eye(3), np.array([0.0, 0.5, 0.15]))
 
     def jumped(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:

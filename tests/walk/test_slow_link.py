@@ -1,4 +1,4 @@
-"""A link that delivers too late: the walk names it, and no ground is blamed."""
+"""A link that delivers too late: the walk reports the link, and not the ground."""
 
 from dataclasses import replace
 

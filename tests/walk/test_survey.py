@@ -1,4 +1,4 @@
-"""A passage that is asked for during a walk: what it tells is the ground, and the walk does not mind."""
+"""A passage survey during a walk: it shows the ground, and the walk is unaffected."""
 
 import itertools
 from dataclasses import replace
@@ -40,6 +40,6 @@ def test_the_survey_of_a_walk_shows_the_ground_ahead() -> None:
     assert known.mean() > 0.4
     assert last.unseen == np.isnan(last.elevation).mean()
     assert "cells not seen" in last.reason
-    # The maps go out as often as ever.
+    # The maps keep their rate.
     period = np.median(np.diff([m.stamp_ns for m in maps]))
     assert period < 1.2e9 / topics.TERRAIN.rate_hz

@@ -1,7 +1,8 @@
-"""The theses' own tests of their maps: the scoring terrain and its six picks, the walk past objects, the single pillar.
+"""The theses' own tests of their maps.
 
-A camera is carried over each scenario's ground; what it renders goes through perception and mapper, noise, codec and all.
-Where a figure is missing, what must hold is taken from the text beside it.
+They are the scoring terrain with its six picks, the walk past objects, and the single pillar. A camera is carried over each
+scenario's ground; its images pass perception and mapper with noise and codec. If a figure is missing, the expected result comes
+from the text next to it.
 """
 
 from functools import cache
@@ -33,7 +34,7 @@ from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 
-SEARCH = 0.06  # [m] the planner's
+SEARCH = 0.06  # [m] search radius of the planner
 R = 0.01  # [m]
 
 
@@ -44,7 +45,7 @@ def truth(name: str) -> ground.Terrain:
 
 @cache
 def ridden(name: str, length: float = 2.0, frames: int = 50) -> tuple[Ride, list[TerrainMap]]:
-    """A ride over a scenario's ground, and all maps of it."""
+    """Carry a camera over a scenario's ground; return the trajectory and all maps."""
     way = ride(truth(name), np.random.default_rng(1), Errors(), frames, length)
     camera = CarriedCamera(way, np.random.default_rng(2))
     maps: list[TerrainMap] = []
@@ -77,12 +78,12 @@ def test_the_pictures_are_what_the_builder_makes() -> None:
 
 
 class Pick(NamedTuple):
-    """A nominal foothold of Figure 6.8 and what the text says becomes of it."""
+    """A nominal foothold of Figure 6.8, and its result by the text."""
 
     xy: tuple[float, float]  # [m]
     stays: bool
-    height: tuple[float, float]  # [m] true ground under the place that is chosen
-    level: bool = True  # else on the ramp
+    height: tuple[float, float]  # [m] true ground under the chosen place
+    level: bool = True  # otherwise on the ramp
 
 
 PICKS = {
@@ -131,7 +132,10 @@ def test_the_six_picks(name: str, layer: Layer) -> None:
 
 @pytest.mark.parametrize("name", PICKS)
 def test_the_nearest_acceptable_cell_is_picked(name: str) -> None:
-    """Section 6.3 searches growing squares to find it; here no cell with room around it may be nearer."""
+    """Find no nearer cell with room around it than the chosen one.
+
+    Section 6.3 searches growing squares for it.
+    """
     _, maps = ridden("lotriet_scoring")
     terrain, nominal = Terrain(maps[-1]), np.array(PICKS[name].xy)
     cells = terrain.centres(nominal) + offsets_by_distance(SEARCH, R)
@@ -140,14 +144,17 @@ def test_the_nearest_acceptable_cell_is_picked(name: str) -> None:
 
 
 def raster(name: str) -> tuple[Array, NDArray[np.float32]]:
-    """Cell centres and true heights of a scenario's ground, in cells of 1 cm."""
+    """Return cell centres and true heights of a scenario's ground, in cells of 1 cm."""
     x, y = np.meshgrid(np.arange(0.6, 2.6, R) + R / 2, np.arange(-1.0, 1.0, R) + R / 2, indexing="ij")
     xy = np.stack([x.ravel(), y.ravel()], axis=1)
     return xy.reshape(*x.shape, 2), truth(name).height_at(xy).reshape(x.shape).astype(np.float32)
 
 
 def test_slope_and_proximity_each_do_their_part() -> None:
-    """Figure 6.6: the slope marks slopes and walls; the proximity marks walls, the higher the wider, and spares the ramp."""
+    """Figure 6.6: slope marks slopes and walls; proximity marks walls only.
+
+    The proximity term is wider at higher walls, and zero on the ramp.
+    """
     xy, z = raster("lotriet_scoring")
     scorer = WalkabilityScorer((z.shape[0], z.shape[1]), R)
     scorer.score(z)
@@ -162,7 +169,10 @@ def test_slope_and_proximity_each_do_their_part() -> None:
 
 
 def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
-    """Figure 6.6b, by the thesis's own score: "the magnitude of the height differential will increase size and strength"."""
+    """Compute Figure 6.6b by the thesis's own score.
+
+    The thesis: "the magnitude of the height differential will increase size and strength".
+    """
     widths, strengths = [], []
     for height in (0.01, 0.03, 0.10):
         z = np.zeros((60, 60), dtype=np.float32)
@@ -175,7 +185,7 @@ def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
 
 
 def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
-    """His form, on the true ground and with his two terms alone, for comparison."""
+    """Apply the thesis's score with its two terms alone to the true ground."""
     xy, z = raster("lotriet_scoring")
     w = ScoreWeights()
     score = published_score(z, w.slope / (8 * R), w.proximity * 25, kernel=5, sigma=w.proximity_sigma / R)
@@ -191,13 +201,13 @@ def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
 
 
 class Region(NamedTuple):
-    """Part of the ground."""
+    """A region of the ground."""
 
     x: tuple[float, float]
     y: tuple[float, float]
 
     def of(self, map_: TerrainMap, layer: NDArray[np.floating]) -> Array:
-        """A layer's cells (n, m) in it; NaN beyond the map."""
+        """Return a layer's cells (n, m) in the region; NaN beyond the map."""
         x, y = (np.arange(lo, hi, R) + R / 2 for lo, hi in (self.x, self.y))
         i, j = np.round((x - map_.origin[0]) / R).astype(int), np.round((y - map_.origin[1]) / R).astype(int)
         out = np.full((len(x), len(y)), np.nan)
@@ -226,7 +236,7 @@ def test_shadows_shrink_objects_persist_and_new_ones_appear() -> None:
     # "The somewhat spherical pig object now also appears larger."
     high = [int((PIG.of(m, m.elevation) > 0.02).sum()) for m in (start, middle)]
     assert high[1] > high[0]
-    # "The original objects are also now out of vision, but they persist": what the end does not see is as it was.
+    # "The original objects are also now out of vision, but they persist": unseen cells keep their values.
     for region in (PIG, BOX):
         before, after = region.of(middle, middle.elevation), region.of(end, end.elevation)
         kept = np.isfinite(before)
@@ -250,13 +260,16 @@ def test_objects_stand_where_and_as_high_as_they_are() -> None:
     assert np.sqrt(np.mean(error[away] ** 2)) < 0.006
     for name, region, top in (("box", BOX, 0.10), ("tray", LATER["tray"], 0.06)):
         assert np.nanpercentile(region.of(end, end.elevation), 95) == pytest.approx(top, abs=0.006), name
-    # The object with a hole: what is seen of the floor in it is floor.
+    # The object with a hole: the visible floor in it is floor.
     hole = Region((2.03, 2.17), (0.47, 0.61))
     assert np.nanmin(hole.of(end, end.elevation)) == pytest.approx(0.0, abs=0.008)
 
 
 def test_the_floor_shows_no_lines() -> None:
-    """Where his poses leave lines on the floor and stripes in the score (Figures 4.6 and 6.9), floor is to be floor."""
+    """Map a floor without lines.
+
+    The thesis's poses leave lines on the floor and stripes in the score (Figures 4.6 and 6.9).
+    """
     _, maps = ridden("lotriet_walk_past")
     end = maps[-1]
     heights = true_heights("lotriet_walk_past", end)
@@ -272,7 +285,10 @@ def test_the_floor_shows_no_lines() -> None:
 
 
 def test_the_evaluation_function_of_a_pillar_by_the_book() -> None:
-    """A pillar of 24 cm in an abyss: F falls by one a cell from its border to its middle, and is cut off at -5."""
+    """Evaluate a pillar of 24 cm in an abyss.
+
+    F decreases by one per cell from its border to its middle, and is limited at -5.
+    """
     z = np.full((80, 80), -0.4, dtype=np.float32)
     z[28:52, 28:52] = 0.0
     made = FootholdLayers((80, 80), R).update(z, np.zeros_like(z), np.zeros(2, dtype=np.int64), body_height=0.1)
@@ -280,7 +296,7 @@ def test_the_evaluation_function_of_a_pillar_by_the_book() -> None:
     on = np.flatnonzero(across < 0)
     assert (on[0], on[-1]) == (30, 49)  # two cells of each side are edge
     np.testing.assert_array_equal(across[30:50], -np.minimum(np.minimum(np.arange(1, 21), np.arange(20, 0, -1)), 5))
-    np.testing.assert_array_equal(across[15:30], np.arange(15, 0, -1))  # grows outside, over ground too deep
+    np.testing.assert_array_equal(across[15:30], np.arange(15, 0, -1))  # grows outside, also over ground that is too deep
     assert (made.evaluation[on[0] : on[-1] + 1, 30:50] < 0).all()
 
 
@@ -290,18 +306,18 @@ def test_the_single_pillar() -> None:
     heights = true_heights("masri_pillar", map_)
     x, y = (map_.origin[k] + R * np.arange(map_.elevation.shape[k]) for k in (0, 1))
     F = map_.evaluation.astype(int)
-    # Whatever lies 0.25 m below the body and more is not accessible, seen or not.
+    # Ground 0.25 m or more below the body is not accessible, whether it is seen or not.
     deep = np.isfinite(map_.elevation) & (map_.elevation < -0.3)
     assert deep.sum() > 1000
     assert (F[deep] > 0).all()
-    # The pillar, and it alone beyond the platform, carries a foot.
+    # Beyond the platform only the pillar supports a foot.
     beyond = (F < 0) & (x > 0.9)[:, None]
     i, j = np.nonzero(beyond)
     assert beyond.sum() > 100
     assert (heights[beyond] == 0).all()
     assert (np.abs(x[i] - 1.40) <= 0.12 - R).all()
     assert (np.abs(y[j]) <= 0.12 - R).all()
-    # Its middle is a local minimum at the threshold; from there F rises by one a cell, through zero, to beyond the border.
+    # Its middle is a local minimum at the threshold; from there F rises by one per cell, through zero, to beyond the border.
     assert np.abs(y[j].mean()) < 0.01
     a = int(np.argmin(np.abs(x - 1.38)))
     across = F[a]

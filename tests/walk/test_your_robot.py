@@ -1,4 +1,7 @@
-"""A robot from a TOML file alone, as docs/your_robot.md shows it: it walks, and what is wrong in it is told as shown there."""
+"""A robot from a TOML file alone, as docs/your_robot.md shows it.
+
+It walks, and its errors are reported as shown there.
+"""
 
 import json
 import re

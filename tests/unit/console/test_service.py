@@ -1,4 +1,4 @@
-"""The console as a whole: messages of the services in, what a page is told out; requests in, messages out."""
+"""The whole console: from services to pages, and from requests to messages."""
 
 import contextlib
 import json
@@ -46,7 +46,7 @@ MS = 1_000_000
 
 
 class Rig:
-    """A console, its inbox, and time that the test lets pass."""
+    """A console and its inbox, with time that the test advances."""
 
     def __init__(self) -> None:
         self.now = 10_000 * MS
@@ -76,7 +76,7 @@ class Rig:
 
 
 class Browser:
-    """A page that is a script of a test."""
+    """A scripted page."""
 
     def __init__(self, rig: Rig, socket: ClientConnection):
         self._rig, self._socket = rig, socket
@@ -88,7 +88,7 @@ class Browser:
         self._socket.send(json.dumps({"type": type_, **fields}))
 
     def until(self, kind: str, holds: Any = lambda _: True) -> Any:
-        """Beat and listen until something of a kind is told that holds."""
+        """Beat and listen until a message of this type fulfils the condition."""
         limit = time.monotonic() + PATIENCE_S
         while time.monotonic() < limit:
             self._rig.beat()
@@ -196,7 +196,7 @@ def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
 
 def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
-    place = f"{gethostname()}:{rig.console.server.port}"  # unlike that of another machine's console, which has a page 1, too
+    place = f"{gethostname()}:{rig.console.server.port}"  # unlike that of another machine's console, which also has a page 1
     rig.legs(lease=f"console 1 at {place}")
     page.until("state", lambda told: len(told["seats"]) == 2)
     drive = {
@@ -250,7 +250,7 @@ def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
     rig.legs()
     rig.beat(300.0)
     page.ask("order", order="stand")
-    page.until("refused", lambda told: "leads the robot" in told["words"])  # its router is that of another role by now
+    page.until("refused", lambda told: "leads the robot" in told["words"])  # its router has another role by now
     page.ask("order", order="off")
     sent: list[Message] = []
     limit = time.monotonic() + PATIENCE_S
@@ -292,7 +292,7 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
     assert glance.frames == {}
     page = rig.page()
     assert [seat["seat"] for seat in page.until("state")["seats"]] == [0, 1], "who glances has no seat to lead from"
-    # It may stop, and nothing else.
+    # It may stop the robot, and nothing else.
     rig.legs()
     rig.beat()
     glance.ask("order", order="stand")
@@ -308,7 +308,7 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
 
 def test_each_page_is_told_each_line_of_the_log_once(rig: Rig) -> None:
     rig.hear(CameraState(1, "a camera", False, "the first"))
-    rig.beat(300.0)  # noted while nobody looks on
+    rig.beat(300.0)  # logged while there is no page
     page = rig.page()
     page.until("log", lambda _: "camera: the first" in page.log)
     rig.hear(CameraState(2, "a camera", False, "the second"))

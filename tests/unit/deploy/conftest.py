@@ -1,4 +1,4 @@
-"""A walk as a story: the messages of a tripod walk made from plain kinematics, with what may go wrong as parameters."""
+"""Synthetic messages of a tripod walk from plain kinematics, with optional faults."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -37,19 +37,22 @@ _NONE = np.zeros(6, dtype=bool)
 
 @dataclass(frozen=True)
 class Story:
-    """Rest for a second, walk past the goal, rest again; {world} is the simulator's unless the start lies elsewhere."""
+    """A walk: rest for a second, walk past the goal, rest again.
+
+    {world} is the simulator's unless the start lies elsewhere.
+    """
 
     scenario: Scenario = FLAT
     seed: int = 0
-    stride: float = 0.06  # [m] the body moves per step
+    stride: float = 0.06  # [m] advance of the body in each step
     step_s: float = 0.6
-    beyond: float = 0.06  # [m] past the goal, where it stops
-    heading_deg: float = 0.0  # of the start in the simulator's world
+    beyond: float = 0.06  # [m] distance of the end past the goal
+    heading_deg: float = 0.0  # of the start in the simulator's {world}
     tilt_deg: float = 0.0  # true roll that was not commanded
-    sag: float = 0.0  # [m] the body is this much lower than commanded
+    sag: float = 0.0  # [m] height that the body lacks
     bob: float = 0.0  # [m] amplitude of the body's true height
-    slip: float = 0.0  # [m] planted feet move to the side in a step
-    drift: float = 0.0  # [1] the estimate's error over the distance
+    slip: float = 0.0  # [m] sideways motion of stance feet in each step
+    drift: float = 0.0  # [1] error of the estimate relative to the distance
     map_bias: float = 0.0  # [m]
     topple_s: float = np.inf  # [s] the robot begins to fall over
     sink_s: float = np.inf  # [s] the robot sinks to the ground
@@ -57,11 +60,11 @@ class Story:
     flicker: bool = False  # contact drops out for one sample in ten
     tail_s: float = 1.0  # [s] after the last step
     moved_leg: int = -1  # the planner moves this leg's touchdowns by 2 cm
-    refusal: str = ""  # the planner says once it stands
-    level: bool = False  # the feet walk at height 0, whatever lies below
-    sections: int = 0  # of a passage that the planner tells of, in the first second
-    way: bool = True  # whether those sections have one
-    passable: bool | None = None  # as the scorer is told
+    refusal: str = ""  # the planner's reason once the robot stands
+    level: bool = False  # the feet walk at height 0 on any ground
+    sections: int = 0  # number of passage sections that the planner publishes in the first second
+    way: bool = True  # whether those sections have a way
+    passable: bool | None = None  # argument of the scorer
 
     def __post_init__(self) -> None:
         profile = load_profile(self.scenario.robot)
@@ -77,7 +80,7 @@ class Story:
         object.__setattr__(self, "planted", functools.cache(self._planted))
 
     def messages(self) -> Iterator[Message]:
-        """All messages in order of their stamps; truth last at each instant."""
+        """Yield all messages in the order of their stamps; truth is last at each instant."""
         end_ms = round(1000 * (1.0 + self.steps * self.step_s + self.tail_s))
         for ms in range(0, end_ms, 10):
             t = ms * 1e-3
@@ -100,7 +103,10 @@ class Story:
             yield self.truth(ms)
 
     def walked(self, t: float) -> tuple[int, float]:
-        """Number of the running step, from 1, and its phase; step 0 is the rest before."""
+        """Return the number of the running step, from 1, and its phase.
+
+        Step 0 is the rest before the walk.
+        """
         if t < 1.0:
             return 0, 1.0
         k = int((t - 1.0) / self.step_s + 1e-9)
@@ -116,7 +122,7 @@ class Story:
         return self.stride * (step - 1 + phase) if step else 0.0
 
     def _planted(self, step: int) -> np.ndarray:
-        """Feet (6, 3) [m] {world} at the end of a step."""
+        """Return the feet (6, 3) [m] {world} at the end of a step."""
         feet = self.profile.rest_feet() + np.array([0.0, 0.0, self.scenario.walk.body_height])
         for swung in range(max(1, step - 1), step + 1):
             legs = self.swing(swung)
@@ -190,7 +196,10 @@ class Story:
         )
 
     def section(self, ms: int, number: int) -> PassagePlan:
-        """A section of 0.5 m, one leg after the other, in a tree of twigs to both sides; without a way it would come as far."""
+        """Return a section of 0.5 m with one leg per step.
+
+        Its tree has branches to both sides. Without a way the reason differs, and the section ends at the same place.
+        """
         begin, k = 0.5 * (number - 1), np.arange(12)
         body = np.column_stack([begin + 0.5 * (k + 1) / 12, 0.0 * k, np.full(len(k), self.scenario.walk.body_height)])
         legs = (k % 6).astype(np.uint8)
@@ -210,7 +219,10 @@ class Story:
         return PassagePlan(ms * _MS, number, state, reason, *where, *counts, legs, footholds, body, edges, stopped)
 
     def passage(self, ms: int, number: int) -> PassageMap:
-        """A strip of 1.2 m from where a section begins, seen as it truly is, its near fifth taken for granted."""
+        """Return a strip of 1.2 m from the beginning of a section, with true heights.
+
+        Its near fifth is assumed.
+        """
         x, y = 0.5 * (number - 1) + 0.01 * np.arange(120), 0.01 * np.arange(-40, 41)
         height = self.terrain.height_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(120, 81)
         carries = (np.abs(height) < 0.02).astype(np.uint8)
@@ -237,11 +249,11 @@ class Story:
         return Scorer(self.profile, self.scenario, self.seed, passable=self.passable)
 
     def judged(self) -> Scorer:
-        """A scorer that has heard the story, as far as it cared to; the same one each time."""
+        """Return the scorer that has processed the walk; it is the same one each time."""
         return _judged(self)
 
     def judge(self) -> Scorer:
-        """A new scorer that has heard the story."""
+        """Return a new scorer that has processed the walk."""
         scorer = self.scorer()
         inbox = Inbox([scorer.paced_by, *scorer.reads], scorer.stages)
         for message in self.messages():
@@ -263,5 +275,5 @@ def _judged(story: Story) -> Scorer:
 
 @pytest.fixture
 def story() -> Callable[..., Story]:
-    """Makes stories."""
+    """Return the class of synthetic walks."""
     return Story

@@ -1,4 +1,4 @@
-"""Two machines on one: the radio between them, and what is made of what the robot said."""
+"""Two machines on one computer: the radio between them, and evaluation of runs."""
 
 import contextlib
 import socket
@@ -91,7 +91,7 @@ def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before
 ) -> None:
     air = Air(Link(delay_ms, mbit, loss), seed)
     stream, now_ns, out, said = Stream(air), 0, 0, b""
-    first_ns: list[int] = []  # before which a byte cannot be there
+    first_ns: list[int] = []  # earliest arrival of each byte
     for number, (after_ms, size) in enumerate(sent):
         now_ns += after_ms * _MS
         stream.send(bytes([number]) * size, now_ns)
@@ -114,7 +114,7 @@ def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before
 
 
 def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
-    air = Air(Link(0.0, 8.0), 0)  # a byte in a microsecond
+    air = Air(Link(0.0, 8.0), 0)  # one byte per microsecond
     one, other = Stream(air), Stream(air)
     one.send(bytes(SEGMENT), 0)
     other.send(bytes(SEGMENT), 0)
@@ -152,7 +152,7 @@ def test_a_robot_that_holds_and_goes_on_by_a_fresh_plan_is_as_it_must_be() -> No
         (9.0, Mode.WALK, "walking", 3, 8.9),
         (10.2, Mode.WALK, _LATE, 3, 8.9),
         (10.6, Mode.HOLD, _LATE, 3, 8.9),
-        (11.0, Mode.HOLD, _LATE, 3, -1e-9),  # it has forgotten it
+        (11.0, Mode.HOLD, _LATE, 3, -1e-9),  # without a plan
         (12.9, Mode.WALK, "walking", 4, 12.8),
     )
     cut = judge(10 * _SEC, 12 * _SEC, heard)
@@ -274,7 +274,7 @@ def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "sextant.deploy.bed.not_there"))
     with pytest.raises(BedError, match=r"no two machines here: .*not_there"):
         Namespaces(Link()).__enter__()
-    # It is one machine then, and a report says so.
+    # The test then uses one machine, and a report states it.
     with two_machines(Link()) as bed:
         assert bed.words.startswith(
             "one machine, the connections between the halves carried by a relay (no two machines here: "

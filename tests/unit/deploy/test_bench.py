@@ -1,4 +1,7 @@
-"""Rides and tables of `sextant bench`: their errors are those asked for, and what they say is what was measured."""
+"""Trajectories and tables of `sextant bench`.
+
+Trajectories have the requested errors, and tables contain the measured values.
+"""
 
 import json
 import math
@@ -101,10 +104,10 @@ def test_tables_tell_median_and_worst() -> None:
     assert figures["drift"] == (0.002, 0.004)
     assert figures["bias"] == (0.002, 0.004)
     assert figures["coverage"] == pytest.approx((0.98, 0.96))
-    assert "edge" not in figures  # no ride has one
+    assert "edge" not in figures  # no trajectory has one
     rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, 4, figures)]
     assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
-    assert "survey of a strip" not in accuracy.in_words(rows)  # none was made
+    assert "survey of a strip" not in accuracy.in_words(rows)  # there was no survey
     surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
     assert "0.5 (0.7)" in accuracy.in_words([surveyed])
     assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
@@ -255,7 +258,7 @@ def test_a_survey_is_compared_where_both_maps_reach() -> None:
     assert figures.rmse == pytest.approx(0.001)
     assert figures.elevation_rmse == pytest.approx(0.002)
     assert figures.normal_deg == pytest.approx(0.0, abs=1e-6)
-    assert figures.coverage == pytest.approx(5 / 20)  # of its first twenty rows, which the elevation map has too
+    assert figures.coverage == pytest.approx(5 / 20)  # of its first twenty rows, which the elevation map also has
     with pytest.raises(ValueError, match="beside"):
         model.judged(replace(passage, origin=np.array([0.105, 0.05])), terrain, truth, seen)
 
@@ -263,7 +266,7 @@ def test_a_survey_is_compared_where_both_maps_reach() -> None:
 def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None:
     camera = load_profile("phantomx_mk2").camera
     raw = np.full((camera.intrinsics.height, camera.intrinsics.width), 900, dtype=np.uint16)
-    raw[:, 320:] = 1500  # a block's edge, with pixels that hang in between
+    raw[:, 320:] = 1500  # a block's edge, with flying pixels
     raw[:, 320] = 1200
     raw[0, 0] = 0
     z = full_frame.steady_depth(raw, camera)

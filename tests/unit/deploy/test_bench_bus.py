@@ -1,4 +1,7 @@
-"""The bench of the servo bus driver on a bad bus: its figures hold together, and its command leaves them."""
+"""The bench of the servo bus driver on a faulty bus.
+
+Its figures are consistent, and its command writes them.
+"""
 
 import json
 from pathlib import Path
@@ -8,7 +11,7 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.bench import bus
 
-DEGREES = 12.0  # of a position: 3 beside the goals of three cycles, which at 2.7 rad/s are 6 apart, and some more of a late one
+DEGREES = 12.0  # largest position error: 3 from the goal, 6 between the goals of three cycles at 2.7 rad/s, 3 for a late answer
 
 
 @pytest.mark.parametrize("only", bus.CASES)
@@ -18,7 +21,7 @@ def test_what_is_believed_is_right_or_near(only: str) -> None:
     assert 0 <= found.wrong <= found.believed <= found.questions
     assert found.unanswered + found.implausible + found.believed <= found.questions + bus._N
     assert found.cycles > 100
-    if "answer before" not in only:  # which is a right one, though old
+    if "answer before" not in only:  # which is correct but old
         assert found.position_off_deg < DEGREES
     if only == "nothing":
         assert (found.believed, found.wrong, found.wrong_goals, found.by_reason) == (found.questions, 0, 0, {})

@@ -1,4 +1,4 @@
-"""What is said of a base that was loaded with robots, and what a played robot makes of what comes back."""
+"""The report on a base under the load of robots, and a replayed robot."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,7 +60,7 @@ def test_the_growth_is_drawn(tmp_path: Path) -> None:
 
 
 class Base:
-    """A base that takes in every scan but the second, and plans anew at each."""
+    """A base that receives every scan except the second, and plans after each."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[AnyTopic, int]] = []

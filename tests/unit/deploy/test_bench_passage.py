@@ -1,4 +1,4 @@
-"""The bench of the passage planner plans over the pillars that the scenarios have."""
+"""The bench of the passage planner uses the pillars of the scenarios."""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""The bench of the servo bus: its figures are of what was asked, and both libraries put the same on the wire."""
+"""The bench of the servo bus: both libraries send the same bytes.
+
+Its figures are those of the requested jobs.
+"""
 
 import json
 from pathlib import Path
@@ -16,7 +19,7 @@ IDS = list(PHANTOMX.servo_names)
 
 
 class Recorder(MemoryPort):
-    """Notes what a library writes."""
+    """A port that records the bytes that a library writes."""
 
     port, baudrate = "memory", 1_000_000
 
@@ -36,7 +39,7 @@ def test_a_job_is_the_same_packets_whoever_does_it(library: type[servo_bus.Ours]
         pytest.importorskip("dynamixel_sdk", reason="pip install -e '.[bench]' brings it")
     port = Recorder(Desk())
     method = library(port, IDS)
-    port.timeout = 0.006  # its time is virtual, and goes by while a read waits
+    port.timeout = 0.006  # virtual time advances while a read waits
     assert servo_bus._do(job, method, IDS, 1) == 0
     asked = [(packet.servo_id, packet.code, packet.parameters) for packet in PacketParser().feed(port.sent)]
     turn = IDS[servo_bus.READS : 2 * servo_bus.READS]
@@ -58,7 +61,7 @@ def test_the_servos_command_leaves_its_figures(tmp_path: Path, capsys: pytest.Ca
     assert set(ours) == set(servo_bus.JOBS)
     assert ours["read 8 bytes"]["asked"] == 4
     assert ours["cycle"]["asked"] == 4 * servo_bus.READS
-    assert ours["read 8 bytes"]["wall_ms"]["median"] > 1.2  # the wire and the adapter cost that much
+    assert ours["read 8 bytes"]["wall_ms"]["median"] > 1.2  # least time of the wire and the adapter
     assert ours["no answer"]["wall_ms"]["p10"] >= 6.0
     assert {row["method"] for row in table["rows"]} | {words.split(":")[0] for words in table["missing"]} == {
         "sextant",

@@ -1,4 +1,4 @@
-"""What is said of a long walk: memory that grows, streams that come later, processes that end."""
+"""The report on a long walk: growing memory, delayed streams, ended processes."""
 
 import mmap
 import os
@@ -91,7 +91,7 @@ def test_every_sample_is_in_one_part(samples: list[tuple[float, float]]) -> None
 
 def test_memory_is_that_of_a_process_and_unknown_of_none() -> None:
     before = soak.own_mb(os.getpid())
-    # Not by NumPy, which takes what earlier tests have given back, without the process growing.
+    # Not with NumPy: it would reuse memory that earlier tests freed, and the process would not grow.
     with mmap.mmap(-1, 64_000_000, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) as held:
         for page in range(0, len(held), mmap.PAGESIZE):
             held[page] = 1

@@ -1,4 +1,7 @@
-"""The bench of the actuator's start: the real process, on emulated servos that hold a standing robot."""
+"""The bench of the actuator's start-up.
+
+The real process starts on emulated servos that hold a standing robot.
+"""
 
 import json
 from pathlib import Path
@@ -18,10 +21,10 @@ def test_the_start_command_leaves_its_figures(tmp_path: Path, capsys: pytest.Cap
     assert table == json.loads(capsys.readouterr().out)
     assert table["starts"] == len(table["each"]) == 2
     assert table["holding"] == sum(one["mode"] == "hold" for one in table["each"])
-    assert table["moved_deg"] < 2.0  # what a start may move a joint by
+    assert table["moved_deg"] < 2.0  # limit of a joint's motion during the start
     for one in table["each"]:
         assert one["mode"] in ("hold", "fault"), "where this machine is too busy to answer, it holds for that"
-        assert 0.0 < one["asked_ms"] < one["told_ms"]  # it looks how the servos stand before it tells them anything
+        assert 0.0 < one["asked_ms"] < one["told_ms"]  # it reads the servos' positions before it writes to them
     for name, ms in table["ms"].items():
         assert ms["max"] == max(one[f"{name}_ms"] for one in table["each"])
 

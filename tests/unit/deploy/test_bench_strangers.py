@@ -1,4 +1,4 @@
-"""Strangers at an exact rate, and the table of what was measured among them."""
+"""Unauthorized clients at an exact rate, and the table of the measurements."""
 
 import json
 import socket
@@ -38,7 +38,7 @@ def test_the_table_tells_of_what_was_measured_and_survives_its_file() -> None:
 
 
 def accepting(server: socket.socket, kept: list[socket.socket], said: dict[bytes, int]) -> None:
-    """Accept all that come, and close those that speak."""
+    """Accept all connections, and close those that send data."""
 
     def hear(connection: socket.socket) -> None:
         with connection:

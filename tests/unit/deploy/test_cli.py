@@ -96,13 +96,13 @@ def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pyte
 
 
 class NoLink:
-    """Nobody else is there."""
+    """A link to which no other process is connected."""
 
     def send(self, *_: object) -> None:
-        """Into the void."""
+        """Discard the frame."""
 
     def collect(self, _: object) -> Callable[[], list[bytes]]:
-        """Nothing comes."""
+        """Receive nothing."""
         return list
 
 
@@ -188,7 +188,7 @@ def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path,
 def test_a_folder_that_cannot_be_written_to_is_said_before_anything_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("os.access", lambda path, _: Path(path) != tmp_path)  # who runs this may be root
+    monkeypatch.setattr("os.access", lambda path, _: Path(path) != tmp_path)  # root may write everywhere
     assert cli.main(["trials", "flat", "--seeds", "1000:1001", "--out", str(tmp_path)]) == 2
     assert f"may not write to the folder {tmp_path}" in capsys.readouterr().err
     (tmp_path / "file").write_text("", encoding="utf-8")
@@ -360,13 +360,13 @@ def test_trials_of_all_terrains_print_one_table(
     assert all(f"| `{name}` | 2 of 2" in printed and f"| `{name}`, blind | 0 of 2" in printed for name in walked)
     assert "Left out: stair_map" in printed
     assert (tmp_path / "table.md").read_text() in printed
-    # It is printed again from what was kept, by the folder or by the file.
+    # The table is printed again from its file, given the folder or the file.
     for kept in (tmp_path, tmp_path / "campaign.jsonl"):
         assert cli.main(["trials", "table", "--of", "walks", str(kept)]) == 0
         assert capsys.readouterr().out.splitlines()[:-2] == (tmp_path / "table.md").read_text().splitlines()[:-3]
     assert cli.main(["trials", "table", str(tmp_path / "flat"), "--of", "reached"]) == 0
     assert "| `flat`: level ground | 2 of 2 (34 to 100 %) | 0 of 2 (0 to 66 %) |" in capsys.readouterr().out
-    # The first seed of each leaves its run behind, with its pictures.
+    # The first seed of each leaves its run and pictures.
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
 
@@ -452,7 +452,7 @@ def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     assert cli.main([*words, "--gait", "wave", "--out", str(tmp_path / "wave")]) == 0
     (gait, before), *_, (slow_gait, after) = ways
     assert (gait, slow_gait) == ("tripod", "wave")
-    assert after > 3 * before  # five strides of a sixth of the legs take their time
+    assert after > 3 * before  # five strides with a sixth of the legs at a time take longer
     assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
     assert "no profile 'nobody'" in capsys.readouterr().err
 

@@ -34,7 +34,10 @@ def test_frames_get_round_through_a_router_here() -> None:
 
 
 def clocked(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
-    """The check of the cycle where the kth wait lasts longer by some time, and the actuator works for a while."""
+    """Return the check of a cycle with late waits and a fixed time of work.
+
+    The kth wait is late by `late_ms(k)`.
+    """
     now, waits = 0, 0
 
     def work() -> None:

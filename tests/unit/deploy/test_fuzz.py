@@ -1,4 +1,7 @@
-"""Broken messages: that they reach what they are made for, that what fails is found, and that nothing does."""
+"""Fuzzing: broken messages reach their targets, and failures are found.
+
+No target fails.
+"""
 
 import struct
 import subprocess
@@ -15,7 +18,7 @@ from sextant.deploy.fuzz.target import Target
 from sextant.deploy.fuzz.targets import targets
 from sextant.shared.wire.topics import TOPICS
 
-MESSAGES = 500  # for each
+MESSAGES = 500  # for each target
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +34,7 @@ def test_good_messages_are_taken(every: dict[str, Target]) -> None:
     for target in every.values():
         expected = {"bridge, host": 3, "bridge, board": 5}.get(
             target.name, len(target.examples) / 2
-        )  # each hears one end alone
+        )  # each bridge target receives one direction only
         assert sum(map(target.take, target.examples)) >= expected, target.name
 
 
@@ -52,7 +55,7 @@ def test_the_same_seed_breaks_in_the_same_way(every: dict[str, Target]) -> None:
 
 def test_what_fails_is_found_once_with_the_message_that_it_failed_of(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def take(data: bytes) -> bool:
-        return data[40] > 0  # where there is one
+        return data[40] > 0  # raises IndexError for short data
 
     faulty = Target("faulty", (bytes(60),), lambda data, rng: data[: rng.randrange(60)], take)
     monkeypatch.setattr(fuzzing, "targets", lambda rng: (faulty,))

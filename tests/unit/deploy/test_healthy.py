@@ -12,7 +12,7 @@ import pytest
 from sextant.deploy import healthy
 from sextant.deploy.launch.launcher import free_port
 
-# Gives signs of life as a service does, until it reads a line; then it hangs.
+# Sends watchdog pulses as a service does until it reads a line; then it hangs.
 _LIVING = """
 import os, sys, threading, time
 from sextant.shared.runtime.watchdog import Watchdog

@@ -1,4 +1,4 @@
-"""docs/keys.md is what the command makes, and what it makes is what the wire carries."""
+"""docs/keys.md equals the command's output, and describes the frames on the wire."""
 
 import ast
 import re
@@ -23,7 +23,7 @@ def test_the_page_is_the_one_that_the_command_makes(capsys: pytest.CaptureFixtur
 
 
 def section(key: str) -> str:
-    """What the page says of a message."""
+    """Return the page's section about a message."""
     found = re.search(rf"^### {key} \w+\n(.*?)(?=^###|\Z)", PAGE, re.DOTALL | re.MULTILINE)
     assert found is not None
     return found[1]

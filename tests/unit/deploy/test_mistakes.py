@@ -1,4 +1,7 @@
-"""Mistakes that are typical of a command line: each ends with status 1 or 2 and one sentence, never with a traceback."""
+"""Typical mistakes on the command line.
+
+Each ends with status 1 or 2 and one sentence, never with a traceback.
+"""
 
 import json
 import os
@@ -23,7 +26,7 @@ CAMERA = "width = 8\nheight = 8\nfx = 9.0\nfy = 9.0\ncx = 4.0\ncy = 4.0\ndepth_s
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with everything that the mistakes below name."""
+    """Create a folder with all files that the mistakes below name."""
     monkeypatch.chdir(tmp_path)
     texts = {
         "typo.toml": SCENARIO.replace("distance", "distanse"),

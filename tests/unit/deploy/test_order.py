@@ -1,4 +1,7 @@
-"""An order from the terminal: said again and again, done when the actuator says so, in vain with the reason."""
+"""Orders from the terminal: sent repeatedly until the actuator confirms them.
+
+An order that fails ends with the reason.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -18,13 +21,13 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 class Desk:
-    """An order, and an actuator that says what the test has it say."""
+    """An order, and an actuator that reports scripted states."""
 
     def __init__(self, order: Order, **state: Any) -> None:
         self.order = order
         self.inbox = Inbox(order.reads, order.stages)
         self.now_ns = 1_000 * MS
-        self.ahead_ns = 0  # by which the robot's clock is ahead of this machine's
+        self.ahead_ns = 0  # offset of the robot's clock ahead of this machine's
         self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **{"lease": "", **state})
         self.given: list[ModeCommand] = []
 

@@ -1,4 +1,4 @@
-"""What commands write to: closed, full, or unable to show a character."""
+"""Output of commands to closed or full streams, or with unsupported characters."""
 
 import io
 import os
@@ -25,7 +25,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def info(recording: Path, stdout: int, env: dict[str, str] | None = None, closed: bool = False) -> tuple[int, str]:
-    """Exit status and stderr of `sextant info`."""
+    """Return the exit status and stderr of `sextant info`."""
     words = [sys.executable, "-m", "sextant.deploy.cli", "info", str(recording)]
     if closed:
         words = ["sh", "-c", 'exec "$@" >&-', "sh", *words]

@@ -1,4 +1,7 @@
-"""What somebody hears who looks on: the newest of states, all of events, counted where there is no room; rates and ages."""
+"""A passive subscriber: newest states, all events, rates and ages.
+
+Messages for which there is no room are counted.
+"""
 
 import json
 import threading
@@ -87,7 +90,7 @@ def test_of_states_the_newest_waits_of_events_all_there_is_room_for_and_every_fr
     ("stamp", "sent", "age"),
     [
         (NOW - 20 * MS, NOW - 5 * MS, 20 * MS),
-        (NOW - 20 * MS, 0, 20 * MS),  # who does not say when it was sent has its stamp taken
+        (NOW - 20 * MS, 0, 20 * MS),  # without a time of sending the stamp counts
         (NOW - 20 * MS, NOW + 5 * MS, None),
         (NOW - 20 * MS, NOW - 11 * S, None),
         (7 * S, 0, None),
@@ -191,7 +194,10 @@ def test_every_topic_has_a_side() -> None:
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[list[str]]:
-    """Somebody who says odometry, a camera's state, and velocities of another version; and how to meet it."""
+    """Publish odometry, a camera's state, and velocities of another version.
+
+    Yields the options with which a command connects to this robot.
+    """
     endpoint, over = f"tcp/127.0.0.1:{free_port()}", threading.Event()
 
     def speak(link: ZenohLink) -> None:
@@ -223,7 +229,7 @@ def test_echo_prints_as_many_messages_as_are_asked_for(robot: list[str], capsys:
 def test_echo_names_what_it_cannot_decode_and_goes_on(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     words = ["topics", "echo", "operator/velocity", "camera/state", "--count", "2", *robot]
     said = ""
-    for _ in range(20):  # either may come first
+    for _ in range(20):  # either may arrive first
         assert cli.main(words) == 0
         printed = capsys.readouterr()
         assert printed.out.count("camera/state  CameraState") == 2
@@ -239,7 +245,7 @@ def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
 ) -> None:
     from sextant.deploy.commands import topics as commands
 
-    others = Mailbox()  # somebody else, who is not held up meanwhile
+    others = Mailbox()  # a subscriber that is not delayed meanwhile
     said: list[dict[str, Any]] = []
 
     def say_slowly(text: str) -> None:

@@ -1,4 +1,4 @@
-"""The peer in NumPy and the compiled tests come to the same verdicts, whatever stance and samples they are given."""
+"""The NumPy peer and the compiled tests agree for any stance and samples."""
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
@@ -21,7 +21,7 @@ FIELDS = [
 
 
 def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Verdicts and clearances of both on a stance that is off by a spread [m]."""
+    """Return verdicts and clearances of both for a stance with random offsets [m]."""
     rng, profile = np.random.default_rng(seed), PROFILES[robot]
     legs, rules, field = legs_of(profile, PASSAGE), rules_of(profile, PASSAGE), ground_of(FIELDS[ground])
     body = np.array([rng.uniform(0.5, NEAR + GAP), rng.uniform(-0.02, 0.02), profile.stance.body_height])

@@ -42,7 +42,7 @@ def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> He
 
 
 class Bench:
-    """A monitor on a clock of its own."""
+    """A monitor on a separate clock."""
 
     def __init__(self, goal: float = 2.5):
         self.now_ns = 0
@@ -134,7 +134,7 @@ def test_plain_lines_come_now_and_then_and_a_warning_once() -> None:
 
 
 def rendered(text: str) -> list[str]:
-    """What a terminal shows, of the two control sequences that are used."""
+    """Return what a terminal shows, with the two control sequences in use."""
     screen: list[str] = [""]
     i = 0
     while i < len(text):
@@ -182,7 +182,7 @@ class Follower(Scripted):
 
 
 def watched(latency_s: float, computer: SlowComputer) -> Monitor:
-    """A monitor after 6 s of lockstep in which poses take some time to arrive."""
+    """Return a monitor after 6 s of lockstep with delayed poses."""
     monitor = Monitor(2.5, computer)
     poses = Scripted("perception", Every.hz(15), writes=(topics.BODY_POSE,), act=lambda tick, _: [pose(tick.stamp_ns, 0.0)])
     follower = Follower("planner", Every.hz(25), (topics.BODY_POSE,), act=lambda _, box: (box.latest(topics.BODY_POSE), ())[1])

@@ -1,4 +1,4 @@
-"""The attack by meaning: what is sent is well formed and extreme, and a robot in lockstep holds against it."""
+"""Attacks with well-formed but extreme messages on a robot in lockstep."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The router as a process of its own, which speaks for its machine where no launcher does."""
+"""The router as a separate process; it announces its machine without a launcher."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ PATIENCE_S = 60.0
 
 @contextmanager
 def router(*words: str, port: int | None = None) -> Iterator[tuple[subprocess.Popen[str], ZenohLink]]:
-    """A router, at a free port or a given one, and a link of its machine."""
+    """Run a router, at a free or a given port, with a link of its machine."""
     endpoint = f"tcp/127.0.0.1:{port or free_port()}"
     arguments = ("--listen", endpoint, *words, "--parent", str(os.getpid()))
     process = subprocess.Popen(
@@ -58,7 +58,7 @@ def test_it_tells_of_its_machine_and_names_who_is_there() -> None:
 
 
 def test_no_presence_of_another_machine_ends_it() -> None:
-    """Neither a robot of another version, nor an older start of the same: it reports them, and goes on."""
+    """Report a robot of another version or an older start of the same role, and go on."""
     robot = meeting.presence("hexapod-1", "onboard", "0.0.1", ["actuator", "stop"], 5.0, 1)
     robot = replace(robot, schemas=("another", *robot.schemas[1:]))
     older = meeting.presence("another", "offboard", version(), ["mapper"], 1e6, 1)
@@ -77,7 +77,7 @@ def test_no_presence_of_another_machine_ends_it() -> None:
 
 
 def stopped(process: subprocess.Popen[str], port: int, for_s: float) -> None:
-    """Stop a router for some time, in which somebody calls in vain."""
+    """Stop a router for some time, in which a caller receives nothing."""
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as caller:

@@ -1,4 +1,7 @@
-"""What the doctor says of a servo port: rights, latency, servos, voltage, heat and calibration, or that there is none."""
+"""The doctor's checks of a servo port.
+
+They cover rights, latency, servos, voltage, temperature, calibration, and a missing port.
+"""
 
 import os
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`sextant servos` at the command line: what it is given, how it ends, and which file a calibration goes to."""
+"""`sextant servos` on the command line: arguments, exits, and calibration files."""
 
 import io
 import json
@@ -90,7 +90,7 @@ def test_where_nobody_answers_nothing_moves(
     command: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if command == "set-id":
-        bench.unplug(bench._with_id(9))  # else there is nothing to ask
+        bench.unplug(bench._with_id(9))  # otherwise there is no question
     assert cli.main(["servos", command, "--port", url]) == 2
     assert "an answer expected, found the end of the input" in capsys.readouterr().err
     assert not bench.counts.instructions[dxl.Instruction.WRITE]
@@ -167,14 +167,14 @@ def test_torque_is_left_as_a_script_says(
     words = ["servos", "test", "--port", url, "--yes", "--leg", LEGS[0], *(["--torque", torque] if torque else [])]
     assert cli.main(words) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "3 of 3 joints are in order"
-    assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 0  # time goes on: what was written arrives
+    assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 0  # time goes on: the written data arrive
     assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
 
 
 def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As where the router is dead over which it would hear an order."""
+    """Close the latch even if the router that carries orders is dead."""
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
     _, end = pty.openpty()
     port, link = os.ttyname(end), tmp_path / "link"
@@ -194,7 +194,11 @@ def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
 def test_torque_is_latched_off_where_the_port_is_gone_and_where_it_is_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An adapter that comes back finds an actuator that lets go; so does a servo that missed the order, where one begins."""
+    """Latch torque off with and without an open port.
+
+    An actuator finds the latch when an adapter returns, and turns torque off. An actuator that starts does the same for a servo
+    that missed the order.
+    """
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path, tmp_path / "not there"))
     assert cli.main(["servos", "off", "--port", "/dev/ttyUSB97"]) == 1
     told = capsys.readouterr()
@@ -217,7 +221,10 @@ def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
 
 @pytest.mark.parametrize("deaf", [False, True])
 def test_torque_goes_off_at_the_port_itself(deaf: bool, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """An actuator that is gone has left a robot standing; one of its servos may have lost its cable since."""
+    """Turn torque off for a standing robot whose actuator is gone.
+
+    One of its servos may have lost its cable since.
+    """
     torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
     torque[:] = 1
     assert cli.main(["servos", "scan", "--port", url]) == 0
@@ -235,7 +242,10 @@ def test_torque_goes_off_at_the_port_itself(deaf: bool, bench: Workbench, url: s
 
 
 def test_torque_goes_off_behind_a_microcontroller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An actuator that is gone has left a robot standing; nobody else speaks to a board."""
+    """Turn torque off through a board for a standing robot whose actuator is gone.
+
+    No other process uses the board.
+    """
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
     bench = Workbench(PROFILE, np.random.default_rng(1))
     torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
@@ -261,7 +271,7 @@ def test_a_microcontroller_that_is_none_is_told(
 def test_a_signal_in_the_midst_of_a_move_leaves_torque_off_and_all_as_before(
     number: signal.Signals, bench: Workbench, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A shell that hangs up, or a second Ctrl-C while the first is still being obeyed."""
+    """Handle a signal during a move, also twice, as from a hang-up or a second Ctrl-C."""
     receive, sent = bench.receive, []
     seen: list[int] = []
     before = {one: signal.signal(one, lambda number, _: seen.append(number)) for one in (signal.SIGTERM, signal.SIGHUP)}
@@ -287,7 +297,7 @@ def test_a_signal_in_the_midst_of_a_move_leaves_torque_off_and_all_as_before(
 
 
 def test_a_command_runs_in_another_thread_too(url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Which hears of no signals."""
+    """Run a command in a thread that receives no signals."""
     with ThreadPoolExecutor() as threads:
         assert threads.submit(cli.main, ["servos", "scan", "--port", url, "--ids", "1:3"]).result() == 0
 
@@ -302,9 +312,12 @@ def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
     assert "the left rear leg is left out" in told
 
 
-@pytest.mark.filterwarnings("ignore:.*socket.*:pytest.PytestUnraisableExceptionWarning")  # pyserial drops one that was hung up
+@pytest.mark.filterwarnings("ignore:.*socket.*:pytest.PytestUnraisableExceptionWarning")  # pyserial drops a closed socket
 def test_a_second_program_is_told_that_it_is_not_alone(bench: Workbench, capsys: pytest.CaptureFixture[str]) -> None:
-    """It would hear nothing, and look for 18 cables."""
+    """Report that the port is in use.
+
+    Otherwise the second program would receive nothing and suspect 18 cables.
+    """
     with TcpBusServer(bench, turns_away=True) as server:
         for _ in range(3):
             with socket.create_connection(server.address) as first:

@@ -1,4 +1,4 @@
-"""The peers of the map stages come to the same results as ours: only then do their times compare."""
+"""The peers of the map stages give the same results, so that times are comparable."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
     boxed = (np.abs(x - 0.1) < 0.05) & (np.abs(y) < 0.05)
     heights = []
     for k in range(120):
-        # A box that is taken away; the ground under it is never measured. Later, the pose sinks by 8 mm.
+        # A box is taken away; the ground under it is never measured. Later, the pose sinks by 8 mm.
         seen = ~boxed if k >= 10 else np.full(x.shape, True)
         rise = -0.008 * (k > 60)
         p = np.column_stack(
@@ -91,7 +91,7 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
         np.testing.assert_array_equal(np.isfinite(elevation), np.isfinite(theirs.elevation))
         heights.append(float(np.nanmedian(elevation)))
     assert np.isnan(elevation[38:46, 28:36]).mean() > 0.8  # most of the box is gone
-    assert heights[-1] < -0.006  # and the map told as the newest poses see it
+    assert heights[-1] < -0.006  # and the map follows the newest poses
     np.testing.assert_allclose(elevation, theirs.elevation, atol=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""What a user reads where the robot cannot be met, by each command that meets it: one sentence, and nothing of Zenoh."""
+"""Messages of commands that cannot reach the robot: one sentence, without Zenoh's."""
 
 import socket
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def taken() -> Iterator[int]:
-    """A port that another program listens on, which is no router."""
+    """Yield a port on which another program listens that is no router."""
     with socket.create_server(("127.0.0.1", 0)) as other:
         yield other.getsockname()[1]
 

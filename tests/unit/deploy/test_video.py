@@ -1,4 +1,4 @@
-"""Moving pictures of recorded runs: laws of what is drawn, and how the command ends."""
+"""Videos of recorded runs: properties of the pictures, and exits of the command."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,17 +54,23 @@ SMALL = Cut(size=(160, 96), fps=5.0)
 
 
 def at(t_s: float) -> Array:
-    """Where the robot is after so many seconds: in a bend to the left."""
+    """Return the robot's pose at a time [s], in a bend to the left."""
     return transform(rotation_z(0.3 * t_s), np.array([0.12 * t_s, 0.02 * t_s**2, PROFILE.stance.body_height]))
 
 
 def on_ground(T: Array) -> Array:
-    """Joint angles (6, 3) of a robot whose feet stand on level ground in their resting places below it."""
+    """Return the joint angles (6, 3) of a robot on level ground.
+
+    The feet stand in their resting places below it.
+    """
     return body_inverse(PROFILE, PROFILE.rest_feet(float(T[2, 3])))
 
 
 def a_walk(seed: int = 0) -> list[Message]:
-    """A robot that glides over level ground, its odd legs in the air, and is refused at the end."""
+    """Return the messages of a robot that glides over level ground.
+
+    Its odd legs are in the air, and the planner refuses at the end.
+    """
     said: list[Message] = []
     for k in range(int(DURATION_S * S / STEP_NS) + 1):
         t_ns = k * STEP_NS
@@ -122,7 +128,7 @@ def record(path: Path, said: list[Message], about: dict[str, str] | None = None)
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run."""
+    """Return the folder of a run."""
     folder = tmp_path_factory.mktemp("run")
     record(folder / "recording.mcap", a_walk())
     return folder
@@ -134,7 +140,7 @@ def story(run: Path) -> Story:
 
 
 def level(way: Array | None = None) -> ground.Ground:
-    """Level ground with a block beside the robot."""
+    """Return level ground with a block next to the robot."""
     block = Boxes(np.array([[0.5, 0.0, 0.02]]), np.array([[0.05, 0.2, 0.02]]), np.eye(3)[None])
     return ground.of_terrain(Terrain(block, plane=0.0), np.array([[-0.5, 0.0], [0.5, 0.0]]) if way is None else way)
 
@@ -152,7 +158,7 @@ def painter() -> Painter:
 
 
 def pixel(view: View, size: tuple[int, int], p: Array) -> Array:
-    """Column and row (2,) of a point {world}."""
+    """Return the column and row (2,) of a point {world}."""
     x, y, z = apply(inverse(view.T_world_camera), p)
     return np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]) + view.focal * size[1] * np.array([x, y]) / z
 
@@ -195,7 +201,7 @@ def still(contact: NDArray[np.bool_]) -> tuple[Figure, Array]:
 
 
 def from_aside(p: Array, yaw: float, away: float = 1.2) -> View:
-    """Level enough that a foot is seen, from a heading."""
+    """Return a view of a foot from a heading, nearly level."""
     look = np.array([-np.cos(yaw), -np.sin(yaw), -0.5])
     look /= np.linalg.norm(look)
     x = np.cross(look, [0.0, 0.0, 1.0])
@@ -228,7 +234,7 @@ def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Paint
     changed = np.argwhere(np.abs(marked - bare).max(axis=-1) > 8)
     assert len(changed) > 4
     assert np.abs(changed - [v, u]).max() < 20
-    # Beside its shadow it is lighter than below it.
+    # Next to its shadow the ground is lighter than below the robot.
     away = replace(figure, T_world_body=figure.T_world_body @ from_xyz_rpy((0.0, 3.0, 0.0), (0.0, 0.0, 0.0)))
     lit, below = (
         painter.paint(away, view).astype(int),
@@ -238,7 +244,10 @@ def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Paint
 
 
 def solid_limbs(starts: Array, ends: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
-    """Points drawn (n, 3), their normals, and all pixels' rays and depths."""
+    """Draw limbs; return the drawn points (n, 3), their normals, and the images.
+
+    The images are the inverse depth and the material of all pixels.
+    """
     sight = blank(120, 90, (150.0, 150.0, 59.5, 44.5))
     draw_limbs(sight, np.eye(4), starts, ends, radii, np.ones(len(radii), dtype=np.uint8))
     v, u = np.nonzero(sight.w)
@@ -259,7 +268,7 @@ def test_a_limb_is_the_hull_of_its_balls(seed: int) -> None:
     outward = points - centre[gap.argmin(axis=1)]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     assert (np.einsum("ij,ij->i", outward, normals) > 0.99).all()
-    # And every ray that meets one of the balls is drawn.
+    # Every ray that meets one of the balls is drawn.
     v, u = np.mgrid[:90, :120]
     rays = np.stack([(u - 59.5) / 150, (v - 44.5) / 150, np.ones(u.shape)], axis=-1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -341,7 +350,10 @@ def test_without_truth_it_is_drawn_where_it_believed_to_be_on_its_own_map(tmp_pa
 
 
 def test_what_gives_way_sinks_when_a_foot_that_carries_has_told_so(story: Story, painter: Painter) -> None:
-    """Under the left middle foot at the beginning there is a pillar that is taken to reach 1 cm higher: so it has sunk."""
+    """Sink the pillar under the left middle foot by the recorded contact.
+
+    The pillar is assumed to reach 1 cm higher than the foot, so it has sunk.
+    """
     foot = story.truth.said[0].feet[5]
     assert story.truth.said[0].contact[5]
     half = np.array([[0.04, 0.04, 0.2]])
@@ -454,7 +466,7 @@ def test_a_film_that_lacks_its_end_is_said_and_not_left(tmp_path: Path, suffix: 
     frames = [np.full((96, 160, 3), 10 * k, dtype=np.uint8) for k in range(12)]
     assert files.write(tmp_path / f"whole{suffix}", frames, 10.0, (160, 96)) == 12
     assert files._frames_in(tmp_path / f"whole{suffix}") == 12
-    monkeypatch.setattr(files, "_frames_in", lambda _: 11)  # as OpenCV leaves it on a full disk, without a word
+    monkeypatch.setattr(files, "_frames_in", lambda _: 11)  # as OpenCV leaves it on a full disk, without an error
     with pytest.raises(WriteError, match="cannot be written: the disk is full"):
         files.write(tmp_path / f"cut{suffix}", frames, 10.0, (160, 96))
     assert [path.name for path in tmp_path.iterdir()] == [f"whole{suffix}"]

@@ -1,4 +1,4 @@
-"""A recording and a live robot in the viewers that people have; each where its package is installed."""
+"""A recording and a live robot in common viewers, if their packages are installed."""
 
 import json
 from pathlib import Path
@@ -59,7 +59,7 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
             subscription = {"id": 5, "channelId": channels["/tf"]["id"]}
             viewer.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
             frame: bytes | str = ""
-            for k in range(200):  # what is sent before the server has heard of it is lost
+            for k in range(200):  # messages before the server knows of the subscription are lost
                 server.write(topics.ACTUATOR_STATE, state, 7 * S + k)
                 try:
                     frame = viewer.recv(0.1)

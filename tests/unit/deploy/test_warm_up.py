@@ -1,4 +1,4 @@
-"""What is compiled before a first run is compiled once, on as many cores as that is worth."""
+"""Compilation before a first run: once, on a suitable number of cores."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Work shared out among processes."""
+"""Work in several processes."""
 
 import multiprocessing
 import os
@@ -64,5 +64,5 @@ def test_a_copy_that_does_not_come_to_its_end_is_an_error(end: Callable[[], obje
 
 def _divide_or_sleep(a: int, b: int) -> float:
     if b == 600:
-        time.sleep(b)  # until it is ended
+        time.sleep(b)  # until the process is terminated
     return a / b

@@ -17,7 +17,7 @@ def test_colours_come_back(rgb: np.ndarray) -> None:
 def test_codes_lose_no_more_than_half_a_step(rgb: np.ndarray) -> None:
     color = ycocg_from_rgb(rgb)
     back = from_codes(codes(color))
-    # Half a step, but at the ends: the darkest luma code says that there is none, the purest orange has none.
+    # Half a step, except at the ends: the darkest luma code means no colour, and the purest orange has no code.
     assert np.all(np.abs(back - color) <= np.where(np.abs(color) > 240, 7.0, 4.0))
     np.testing.assert_array_equal(codes(back), codes(color))
 

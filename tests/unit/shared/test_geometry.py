@@ -25,7 +25,7 @@ def directions(draw: st.DrawFn) -> Array:
 
 @st.composite
 def rotation_vectors(draw: st.DrawFn) -> Array:
-    """Of any length up to pi, also near both ends."""
+    """Draw rotation vectors of any length up to pi, also near both ends."""
     scale = draw(st.sampled_from(SCALES) | st.floats(0.0, np.pi - 1e-9))
     return np.asarray(scale * draw(directions()))
 
@@ -95,7 +95,7 @@ def test_quaternion_round_trip(R: Array) -> None:
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=TIGHT)
     assert q[0] >= 0.0
     np.testing.assert_allclose(g.rotation_from_quaternion(q), R, atol=1e-10)
-    np.testing.assert_allclose(g.rotation_from_quaternion(-3.0 * q), R, atol=1e-10)  # neither sign nor length counts
+    np.testing.assert_allclose(g.rotation_from_quaternion(-3.0 * q), R, atol=1e-10)  # sign and length do not matter
 
 
 @pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3)]))
@@ -208,6 +208,6 @@ def test_everything_works_in_batches() -> None:
 
 
 def test_names_cancel() -> None:
-    """A point of the body, seen from the world, by the transform named world_body."""
+    """Transform a point from {body} to {world} by T_world_body."""
     T_world_body = g.from_xyz_rpy([1.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2])
     np.testing.assert_allclose(g.apply(T_world_body, [[1.0, 0.0, 0.0]]), [[1.0, 1.0, 0.0]], atol=TIGHT)

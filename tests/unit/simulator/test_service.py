@@ -1,4 +1,4 @@
-"""The simulator as a service: how often it speaks, whom it serves, what time it is."""
+"""The simulator as a service: rates, subscribers, and time."""
 
 from collections import Counter
 from dataclasses import replace
@@ -37,13 +37,13 @@ def run(
     return [m for ns in range(from_ns, until_ns + 1, period) for m in sim.step(Tick(ns), inbox)]
 
 
-BEAT_NS = TIME_STEP_NS  # what is due comes after a step
+BEAT_NS = TIME_STEP_NS  # messages are published after a step
 
 
 def test_rates_are_exact_in_count() -> None:
     made = run(simulator(imu=True), 2_000 * MS)
     counts = Counter(type(m) for m in made)
-    # The first of each comes at once, so two seconds from then on hold two seconds' worth.
+    # The first of each comes at once, so the two seconds after it contain two seconds of messages.
     first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
     within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
     assert set(first.values()) == {BEAT_NS}
@@ -63,7 +63,7 @@ def test_colour_is_made_where_the_camera_has_it_and_somebody_wants_it() -> None:
     sim = Simulator(load_profile("phantomx_mk2_rgbd"), Settings(), FLAT)
     made = run(sim, 500 * MS, (topics.COLOR,))
     pictures = [m for m in made if isinstance(m, ColorImage)]
-    assert len(pictures) == 3  # at once, and five a second
+    assert len(pictures) == 3  # at once, and five per second
     assert pictures[0].rgb.shape == (480, 640, 3)
     assert {m.stamp_ns for m in pictures} <= {m.stamp_ns for m in made if isinstance(m, DepthImage)}
 
@@ -133,7 +133,7 @@ def test_servos_of_either_kind_are_set_up_for_the_actuators_bus(name: str) -> No
 
 
 def test_stamps_are_those_of_whoever_paces_it() -> None:
-    """Live, the clock does not begin at zero."""
+    """Take stamps from the pacing clock; live, it does not begin at zero."""
     origin = 123_456_789_000
     made = run(simulator(), origin + 100 * MS, from_ns=origin)
     assert min(m.stamp_ns for m in made) > origin
@@ -223,7 +223,7 @@ def test_a_load_that_is_asked_for_ahead_of_the_physics_is_what_the_physics_then_
     sim, row, goal = simulator(), 4, dxl.GOAL_POSITION
     run(sim, 100 * MS)
     ticks, told, found = word(sim, row, goal), list[float](), list[float]()
-    for _ in range(15):  # a femur goes on with its leg, step by step
+    for _ in range(15):  # a femur moves with its leg, step by step
         ticks -= 4
         sim.servos.write(row, goal.address, goal.encode(ticks))
         begin_ns = sim.world.time_ns

@@ -1,4 +1,4 @@
-"""One address in front of two consoles, by a client that is no browser."""
+"""The fleet proxy: one address for two consoles, with a client that is no browser."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,10 @@ TOKEN = "a long and secret word"
 
 
 class Site:
-    """Two consoles, of which threads wait for browsers, and the lobby before them; a context manager."""
+    """Two consoles served by threads, with the fleet proxy before them.
+
+    This class is a context manager.
+    """
 
     def __init__(self, token: str = "") -> None:
         self.token = token

@@ -21,7 +21,7 @@ S = 1_000_000_000
 
 
 class Link:
-    """Hands over what a test says, while somebody listens."""
+    """A link that delivers a test's frames to its subscribers."""
 
     def __init__(self) -> None:
         self.listeners: dict[str, Callable[[AnyTopic, bytes], None]] = {}
@@ -36,7 +36,7 @@ class Link:
 
 
 class Desk:
-    """A recorder with a link, and somebody who gives it orders."""
+    """A recorder with a link, and a client that sends orders to it."""
 
     def __init__(self, folder: Path, **settings: Any):
         wall = lambda: datetime(2026, 3, 1, 12, 30, tzinfo=UTC)  # noqa: E731
@@ -128,7 +128,7 @@ def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path,
         monkeypatch.setattr("sextant.shared.recording.writer.Recorder.write", full)
         desk.link.say()
         state = desk.beat()
-        while state.recording:  # its thread has yet to find out
+        while state.recording:  # its thread has not noticed yet
             state = desk.beat()
     assert "No space left on device" in state.reason
     assert not desk.link.listeners, "nothing more is sent to it"

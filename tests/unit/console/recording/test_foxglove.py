@@ -1,4 +1,4 @@
-"""What Foxglove is told is what the wire said: every message goes there and back."""
+"""Messages survive the conversion to Foxglove and back."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
-MM = 0.0005  # [m] what rounding may change
+MM = 0.0005  # [m] largest change by rounding
 S = 1_000_000_000
 
 
@@ -50,7 +50,7 @@ def matrix(pose: Any) -> np.ndarray:
 
 
 def unpacked(message: Any) -> np.ndarray:
-    """The points or cells of a message, read by the fields that it declares."""
+    """Return the points or cells of a message, read by the fields that it declares."""
     kinds = {1: "u1", 7: "<f4"}
     stride = message.point_stride if hasattr(message, "point_stride") else message.cell_stride
     dtype = np.dtype(
@@ -158,7 +158,7 @@ def plan(stamp_ns: int) -> StepPlan:
 
 
 def a_second(at_ns: int = 0) -> list[tuple[Message, int]]:
-    """What comes within a second, a little of everything."""
+    """Return the messages of one second, some of each type."""
     status = PlannerStatus(at_ns, "blocked", "no foothold", 1, 0, 2, np.array([[0.0, 0.0], [1.0, 0.5]]))
     jpeg = np.frombuffer(b"\xff\xd8 a picture", dtype=np.uint8)
     said: list[Message] = [pose(at_ns, np.eye(4)), terrain(at_ns), scan(at_ns), plan(at_ns), status, health(at_ns, "mapper")]

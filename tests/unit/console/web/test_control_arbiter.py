@@ -1,4 +1,7 @@
-"""What operators ask for at their pages, and what goes out: nothing moves but while it is asked for, by who leads."""
+"""Requests of operators at their pages, and the resulting messages.
+
+The robot moves only while the leading page asks for it.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +26,7 @@ def drive(press: int, forward: float = 0.1, left: float = 0.0) -> Drive:
 
 
 class Office:
-    """A desk, its pages, and an actuator that gives the lease to who orders, as the guard does."""
+    """A desk, its pages, and an actuator that grants the lease as the guard does."""
 
     def __init__(self) -> None:
         self.desk = Desk(max_speed=0.12, place="here")
@@ -54,7 +57,7 @@ class Office:
         return self.desk.ask(page, request, self.now)  # type: ignore[arg-type]
 
     def hold(self, page: int, press: int, beats: int = 5, **wish: float) -> list[Message]:
-        """The pad is held for some beats of 50 ms."""
+        """Hold the pad for some beats of 50 ms."""
         out = []
         for _ in range(beats):
             assert self.ask(page, drive(press, **wish)) == ""
@@ -71,7 +74,7 @@ def velocities(messages: list[Message]) -> list[VelocityCommand]:
 
 
 def orders(messages: list[Message]) -> list[str]:
-    """Orders in the order in which they were first given."""
+    """Return orders in the order in which they were first sent."""
     return [m.mode for m in {m.sequence: m for m in messages if isinstance(m, ModeCommand)}.values()]
 
 
@@ -149,7 +152,7 @@ def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> N
     assert office.ask(2, Command("stop")) == ""
     office.beat()
     assert [m.holder for m in of(ModeCommand, office.out[before:]) if m.mode == "stop"] == ["console 2 at here"]  # type: ignore[attr-defined]
-    for _ in range(5):  # the press has lapsed with it
+    for _ in range(5):  # the stop has also ended the press
         office.ask(1, drive(1))
         assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
     assert office.ask(2, Command("off")) == ""
@@ -163,7 +166,7 @@ def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
     (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2 at here")
     assert (taken.mode, taken.take) == ("stop", True)
     assert office.lease == "console 2 at here"
-    office.beat()  # the actuator has said so
+    office.beat()  # the actuator has confirmed it
     assert "page 2 leads" in office.ask(1, drive(2))
     assert any(v.velocity.any() for v in velocities(office.hold(2, press=1)))
 
@@ -251,7 +254,10 @@ def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Off
 
 
 def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(office: Office) -> None:
-    """An actuator, or a stop path, that begins anew would obey it anew, and the robot fall."""
+    """Send an order of torque off only once if another operator overrides it.
+
+    An actuator or a stop path that restarts would obey a repeated order, and the robot would fall.
+    """
     office.ask(1, Command("off"))
     office.beat()
     for mode in (Mode.OFF, Mode.STAND):
@@ -263,7 +269,10 @@ def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(offi
 
 @pytest.mark.parametrize("order", ["stand", "ready", "sit", "stop"])
 def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, order: str) -> None:
-    """An actuator that begins anew knows nobody's orders, and would take it for a new one."""
+    """Stop repeating an order after torque went off.
+
+    An actuator that restarts does not know earlier orders, and would take a repeated one for new.
+    """
     office.ask(1, Command(order))  # type: ignore[arg-type]
     assert of(ModeCommand, office.beat())
     office.mode = Mode.OFF
@@ -331,12 +340,12 @@ ASKED = [Release(), Command("stop"), Command("off"), TakeOver(), GO, GiveUp(), H
 
 
 class Anything(RuleBasedStateMachine):
-    """Whatever pages do, in whatever order."""
+    """Any actions of pages, in any order."""
 
     def __init__(self) -> None:
         super().__init__()
         self.office = Office()
-        self.heard: dict[int, int] = {}  # when each page last held its pad, by a press that counts
+        self.heard: dict[int, int] = {}  # last time each page held its pad with a valid press
         self.lapsed: dict[int, int] = {}
         self.pages: set[int] = set()
 

@@ -1,4 +1,4 @@
-"""Maps and pictures as a page takes them: what goes in comes out again, as its script reads it."""
+"""Frames of maps and pictures for a page, decoded as its script decodes them."""
 
 import json
 import struct
@@ -31,7 +31,7 @@ def terrain(seed: int = 0, colored: bool = False) -> TerrainMap:
 
 
 def read(frame: bytes) -> tuple[dict[str, Any], bytes]:
-    """As the page's `Link.take`."""
+    """Decode a frame as the page's `Link.take` does."""
     (length,) = struct.unpack_from("<I", frame)
     return json.loads(frame[4 : 4 + length]), frame[4 + length :]
 

@@ -1,4 +1,4 @@
-"""What is logged of those who are refused; who comes in is tested with the server."""
+"""The log of refused connections; the server's test covers accepted ones."""
 
 import re
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""What a page is sent next: the newest of everything, and no more than it can draw."""
+"""The next message for a page: the newest of each, and no more than it can draw."""
 
 from sextant.services.console.web.pages import Page
 

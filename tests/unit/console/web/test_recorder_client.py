@@ -10,7 +10,7 @@ RESTING = RecorderState(0, False, -1, "", 0.0, 0, 5 * 10**9, 0, "")
 
 
 class Recorder:
-    """One that does what it is told, as the clerk sees it."""
+    """A recorder that follows its orders, as the clerk sees it."""
 
     def __init__(self) -> None:
         self.diary = Diary()

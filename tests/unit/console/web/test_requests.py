@@ -1,4 +1,4 @@
-"""What a page may ask for, and all else refused in words."""
+"""Requests that a page may send; all others are rejected with a reason."""
 
 import contextlib
 import json

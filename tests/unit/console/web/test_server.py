@@ -1,4 +1,4 @@
-"""The web server and its sockets, by a client that is no browser."""
+"""The web server and its sockets, with a client that is no browser."""
 
 import contextlib
 import hashlib
@@ -30,7 +30,7 @@ DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": 0.0, 
 
 
 class Served(PageServer):
-    """A server that a thread waits with, but for when it is the test's turn."""
+    """A server that a thread runs, except during the test's turn."""
 
     def __enter__(self) -> Self:
         super().__enter__()
@@ -72,7 +72,7 @@ def page(server: Served, protocols: tuple[str, ...] = (PROTOCOL,), **options: An
 
 
 def within(holds: Callable[[], object]) -> None:
-    """Wait for a thread to have done something."""
+    """Wait until another thread has fulfilled a condition."""
     limit, turn = time.monotonic() + PATIENCE_S, threading.Event()
     while not holds():
         assert time.monotonic() < limit
@@ -176,12 +176,12 @@ def test_something_urgent_ends_the_wait_and_a_pad_that_falls_silent_does(server:
         events(server, 1)
         with server.serving.turn:
             begun = time.monotonic()
-            socket.send(json.dumps({"type": "here"}))  # is not
+            socket.send(json.dumps({"type": "here"}))  # not urgent
             for said in ({"type": "order", "order": "off"}, DRIVE):
                 socket.send(json.dumps(said))
                 server.wait(PATIENCE_S)
             assert time.monotonic() - begun < PATIENCE_S
-            socket.send(json.dumps(DRIVE))  # it goes on
+            socket.send(json.dumps(DRIVE))  # the press goes on
             pressed = time.monotonic()
             server.wait(PATIENCE_S)
             assert DEAD_MAN_NS * 1e-9 <= time.monotonic() - pressed < PATIENCE_S, "after the dead-man's time"
@@ -197,7 +197,7 @@ def test_who_takes_nothing_holds_nobody_up(server: Served) -> None:
             server.say(server.show, "map", frame, numbers)
             assert good.recv(timeout=PATIENCE_S) == frame
             good.send(json.dumps({"type": "seen", "what": "map"}))
-            deaf.send(json.dumps({"type": "seen", "what": "map"}))  # it lies
+            deaf.send(json.dumps({"type": "seen", "what": "map"}))  # it acknowledges a map that it has not read
         server.say(server.post, "state", "still here", numbers)
         assert good.recv(timeout=PATIENCE_S) == "still here"
 

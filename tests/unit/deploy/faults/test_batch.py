@@ -1,4 +1,4 @@
-"""Batches of made-up injections: nothing is done twice, and a table is told of all."""
+"""Batches of synthetic injections: none runs twice, and the table contains all."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""What is broken, and the limits to it: what is promised, and what the robot can keep whatever is drawn."""
+"""Fault cases and their limits.
+
+The limits are the documented ones, and the robot can keep them for any random draw.
+"""
 
 from dataclasses import replace
 
@@ -8,8 +11,8 @@ import pytest
 from sextant.deploy.faults.cases import BY_NAME, CASES, Limits, Off, OnBus
 
 _KINDS = ("silent", "stuck", "garbage", "wrong", "slow", "intermittent")
-_CYCLE_S, _WINDOW = 0.02, 10  # [cycles] of the watch on lost answers
-_SHARE, _STOPS = 0.40, 0.30  # that are lost, and from which it stops
+_CYCLE_S, _WINDOW = 0.02, 10  # [s]; [cycles] window of the check for lost answers
+_SHARE, _STOPS = 0.40, 0.30  # share of lost answers, and the share at which the robot stops
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What `sextant faults` takes and names, without breaking anything."""
+"""Arguments and output of `sextant faults`, without any fault."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A live walk without its processes: who is started and how they meet, and when one that was killed counts as back."""
+"""A live walk without its processes: commands, endpoints, recovery after a kill."""
 
 import time
 from pathlib import Path
@@ -30,7 +30,7 @@ NOTHING = np.zeros(0)
 
 
 def words(command: Command, option: str) -> list[str]:
-    """What follows each occurrence of an option."""
+    """Return the word after each occurrence of an option."""
     return [value for word, value in zip(command.arguments, command.arguments[1:], strict=False) if word == option]
 
 
@@ -115,7 +115,7 @@ def test_the_truth_is_heard_where_nothing_is_broken(name: str, monkeypatch: pyte
             return True
 
     monkeypatch.setattr(live, "ZenohLink", Link)
-    monkeypatch.setattr(live.Launcher, "__enter__", lambda self: self)  # nobody is started
+    monkeypatch.setattr(live.Launcher, "__enter__", lambda self: self)  # no process is started
     with LiveWalk(BY_NAME[name], 1) as walk:
         simulator = next(one for one in walk.commands if one.name == "simulator")
         router = next(one for one in walk.commands if one.name == "router")
@@ -193,7 +193,7 @@ def test_what_a_recording_lacks_counts_from_the_last_message_before_the_kill(
     monkeypatch.setattr(walk, "_recordings", tmp_path)
     killed_s = 100.0
     assert walk._recorded_until(killed_s) == -np.inf, "nothing was recorded"
-    for name, ends_s in (("1", 60.0), ("2", 99.7), ("3", 101.0)):  # of an earlier walk, of the killed, of its successor
+    for name, ends_s in (("1", 60.0), ("2", 99.7), ("3", 101.0)):  # an earlier walk, the killed one, its successor
         folder = tmp_path / name
         folder.mkdir()
         with Recorder(folder / "recording.mcap", {}) as recorder:

@@ -1,4 +1,4 @@
-"""Somebody between the planner and the wire."""
+"""Faults between the planner and the wire."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""What came of a fault, from made-up timelines."""
+"""Scores of faults, from synthetic timelines."""
 
 from math import isnan, nan
 
@@ -176,7 +176,10 @@ def test_torque_that_is_on_in_the_end_was_not_off_for_good() -> None:
 
 
 def test_torque_that_is_switched_by_what_nobody_sent_is_told_apart() -> None:
-    """A broken byte in 256 passes a servo's checksum: no process can be held to what it never sent."""
+    """Report separately that torque was switched by a command that no process sent.
+
+    A broken byte in 256 passes a servo's checksum; no process is responsible for such a command.
+    """
     found = score(timeline(switches=(torque(0.34, on=False),)), OFF, PROFILE)
     assert (found.switched, found.misheard) == (False, True)
     found = score(timeline(), OFF, PROFILE)
@@ -209,7 +212,10 @@ def test_without_two_goals_there_is_no_cycle() -> None:
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.floats(-0.004, 0.004))
 def test_goals_are_as_fast_as_their_ways_by_the_cycle_without_a_tick_of_rounding(ways: list[int], early_s: float) -> None:
-    """Whenever in its cycle a packet is sent; what is sent twice in one counts once, what is sent after the end not at all."""
+    """Compute goal speeds for packets at any time in their cycle.
+
+    Repeated goals in one cycle count once, and goals after the end do not count.
+    """
     ticks = np.cumsum([100, *ways])
     sent = [goal(0.1 + PERIOD_S * k + (early_s if k % 2 else 0.0), int(at)) for k, at in enumerate(ticks)]
     twice = [Goals(one.t_s + 0.001, one.ticks, one.speeds) for one in sent]

@@ -1,4 +1,4 @@
-"""The tap on a servo bus, over sockets of this machine: what goes in comes out, and is told."""
+"""The servo bus tap over local sockets: it forwards all bytes and reports them."""
 
 import contextlib
 import queue
@@ -18,7 +18,7 @@ _WAIT_S = 10.0
 
 @contextlib.contextmanager
 def tapped() -> Iterator[tuple[int, socket.socket, "queue.Queue[Opened | Sent]"]]:
-    """A tap: its port, who listens in place of the servos, and what it says."""
+    """Yield a tap's port, the listener in place of the servos, and the tap's reports."""
     said: queue.Queue[Opened | Sent] = queue.Queue()
     with socket.create_server(("127.0.0.1", 0)) as servos, socket.create_server(("127.0.0.1", 0)) as listener:
         servos.settimeout(_WAIT_S)

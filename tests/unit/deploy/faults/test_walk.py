@@ -1,4 +1,4 @@
-"""What a walk in lockstep knows of who breaks it."""
+"""A lockstep walk with faults."""
 
 import math
 

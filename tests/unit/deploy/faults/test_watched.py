@@ -1,4 +1,4 @@
-"""Injections one after the other in one walk, and another walk where the robot does not go on."""
+"""Successive injections in one walk, and a new walk when the robot stops."""
 
 from dataclasses import replace
 from typing import Self
@@ -16,10 +16,10 @@ from tests.support.timelines import timeline
 
 
 class Walk(Watched):
-    """One that goes on for so many injections as is said, stands then, or cannot be had to walk."""
+    """A walk that goes on for a given number of injections, then stands or is stuck."""
 
     start_s = 1.0
-    lasts: list[int]  # of the walks to come
+    lasts: list[int]  # numbers of injections of the coming walks
     stuck: bool
     seeds: list[int]
 

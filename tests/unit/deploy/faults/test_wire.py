@@ -1,4 +1,4 @@
-"""The recorder on the servos' wire, fed with bytes."""
+"""The recorder on the servo bus, with given bytes."""
 
 import numpy as np
 from hypothesis import given

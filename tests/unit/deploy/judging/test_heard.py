@@ -1,4 +1,4 @@
-"""What a scorer keeps of what was said, whatever it was."""
+"""The scorer's log of messages, with any content."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LARGEST = (1 << 63) - 1
 
 
 def counted(*steps: int) -> list[int]:
-    """The steps of states that were heard one after another, as a scorer counts them."""
+    """Return the steps of received states as a scorer counts them."""
     flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
     truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
     heard, inbox = Heard(), Inbox(topics.TOPICS, Stages())

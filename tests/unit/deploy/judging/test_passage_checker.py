@@ -1,4 +1,4 @@
-"""The checker finds what is wrong with a plan, and nothing in those that the roadmap makes."""
+"""The checker finds errors in spoiled plans, and none in the roadmap's plans."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -68,7 +68,10 @@ def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: i
 
 
 def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
-    """Near its coxa a foot is pushed outward as it rises steeply; of a thousand plans this one's legs once came too near."""
+    """Keep the distance between legs where a foot rises steeply near its coxa.
+
+    The foot is pushed outward there. In one of a thousand plans, this one, the legs once came too near.
+    """
     field, roadmap = bench.ground("scenario 3", 1205), Roadmap(PROFILE, PassageSettings(body_height=bench.HEIGHT))
     start = stance_at(PROFILE, START, bench.HEIGHT)
     roadmap.begin(field, start, NEAR + GAP + BEYOND, seed=1)
@@ -127,7 +130,7 @@ def test_a_leg_that_bears_too_much_is_found() -> None:
 def test_what_rises_under_the_body_is_found_to_its_very_edge() -> None:
     length, width, height = PROFILE.body.size
     stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
-    for inside in (np.array([length, width]) / 2, np.full(2, 0.004)):  # [m] of the corner
+    for inside in (np.array([length, width]) / 2, np.full(2, 0.004)):  # [m] from the corner
         field = bridged(1)
         elevation = field.elevation.copy()
         place = START_STANCE.body[:2] + np.array([length, width]) / 2 - inside

@@ -1,4 +1,4 @@
-"""Where feet stood on pillars, whether one was off, and what planning came to."""
+"""Footholds on pillars, feet off the ground, and results of planning."""
 
 from dataclasses import replace
 
@@ -45,7 +45,10 @@ def test_beside_pillars_and_on_platforms_there_is_no_edge_to_be_near():
 
 
 def standing(**feet):
-    """Feet (N, 6) that stand on ground at height 0, but for those named by number: arrays for (underside, ground)."""
+    """Return underside and ground heights (N, 6) of feet that stand at height 0.
+
+    `feet` overrides a foot by its number: a pair of arrays (underside, ground).
+    """
     underside, ground = np.zeros((N, 6)), np.zeros((N, 6))
     for leg, (under, below) in feet.items():
         underside[:, int(leg[1:])], ground[:, int(leg[1:])] = under, below
@@ -68,7 +71,7 @@ def test_a_foot_that_nothing_carries_is_off(leg, under, below):
 
 def test_each_time_counts_if_it_lasts():
     here = np.zeros(N, dtype=bool)
-    here[10:20] = here[40:60] = here[80:83] = True  # 0.2 s, 0.4 s, and 0.06 s as a swing ends
+    here[10:20] = here[40:60] = here[80:83] = True  # 0.2 s, 0.4 s, and 0.06 s at the end of a swing
     underside, ground = standing(f2=(0.0, np.where(here, -0.4, 0.0)))
     assert feet_off(underside, ground, np.ones((N, 6), dtype=bool)) == 2
 
@@ -149,7 +152,7 @@ def test_feet_over_a_gap_are_off(story):
 
 
 def test_footholds_on_pillars_are_measured(story):
-    """One row of narrow slabs along the way, and the feet walk on it where the plane was."""
+    """Walk on one row of narrow slabs along the way, in place of the plane."""
     slabs = tuple(Box((1.0, y), (3.0, 0.16), 0.0) for y in sorted({round(float(f), 3) for f in story().planted(0)[:, 1]}))
     scenario = Scenario("slabs", (Plane(height=-0.4), *slabs), Goal(0.5))
     passage = story(scenario=scenario, level=True).judged().result().passage

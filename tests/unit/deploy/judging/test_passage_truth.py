@@ -1,4 +1,7 @@
-"""What the scorer finds out about a gap whose seed decides: from the true ground alone, and only where it is asked."""
+"""The scorer's answer whether a random gap can be crossed.
+
+It uses the true ground alone, and only on request.
+"""
 
 from dataclasses import replace
 

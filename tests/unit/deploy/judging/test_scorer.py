@@ -86,7 +86,7 @@ def test_bobbing_and_slipping_show(story):
     result = story(bob=0.005, slip=0.003).judged().result()
     assert 0.009 < result.body_height_oscillation_m <= 0.010
     assert result.slip_m_per_step.p50 == pytest.approx(0.003, rel=0.1)
-    # The stance rms of a sine of that amplitude.
+    # The RMS over the stance of a sine of that amplitude.
     assert result.body_height_error_m.rms == pytest.approx(0.005 / np.sqrt(2), rel=0.1)
 
 
@@ -97,9 +97,9 @@ def test_coverage_is_the_known_share_of_the_strip_ahead(story):
 def test_the_map_of_the_course_is_judged_as_in_the_bench(story):
     high = Scenario("high", (Plane(), Box(xy=(0.905, 0.005), size=(0.3, 0.4), top=0.05)), Goal(0.2))
     course = story(scenario=high).judged().result().course_map_m
-    assert 0.8 < course.coverage < 1.0  # the story's maps end 0.6 m aside, the camera sees further
+    assert 0.8 < course.coverage < 1.0  # the synthetic maps end 0.6 m to the side; the camera sees further
     assert course.rmse < 1e-6
-    assert course.edge <= 0.006  # where they are, but for the cell
+    assert course.edge <= 0.006  # edges are right to within a cell
 
 
 @pytest.mark.parametrize(
@@ -176,9 +176,9 @@ def test_a_refusal_with_its_reason_is_a_success_where_it_is_right(story):
 @pytest.mark.parametrize(
     "otherwise",
     [
-        {"refusal": ""},  # it stood and did not say why
-        {"tail_s": 3.0},  # it has hardly stood yet
-        {"beyond": 0.06},  # it went there all the same
+        {"refusal": ""},  # it stood and gave no reason
+        {"tail_s": 3.0},  # it stood only briefly
+        {"beyond": 0.06},  # it walked past the goal nevertheless
         {"topple_s": 8.0},
         {"shutdown_s": 3.0},
         {"scenario": replace(REFUSED, goal=Goal(0.5, route=True))},

@@ -1,4 +1,4 @@
-"""What recorded truth says about a walk, from made-up feet."""
+"""Metrics of a walk from recorded truth, with synthetic feet."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_a_touch_on_the_way_and_a_foot_that_drags_are_no_touchdowns():
     contact[30:34] = True  # brushes an edge
     np.testing.assert_array_equal(touchdowns(contact, swing), [[50, 0]])
     early = contact.copy()
-    early[45:50] = True  # lands before its time, on a block
+    early[45:50] = True  # lands early, on a block
     np.testing.assert_array_equal(touchdowns(early, swing), [[45, 0]])
     assert len(touchdowns(np.ones_like(contact), swing)) == 0
 
@@ -104,9 +104,12 @@ def test_slip_counts_only_while_planted():
 
 
 def test_a_foot_that_rolls_does_not_rub_and_one_that_slides_does():
-    """A wheel without slip moves by its radius times its turn; whatever it moves more than that is slip."""
+    """Count only motion beyond that of a rolling wheel as slip.
+
+    A wheel without slip moves by its radius times its rotation.
+    """
     radius, n = 0.01, 200
-    angle = np.linspace(0.3, -0.4, n)  # of the shank off the vertical, as the body passes over the foot
+    angle = np.linspace(0.3, -0.4, n)  # of the tibia off the vertical, as the body passes over the foot
     for heading in (0.0, 2.0):
         ahead = np.array([np.cos(heading), np.sin(heading)])
         shanks = np.column_stack([np.sin(angle)[:, None] * ahead, np.cos(angle)])[:, None]

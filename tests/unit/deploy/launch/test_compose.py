@@ -177,6 +177,6 @@ def _top(key: str) -> dict[str, Any]:
 
 
 def _targets() -> dict[str, str]:
-    """The text of each target of the Dockerfile."""
+    """Return the text of each target of the Dockerfile."""
     parts = re.split(r"^FROM \S+ AS (\w+)\n", (DEPLOY / "Dockerfile").read_text(), flags=re.MULTILINE)[1:]
     return {name: text.strip() for name, text in zip(parts[::2], parts[1::2], strict=True)}

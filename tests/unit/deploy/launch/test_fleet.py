@@ -1,4 +1,4 @@
-"""A fleet as it is written down, and what is started for it."""
+"""Fleet files, and the commands of a fleet."""
 
 from pathlib import Path
 

@@ -1,4 +1,7 @@
-"""One machine's half: what other machines publish keeps it from starting, and ends nothing that runs."""
+"""The services of one machine, with presences of other machines.
+
+A presence may prevent a start; it never ends a running service.
+"""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,7 +24,7 @@ OWN = "tcp/127.0.0.1:7447"
 
 
 class FakeLink:
-    """A link by which the test is the other machines."""
+    """A link by which the test acts as the other machines."""
 
     def __init__(self, *_: Any):
         self.frames: dict[str, list[bytes]] = {}
@@ -38,9 +41,9 @@ class FakeLink:
 
 
 class FakeLauncher:
-    """Starts nothing."""
+    """A launcher that starts no process."""
 
-    started: list[str] = []  # noqa: RUF012 - of all that were made
+    started: list[str] = []  # noqa: RUF012 - by all launchers
     ended: list[Ended] = []  # noqa: RUF012 - to be reported
 
     def __init__(self, commands: Any, hear: Any):
@@ -80,7 +83,7 @@ def link(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeLink]:
 
 
 def claim(link: FakeLink, role: str, *services: str) -> None:
-    """An older start of the same services, by somebody whose certificate has a role."""
+    """Receive a presence of an older start of the same services, under a role's key."""
     made = meeting.presence("another-1", "onboard", version(), services, 1e9, 1)
     link.frames[topics.PRESENCE_OF[role].key] = [codec.encode(made)]
 

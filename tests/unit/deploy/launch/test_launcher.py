@@ -19,11 +19,11 @@ from sextant.deploy.process_table import Command
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[3] / "support" / "stand_in.py")
-PATIENCE_S = 20.0  # for a busy machine; nothing waits that long when all is well
+PATIENCE_S = 20.0  # for a busy machine; a test that passes does not wait that long
 
 
 class Ear:
-    """Hears the children's lines and lets a test wait for one."""
+    """A collector of the children's output lines; a test may wait for one."""
 
     def __init__(self) -> None:
         self.lines: dict[str, queue.Queue[str]] = defaultdict(queue.Queue)
@@ -46,7 +46,7 @@ def command(
 
 
 def gone(pid_fd: int, timeout_s: float = PATIENCE_S) -> bool:
-    """Whether the process behind a pidfd ends within a time [s]."""
+    """Return whether the process behind a pidfd ends within a time [s]."""
     return bool(select.select([pid_fd], [], [], timeout_s)[0])
 
 
@@ -156,7 +156,7 @@ def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypa
 
 
 def test_no_port_is_given_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody listens on it yet when the next one is asked for."""
+    """Never return one port twice, although nothing listens on it yet."""
     monkeypatch.setattr(launcher_module, "_PORTS", range(20_000, 20_040))
     monkeypatch.setattr(launcher_module, "port_taken", lambda _: False)
     given = [free_port() for _ in range(20)]
@@ -164,7 +164,10 @@ def test_no_port_is_given_twice(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_nobody_is_asked_twice(ear: Ear) -> None:
-    """A launcher takes the second time for an operator who insists, and kills its children."""
+    """Send SIGTERM to a child only once.
+
+    A launcher takes a second signal as the operator's insistence, and kills its children.
+    """
     with Launcher([command("a", "counting"), command("b", "counting", after=("a",))], ear, grace_s=PATIENCE_S) as launcher:
         for name in ("a", "b"):
             ear.wait_for(name, "ready")
@@ -276,7 +279,11 @@ sys.exit(130)
 
 
 def drive(*words: str) -> tuple[subprocess.Popen[str], int]:
-    """A launcher in a process of its own with one stand-in, and the stand-in's pidfd."""
+    """Start a launcher with one stand-in in a separate process.
+
+    Returns:
+        The launcher's process, and the stand-in's pidfd.
+    """
     root = Path(launcher_module.__file__).parents[3]
     driver = subprocess.Popen(
         [sys.executable, "-c", DRIVER, STAND_IN, *words],
@@ -314,7 +321,7 @@ def test_ctrl_c_twice_ends_everything_without_waiting(behaviour: str, watched: l
     driver, child = drive(behaviour)
     watched.append(child)
     began = time.monotonic()
-    while True:  # two signals that wait at the same time are one
+    while True:  # two signals that are pending at the same time count as one
         driver.send_signal(signal.SIGINT)
         try:
             driver.communicate(timeout=0.2)

@@ -1,4 +1,4 @@
-"""Signs of life from this process and from another, heard by the watcher; the clock is the test's."""
+"""Watchdog pulses from this process and from another, on a test clock."""
 
 import os
 import socket
@@ -62,7 +62,10 @@ def test_who_watches_again_after_an_absence_blames_nobody_for_it(away_s: list[fl
 
 
 def test_nobody_speaks_for_another(pulses: Pulses) -> None:
-    """The name is no secret: what another process says there counts for that one alone, and for a stranger not at all."""
+    """Count a pulse for its sending process only.
+
+    The socket's name is no secret. Pulses of an unknown process do not count.
+    """
     name = "\0" + pulses.environment(10.0)["NOTIFY_SOCKET"][1:]
     pulses.watch(ME)
     subprocess.run([sys.executable, "-c", SEND.format(name)], check=True)

@@ -1,4 +1,4 @@
-"""Who meets where, of a robot whose servo bus is tapped."""
+"""Endpoints of a robot with a tap on its servo bus."""
 
 import pytest
 
@@ -11,7 +11,7 @@ def made(places: Places, page: Page | None = None) -> dict[str, Command]:
 
 
 def meets(one: Command) -> str:
-    """The endpoint that a process connects to."""
+    """Return the endpoint that a process connects to."""
     return one.arguments[one.arguments.index("--connect") + 1]
 
 

@@ -1,4 +1,7 @@
-"""Bounds of connections without a verified certificate: the limit of each address, and which connection makes room."""
+"""Limits of connections without a verified certificate.
+
+They are the limit of each address, and the choice of the connection that makes room.
+"""
 
 import math
 

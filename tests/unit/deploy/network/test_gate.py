@@ -1,4 +1,7 @@
-"""Who is refused at a guarded router, by real connections on loopback: of what strangers put, nothing comes through."""
+"""Refusals of a secured router, by real connections on loopback.
+
+No message of an unauthorized client comes through.
+"""
 
 import contextlib
 import dataclasses
@@ -23,7 +26,7 @@ from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 
-N = 200  # messages of each kind that are put in vain
+N = 200  # unauthorized messages of each kind
 CLAIMED = (*topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values())
 READ = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.VELOCITY, topics.ACTUATOR_STATE, *CLAIMED)
 
@@ -35,7 +38,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @dataclasses.dataclass
 class Robot:
-    """Where it listens."""
+    """The endpoints of a router."""
 
     plain: str
     secure: str
@@ -83,7 +86,7 @@ def test_a_console_commands_but_its_plans_vanish(robot: Robot, keys: Path, insid
 
 
 def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys: Path, inside: Inside) -> None:
-    """A put to a pattern that holds an allowed key is none to that key."""
+    """Reject a message to a key pattern, even if the pattern matches an allowed key."""
     with link(robot, keys, "base") as base, session(robot.secure, tls_of(keys / "base")) as wild:
         put_until(inside, base, topics.HEALTH_OF["base"], b"ready")
         before = inside.count[topics.ACTUATOR_STATE.key]
@@ -101,7 +104,7 @@ def test_health_and_presence_of_another_role_lead_nowhere(robot: Robot, keys: Pa
     own = () if role == "viewer" else (topics.HEALTH_OF[role], topics.PRESENCE_OF[role])
     last = topics.STOP if role == "viewer" else topics.MODE
     with link(robot, keys, role) as client:
-        for topic in (*own, last):  # what is put before the client knows who listens is lost
+        for topic in (*own, last):  # the client loses messages until it knows the subscribers
             put_until(inside, client, topic, b"ready")
         for topic in CLAIMED:
             for number in range(20):
@@ -140,7 +143,7 @@ def test_a_client_of_ours_with_the_wrong_keys_is_told_why_at_once(robot: Robot, 
 
 @pytest.mark.parametrize("who", ["foreign", "expired", "nobody", "plain"])
 def test_a_stranger_is_not_let_in(robot: Robot, keys: Path, who: str) -> None:
-    """A client without our manners, which takes the robot for whom it says it is."""
+    """Refuse a client without this project's rules, even if it trusts the robot."""
     match who:
         case "plain":
             endpoint, tls = robot.secure.replace("tls/", "tcp/"), None
@@ -153,7 +156,10 @@ def test_a_stranger_is_not_let_in(robot: Robot, keys: Path, who: str) -> None:
 
 
 def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, inside: Inside) -> None:
-    """In peer mode opening never fails; nothing comes of it."""
+    """Accept nothing from a peer without a certificate.
+
+    In peer mode, opening a session never fails.
+    """
     config = {"root_ca_certificate": str(keys / "robot" / "ca.pem")}
     try:
         peer = stranger(robot.secure, config, mode="peer")
@@ -168,7 +174,10 @@ def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, insi
 
 
 def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, inside: Inside) -> None:
-    """A peer that listens for others is not made known to them, and what it puts goes by its own certificate."""
+    """Keep clients from connecting to each other past the router.
+
+    A peer that listens is not announced to clients. Its messages are authorized by its own certificate.
+    """
     around = f"tcp/127.0.0.1:{free_port()}"
     with (
         session(robot.secure, tls_of(keys / "viewer"), mode="peer", listen=around) as peer,
@@ -187,7 +196,10 @@ def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, insid
 
 @pytest.mark.parametrize("role", ["base", "viewer"])
 def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: Robot, keys: Path, inside: Inside) -> None:
-    """Its processes speak without certificates on its own loopback, its router shows the machine's."""
+    """Authorize a chained machine by its certificate.
+
+    The machine's processes use its loopback without certificates; its router presents the machine's certificate.
+    """
     plain = f"tcp/127.0.0.1:{free_port()}"
     there = gate.of_arguments((plain,), str(keys / role), False, NAMESPACE, plain, (robot.secure,))
     assert there.listen == (plain,)
@@ -215,7 +227,10 @@ def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: 
 
 @pytest.mark.parametrize("role", ["base", "console"])
 def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
-    """Robot and base are chained to a router that neither is on; what a console may not say does not get past it."""
+    """Authorize each machine at a site's router between robot and base.
+
+    Robot and base are chained to a router on a third machine. It rejects a console's unauthorized messages.
+    """
     plain = {name: f"tcp/127.0.0.1:{free_port()}" for name in ("robot", "site", "base")}
     secure = f"tls/127.0.0.1:{free_port()}"
     site = Gate((plain["site"], secure), NAMESPACE, keys / "site")
@@ -266,7 +281,7 @@ def test_what_is_too_large_ends_at_the_listener(robot: Robot, keys: Path, inside
         put_until(inside, console, topics.MODE, b"ready")
         before = inside.count[topics.VELOCITY.key]
         for _ in range(10):
-            console.send(topics.VELOCITY, bytes(topics.VELOCITY.max_bytes + 1))  # with its address
+            console.send(topics.VELOCITY, bytes(topics.VELOCITY.max_bytes + 1))  # one byte over the limit, which covers the key
         console.send(topics.VELOCITY, bytes(10_000_000))
         put_until(inside, console, topics.MODE, b"done")
         assert inside.count[topics.VELOCITY.key] == before

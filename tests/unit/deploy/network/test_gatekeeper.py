@@ -1,4 +1,7 @@
-"""What Zenoh logs of those it refuses becomes words and numbers, on the terminal, in health, and so on the console."""
+"""Zenoh's log of refusals becomes text and counters.
+
+They appear on the terminal, in health messages, and thus on the console.
+"""
 
 import io
 import os
@@ -78,15 +81,15 @@ def test_a_flood_is_counted_and_what_comes_all_at_once_behind_a_stall_is_not() -
 @pytest.mark.parametrize(
     "log",
     [
-        # The rules are looked up for all kinds of messages before one of them is judged.
+        # Zenoh looks up the rules for all kinds of messages before it authorizes one.
         logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
         + logged(f"Using cached result: {VIEWER} is authorized to Declare Subscriber (ingress) on here/actuator/state"),
-        # What is kept from a client that could not want it.
+        # Kept from a client that could not want it.
         logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Declare Subscriber (egress) on here/operator/mode") + KEPT,
-        # Of two threads at once, each line belongs to its own.
+        # Two threads at once: each line belongs to its own thread.
         logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
         + logged("Msg intercepted!", thread="rx-1 ThreadId(09)", target=""),
-        # What the processes of another machine say of themselves.
+        # Presence of another machine's processes.
         logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/machine/presence/viewer") + KEPT,
     ],
 )
@@ -178,7 +181,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def router(keys: Path) -> Iterator[tuple[str, str]]:
-    """A router in a process of its own; where it listens."""
+    """Run a router in a separate process; yield its endpoints."""
     plain, secure = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls"))
     words = ["--listen", plain, "--listen", secure, "--keys", str(keys / "robot"), "--namespace", NAMESPACE]
     process = subprocess.Popen(

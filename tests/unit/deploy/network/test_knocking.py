@@ -1,4 +1,4 @@
-"""A machine whose router is not let in hears why, each reason once, for as long as it is not."""
+"""A refused machine logs each reason once while the refusal lasts."""
 
 import threading
 from pathlib import Path

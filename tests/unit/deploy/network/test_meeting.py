@@ -1,4 +1,7 @@
-"""Machines of one robot meet: which fit, which do not start, what is reported; nothing that runs ends."""
+"""Compatibility checks between the machines of one robot.
+
+An incompatible machine does not start, and is reported. No running machine ends.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +21,7 @@ BASE = meeting.presence("desk-9", "offboard", "0.1.0", ("mapper", "planner"), 20
 
 
 def with_another(word: Presence, *keys: str) -> Presence:
-    """By a version in which some messages are declared otherwise."""
+    """Return the presence of a version with different declarations of some messages."""
     return replace(
         word,
         version="0.2.0",
@@ -27,19 +30,19 @@ def with_another(word: Presence, *keys: str) -> Presence:
 
 
 class Wire:
-    """Between machines: what one sends, the others fetch."""
+    """A wire between machines: each message is sent to all of them."""
 
     def __init__(self) -> None:
         self.links: list[Wire.Link] = []
 
     class Link:
-        """A machine's."""
+        """The link of one machine."""
 
         def __init__(self, wire: "Wire"):
             self.wire = wire
             self.frames: dict[str, list[bytes]] = {topic.key: [] for topic in topics.PRESENCE_OF.values()}
             self.health: list[Health] = []
-            self.keys: set[str] = set()  # that it published on
+            self.keys: set[str] = set()  # keys on which it published
 
         def send(self, topic: AnyTopic, frame: bytes) -> None:
             self.keys.add(topic.key)
@@ -71,7 +74,7 @@ class Wire:
 
 
 class Machine:
-    """One that starts processes."""
+    """A machine that starts processes."""
 
     def __init__(
         self, wire: Wire, clock: list[int], name: str, role: str, *services: str, version: str = "0.1.0", certificate: str = ""
@@ -82,7 +85,7 @@ class Machine:
         self.meeting = Meeting(self.link, name, role, version, services, lambda: clock[0], self.said.append, certificate)
 
     def hear(self, role: str, claim: Presence) -> None:
-        """Have a presence come under the key of a role."""
+        """Receive a presence under the key of a role."""
         self.link.frames[topics.PRESENCE_OF[role].key].append(codec.encode(claim))
 
 
@@ -165,7 +168,10 @@ def test_a_claim_to_run_a_service_counts_only_where_the_role_may_run_it(role: st
 
 @pytest.mark.parametrize("role", ["robot", "base", "console", "site"])
 def test_no_claim_ends_a_robot_that_runs(role: str) -> None:
-    """As from somebody who holds any certificate: an older start of the same services, of another version."""
+    """Keep a robot running for any presence that a certificate's holder may send.
+
+    Here it is an earlier start of the same services, by another version.
+    """
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator", "stop", "planner")
     beats(clock, 4.0, robot)

@@ -1,4 +1,4 @@
-"""Connections that nobody acknowledges are given up, whoever opened them."""
+"""Connections without acknowledgements are closed on both sides."""
 
 import socket
 from collections.abc import Iterator

@@ -1,4 +1,7 @@
-"""The doctor from outside: where certificates are asked for every stranger is refused; where anybody is let in it says so."""
+"""The doctor's checks from outside the robot.
+
+With certificates every unauthorized client is refused; an open router is reported.
+"""
 
 import contextlib
 import json
@@ -60,7 +63,7 @@ def test_every_stranger_is_refused_where_certificates_are_asked_for(guarded: str
 
 
 def refuse_late(listener: socket.socket, keys: Path, late_s: float) -> None:
-    """A robot that asks for a certificate, and takes its time to refuse who has none."""
+    """Require a certificate, and refuse a client without one only after a delay."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(keys / "robot" / CERTIFICATE, keys / "robot" / KEY)
     context.load_verify_locations(keys / "robot" / AUTHORITY)
@@ -73,7 +76,7 @@ def refuse_late(listener: socket.socket, keys: Path, late_s: float) -> None:
         with contextlib.suppress(ssl.SSLWantReadError):
             end.do_handshake()
         client.sendall(says.read())
-        heard.write(client.recv(1 << 14))  # with which the stranger is done
+        heard.write(client.recv(1 << 14))  # the client has sent everything by then
         threading.Event().wait(late_s)
         with contextlib.suppress(ssl.SSLError):
             end.do_handshake()
@@ -101,7 +104,7 @@ def test_a_router_that_is_open_is_found_out_by_what_is_heard_there() -> None:
     with Router((endpoint,)):
         inside = Inside(endpoint)
         try:
-            inside.link.wanted(topics.ACTUATOR_STATE)  # declared
+            inside.link.wanted(topics.ACTUATOR_STATE)  # this declares the publisher
             (plain, scouts) = stranger.examine(endpoint, None, lambda _: [endpoint, "tcp/10.0.0.9:7447"], listen_s=0.5)
         finally:
             inside.close()

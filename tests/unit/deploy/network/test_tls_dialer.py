@@ -1,4 +1,4 @@
-"""The TLS dialer on loopback, between a stand-in for this machine's router and one for another machine's."""
+"""The TLS dialer on loopback, between stand-ins for the routers of two machines."""
 
 import socket
 import ssl
@@ -30,7 +30,7 @@ def other_machine(keys: Path, role: str = "robot", port: int = 0) -> EchoServer:
 
 @dataclass
 class At:
-    """Where a dialer listens, and how its router connects."""
+    """The port of a dialer, and the TLS context with which its router connects."""
 
     port: int
     context: ssl.SSLContext
@@ -44,7 +44,7 @@ class At:
 
 @contextmanager
 def dialler(keys: Path, port: int) -> Iterator["At"]:
-    """A running dialer of a base."""
+    """Run the dialer of a base."""
     inner = keys / "base" / PROXY
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.load_verify_locations(inner / AUTHORITY)
@@ -74,7 +74,7 @@ def test_a_machine_that_comes_later_is_met_by_the_attempt_that_waits(keys: Path)
     port = free_port()
     with dialler(keys, port) as at, at.call() as plain:
         plain.settimeout(0.3)
-        with pytest.raises(TimeoutError):  # it is not closed, while nothing listens there
+        with pytest.raises(TimeoutError):  # the connection stays open while nothing listens at the far end
             plain.recv(1)
         plain.settimeout(PATIENCE_S)
         far = other_machine(keys, port=port)

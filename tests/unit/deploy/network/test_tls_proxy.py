@@ -1,4 +1,4 @@
-"""The TLS proxy on loopback, in front of a stand-in for the router that speaks TLS."""
+"""The TLS proxy on loopback, in front of a stand-in for the router that uses TLS."""
 
 import dataclasses
 import shutil
@@ -49,7 +49,7 @@ class At:
         return context
 
     def enter(self, who: str, source: str = "127.0.0.1") -> ssl.SSLSocket:
-        """Connect as the holder of a role's keys; answers where it is let in."""
+        """Connect with a role's keys, and return the TLS connection."""
         plain = socket.create_connection(("127.0.0.1", self.port), PATIENCE_S, (source, 0))
         return self.context(self.keys / who).wrap_socket(plain, server_hostname="127.0.0.1")
 
@@ -102,7 +102,7 @@ def test_bytes_arrive_whole_and_in_order_whichever_side_is_slow(at: At) -> None:
         assert read(link, 1 << 16) == data[: 1 << 16]
         link.settimeout(0.5)
         sent = 0
-        try:  # without reading, until nobody takes more
+        try:  # without reading, until the other side accepts no more
             while sent < len(data):
                 sent += link.send(data[sent : sent + (1 << 14)])
         except TimeoutError:
@@ -212,7 +212,7 @@ def test_verified_clients_of_a_role_are_bounded_and_keep_no_other_role_out(keys:
 
 
 def test_verified_addresses_go_first_then_handshakes_under_way_then_the_newest(keys: Path) -> None:
-    """Of a proxy that has more to do than it can."""
+    """Rank the clients of an overloaded proxy."""
     made = TlsProxy(["tls/127.0.0.1:1"], Keys.load(keys / "robot"), 1, lambda _: None)
     made._limit.verify("base")
     with socket.socket() as plain, ssl.create_default_context().wrap_socket(socket.socket(), server_hostname="x") as secured:
@@ -263,7 +263,10 @@ def test_closing_leaves_no_thread_and_no_connection(keys: Path) -> None:
 
 
 def test_the_keys_of_the_proxy_are_worth_nothing_at_the_door(at: At, keys: Path, tmp_path: Path) -> None:
-    """Who has the folder of one machine cannot enter another, nor this one, under another role."""
+    """Reject the proxy's inner keys at its outer port.
+
+    The inner keys of one machine open neither another machine nor this one under another role.
+    """
     stolen = tmp_path / "stolen"
     stolen.mkdir()
     for name in (CERTIFICATE, KEY):

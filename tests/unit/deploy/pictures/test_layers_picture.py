@@ -1,4 +1,4 @@
-"""The picture of the layers: drawn of whatever a map may hold, and of nothing when it holds nothing."""
+"""The picture of the map layers, for any map and for an empty one."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from sextant.shared.wire.messages import TerrainMap
 
 
 def terrain(known: slice, relief: float = 0.05, good: bool = True) -> TerrainMap:
-    """A map of 60 x 80 cells that knows some of its rows."""
+    """Return a map of 60 x 80 cells with some rows known."""
     height = np.full((60, 80), np.nan, dtype=np.float32)
     height[known] = np.linspace(0.0, relief, 80, dtype=np.float32)
     score = np.where(np.isnan(height), np.float32(np.nan), np.float32(0.2 if good else 9.0))

@@ -11,7 +11,7 @@ from sextant.deploy.runs.attendance import Attendance
 from sextant.shared.scenario.scenario import Pillars, load_scenario
 
 PASSAGE = load_scenario("passage2")
-PLANNED = (slice(150, 530), slice(120, 1430))  # where the plans are drawn
+PLANNED = (slice(150, 530), slice(120, 1430))  # area of the plans in the picture
 BLUE, GOOD, ELSEWHERE = (0x1F, 0x5F, 0xD0), (0x3F, 0xA7, 0x96), (0xD3, 0xB4, 0x8A)
 
 
@@ -28,7 +28,7 @@ def _share(pixels, color, region):
 
 @pytest.fixture(scope="module")
 def crossed(tmp_path_factory):
-    """Makes the picture of a crossing once, and tells what it was of."""
+    """Return a function that draws a crossing once, and returns its scorer and pixels."""
     folder = tmp_path_factory.mktemp("crossed")
 
     def picture(story):
@@ -131,12 +131,12 @@ def test_a_run_with_sections_leaves_this_picture_too_and_another_run_does_not(tm
 
 def test_what_a_newer_map_has_forgotten_is_shown_as_it_was_and_what_gave_way_as_it_is(story):
     older = story(scenario=PASSAGE, level=True).passage(0, 2)
-    pillar, platform = (46, int(older.evaluation[46].argmin())), (15, 40)  # cells of a foothold each
+    pillar, platform = (46, int(older.evaluation[46].argmin())), (15, 40)  # cells of one foothold on each
     assert older.evaluation[pillar] < -2 > older.evaluation[platform]
     forgotten, sunk = older.elevation.copy(), older.elevation.copy()
     forgotten[:10] = np.nan
     border = older.evaluation.copy()
-    border[:16] = 3  # for what lies beside the unknown is beside the vacant
+    border[:16] = 3  # cells next to unknown ones are also next to vacant ones
     sunk[pillar[0] - 7 : pillar[0] + 8, pillar[1] - 5 : pillar[1] + 6] -= 0.06
     gone = older.evaluation.copy()
     gone[pillar] = 4

@@ -12,7 +12,7 @@ def test_level_ground_keeps_its_colours_known_or_not() -> None:
 
 
 def test_slopes_towards_the_lamp_are_brighter_than_those_away_from_it() -> None:
-    """It stands where x is small and y is large."""
+    """Light comes from small x and large y."""
     rgb = np.full((9, 9, 3), 100, dtype=np.uint8)
     x, y = np.meshgrid(0.01 * np.arange(9), 0.01 * np.arange(9), indexing="ij")
     towards, away = (shaded(rgb, (s * (x - y)).astype(np.float32), 0.01)[4, 4, 0] for s in (0.3, -0.3))

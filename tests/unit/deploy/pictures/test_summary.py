@@ -29,7 +29,7 @@ def _share(pixels, color, region=(slice(None), slice(None))):
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
-    """Makes the picture of a good walk once."""
+    """Draw the picture of a good walk once."""
     folder = tmp_path_factory.mktemp("good")
 
     def pixels(story):
@@ -48,7 +48,7 @@ def test_the_picture_says_at_once_how_it_went(tmp_path, story, good):
 
 
 def test_unseen_ground_looks_unseen_and_no_reason_is_too_long(tmp_path, story, good):
-    scorer = story().scorer()  # no message ever came
+    scorer = story().scorer()  # it received no message
     long = replace(scorer.result(), reason="no foothold for the left front leg, " * 20)
     summary.draw(tmp_path / "new" / "nothing.png", long, scorer.trace)
     nothing = _pixels(tmp_path / "new" / "nothing.png")

@@ -13,14 +13,14 @@ SCENARIO = 'name = "story"\n[goal]\ndistance = 0.5\n[[terrain]]\nkind = "plane"\
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What the stories walk, as a file."""
+    """Return the path of the scenario file of the synthetic walks."""
     path = tmp_path_factory.mktemp("scenario") / "story.toml"
     path.write_text(SCENARIO)
     return str(path)
 
 
 def keep(story, folder: Path, *, truth: bool = True, until_s: float = 1e9) -> Path:
-    """Leave behind what a run of a story does."""
+    """Write the files that a run of a synthetic walk leaves behind."""
     folder.mkdir()
     about = {"scenario": "story", "seed": str(story.seed), "robot": story.scenario.robot, "run": "live"}
     with Recorder(folder / "recording.mcap", about, thinned_ns={}) as recorder:
@@ -37,7 +37,7 @@ def keep(story, folder: Path, *, truth: bool = True, until_s: float = 1e9) -> Pa
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Makes the folder of a story's run, once for each name."""
+    """Return a function that creates the folder of a walk's run, once for each name."""
     root = tmp_path_factory.mktemp("runs")
 
     def made(name: str, story, **how) -> Path:
@@ -48,7 +48,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 @pytest.fixture(scope="module")
 def heard(kept: Callable[..., Path], scenario: str) -> Callable[..., RecordedRun]:
-    """Hears a story's run again, once for each name."""
+    """Return a function that reads a walk's run, once for each name."""
     runs: dict[str, RecordedRun] = {}
 
     def made(name: str, story, **how) -> RecordedRun:

@@ -146,7 +146,7 @@ def test_the_command_draws_what_is_asked_for_and_compares(story, kept, scenario,
     assert printed.err == ""
     assert cli.main(["plot", str(good), "--what", "layers", "--json", *out]) == 0
     assert json.loads(capsys.readouterr().out)["good"]["scenario"] == "story"
-    # Nothing to show is no success, and a recording that was cut off is drawn as far as it goes.
+    # An empty figure is a failure, and a truncated recording is drawn up to its end.
     assert cli.main(["plot", str(good), "--what", "passage", *out]) == 1
     assert "nothing to show in passage" in capsys.readouterr().err
     part = tmp_path / "part.mcap"

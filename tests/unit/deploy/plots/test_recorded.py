@@ -27,11 +27,11 @@ def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scena
     assert run.numbers == reports.as_table(was.result())
     assert run.name == "good"
     assert not run.cut_off
-    # The least margin of the walk is the report's, and nothing is said of how it stood.
+    # The least margin of the walk equals the report's; there is none while the robot stands.
     walking = run.trace.walking
     assert np.nanmin(run.margin) == pytest.approx(was.result().min_stability_margin_m)
     assert np.isnan(run.margin[~walking]).all()
-    # Femurs bear twice of what the other joints do.
+    # Femurs bear twice the torque of the other joints.
     np.testing.assert_allclose(run.torque_rms, np.tile([0.3, 0.6, 0.3], (6, 1)))
 
 
@@ -64,7 +64,7 @@ def test_a_robot_without_a_truth_is_drawn_as_it_saw_itself(story, heard):
     assert not run.trace.touchdowns.misstep.any()
     assert all(run.numbers[name] is None for name in ("scenario", "seed", "success", "missteps"))
     assert set(run.numbers["pose_error_m"].values()) == {None}
-    # This one was right about its body, and stands on the ground that it mapped.
+    # Without truth, the body pose is the estimate and the ground is the map; both are exact in this walk.
     at = np.searchsorted(true.t, run.trace.t[run.trace.t <= true.t[-1]])
     np.testing.assert_allclose(run.trace.p_true[: len(at)], true.p_true[at], atol=1e-9)
     np.testing.assert_array_equal(run.trace.walking[: len(at)], true.walking[at])
@@ -79,7 +79,7 @@ def test_the_newest_map_says_where_the_ground_is(story):
     seen = new.origin + new.resolution * np.array([[12, 20]])
     for maps, height in (([old, new], 0.1), ([new, old], 0.0)):
         assert MappedGround(maps).height_at(seen) == pytest.approx(height, abs=1e-6)
-    # What the newest does not know an older one tells, and what none knows nobody.
+    # An older map fills the cells that the newest does not know; the others stay unknown.
     unknown = replace(new, elevation=np.full_like(new.elevation, np.nan))
     assert MappedGround([old, unknown]).height_at(seen) == pytest.approx(0.0, abs=1e-6)
     for maps in ([], [unknown], [old, new]):

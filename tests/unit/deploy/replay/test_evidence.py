@@ -1,4 +1,7 @@
-"""What a replay proves: pictures that support a trajectory, and one sentence where too few do."""
+"""Evidence of a replay: pictures that support a trajectory, or one sentence.
+
+The sentence appears if too few pictures support it.
+"""
 
 import json
 import math

@@ -33,7 +33,10 @@ INTRINSICS = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Five pictures, 30 a second from second 100 on, of a camera that looks 40 degrees down and 5 aside."""
+    """Write five pictures at 30 Hz, beginning at 100 s.
+
+    The camera looks 40 degrees down and 5 degrees to the side.
+    """
     camera = tum.Camera(INTRINSICS, 1000.0, 30.0, np.array([0.0, 0.0, -1.0]))
     with tum.RecordingWriter(tmp_path / "sequence", camera) as writer:
         for i in range(5):
@@ -147,7 +150,7 @@ def scan(stamp_ns: int, rng: np.random.Generator) -> Scan:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    """A run of thirty scans through the mapper, recorded as a run records it."""
+    """Record a run of thirty scans through the mapper."""
     return record(tmp_path, {}, Settings())
 
 
@@ -194,7 +197,7 @@ def test_the_command_replays_a_recording_or_the_folder_that_holds_it(
 
 
 def replay_table(**changed: Any) -> dict[str, Any]:
-    """A replay of a lockstep run that met all that was recorded, but for some entries."""
+    """Return the result of an exact replay of a lockstep run, with changed entries."""
     error = {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
     off = {"touchdown_p50": 0.0, "touchdown_p95": 0.0, "touchdown_max": 0.0, "body_max": 0.0}
     counts = {"made": 20, "recorded": 10, "compared": 10}
@@ -264,14 +267,17 @@ def test_a_profile_for_a_sequence_keeps_the_robot(folder: Path) -> None:
 
 
 def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping() -> None:
-    """Perception composes its correction with the guess, so together they must give the next true pose."""
+    """Guess the next true pose together with perception.
+
+    Perception composes its correction with the guess, so both together must give the next true pose.
+    """
     guess = replay.ConstantVelocity(S // 30)
     inbox = Inbox((), Stages())
     step = exp_se3(np.array([0.01, -0.004, 0.002, 0.01, 0.02, -0.03]))
     rng = np.random.default_rng(0)
     T = np.eye(4)
     for i in range(6):
-        T_world_odom = exp_se3(rng.normal(0.0, 0.1, 6))  # whatever registration has corrected so far
+        T_world_odom = exp_se3(rng.normal(0.0, 0.1, 6))  # accumulated correction by registration
         pose = BodyPose(i * S // 30, T, T_world_odom, np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
         (said,) = guess.step(pose, inbox)
         assert isinstance(said, Odometry)
@@ -284,7 +290,10 @@ def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping(
 
 
 def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
-    """A camera that moves steadily past a wall with a step in it and a floor, drawn by the rays of its pixels."""
+    """Replay a camera that moves steadily past a wall with a step and over a floor.
+
+    The depth frames are drawn by the rays of their pixels.
+    """
     profile = load_profile("phantomx_mk2")
     camera = tum.Camera(Intrinsics(640, 480, 570.0, 570.0, 319.5, 239.5), 1000.0, 30.0, np.array([0.0, 0.0, -1.0]))
     with tum.RecordingWriter(tmp_path / "sequence", camera) as writer:
@@ -305,7 +314,10 @@ def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
 
 
 def corner(intrinsics: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
-    """Depth [mm] of a floor at z = 0 with a block on it, a wall at x = 1.6 and one at y = 0.9."""
+    """Return the depth [mm] of a floor at z = 0 with a block, and of two walls.
+
+    The walls are at x = 1.6 and y = 0.9.
+    """
     rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T_world_camera[:3, :3].T
     p = T_world_camera[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,7 @@
-"""The bridge between a robot that is played and ROS nodes that are played, over a wire in memory and over Zenoh itself."""
+"""The bridge between a simulated robot and simulated ROS nodes.
+
+The nodes are connected by a wire in memory, and by Zenoh.
+"""
 
 import threading
 import time
@@ -70,7 +73,7 @@ def stamped(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def said_by_a_robot(now_ns: int) -> list[Message]:
-    """A word of each kind, of a robot that stands."""
+    """Return one message of each type from a standing robot."""
     height = np.full((6, 4), 0.02, np.float32)
     none = np.zeros((6, 4), dtype=bool)
     return [
@@ -87,7 +90,7 @@ def said_by_a_robot(now_ns: int) -> list[Message]:
 
 @dataclass
 class Played:
-    """A publisher that keeps what is sent."""
+    """A publisher that stores sent messages."""
 
     asked: bool = True
     sent: list[tuple[bytes, bytes]] = field(default_factory=list)
@@ -101,7 +104,7 @@ class Played:
 
 @dataclass
 class MemoryWire:
-    """ROS nodes that are played by the test."""
+    """A wire on which the test acts as the ROS nodes."""
 
     id: str = "abc"
     asked: bool = True
@@ -120,7 +123,7 @@ class MemoryWire:
 
 
 class Bench:
-    """A bridge in beats, the robot and the ROS nodes played."""
+    """A bridge in single beats, with a simulated robot and simulated ROS nodes."""
 
     def __init__(self, asked: bool = True, pictures: bool = False) -> None:
         self.wire, self.node, self.words = MemoryWire(asked=asked), Node(3, "abc", "sextant"), []
@@ -146,7 +149,7 @@ class Bench:
         self.wire.receivers[self.node.key(topic, kind)](payload)
 
     def sent(self, topic: str, kind: str) -> list[Any]:
-        """What the peer reads of a topic."""
+        """Return the messages of a topic as another CDR implementation reads them."""
         return [PEER.deserialize_cdr(payload, kind) for payload, _ in self.wire.publishers[self.node.key(topic, kind)].sent]
 
 
@@ -255,7 +258,10 @@ def test_a_payload_that_is_too_long_is_not_even_read() -> None:
 
 
 class RosNode:
-    """A ROS 2 node as rmw_zenoh would have it, in plain Zenoh and with another reader of CDR."""
+    """A ROS 2 node as rmw_zenoh would have it.
+
+    It uses plain Zenoh and another reader of CDR.
+    """
 
     def __init__(self, endpoint: str, domain: int):
         config = zenoh.Config.from_json5(
@@ -277,12 +283,15 @@ class RosNode:
         self.session.put(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", payload)
 
     def graph(self) -> list[str]:
-        """All tokens of the domain, as a node asks for them when it begins."""
+        """Return all tokens of the domain, which a node queries at its start."""
         return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(f"@ros2_lv/{self.domain}/**", timeout=2.0)]
 
 
 class PlayedRobot:
-    """Says odometry, state, pose and map, gives the lease to who orders, and keeps what it is told."""
+    """A robot that publishes odometry, state, pose and map, and stores its commands.
+
+    It gives the lease to each sender of an order.
+    """
 
     def __init__(self, link: ZenohLink):
         self.velocities: list[VelocityCommand] = []

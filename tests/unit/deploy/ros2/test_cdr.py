@@ -1,4 +1,7 @@
-"""Bytes of ROS 2 messages: another reader reads them as they were meant, they are read back, and wild ones are refused."""
+"""CDR bytes of ROS 2 messages.
+
+Another reader decodes them correctly, the decoder reads them back, and random bytes are rejected.
+"""
 
 import dataclasses
 from typing import Any
@@ -31,7 +34,7 @@ def numbers(base: str) -> st.SearchStrategy[Any]:
 
 
 def values(name: str) -> st.SearchStrategy[dict[str, Any]]:
-    """Any message of a type."""
+    """Return a strategy for messages of a type."""
     return st.fixed_dictionaries({field.name: _of(field) for field in fields(name)})
 
 
@@ -48,7 +51,10 @@ def _of(field: Any) -> st.SearchStrategy[Any]:
 
 
 def alike(a: Any, b: Any) -> bool:
-    """Whether two messages are the same, be they mappings or the peer's objects; NaN is itself."""
+    """Return whether two messages are equal, as mappings or as the peer's objects.
+
+    NaN equals NaN.
+    """
     if isinstance(a, dict):
         other = b if isinstance(b, dict) else {f.name: getattr(b, f.name) for f in dataclasses.fields(b)}
         other = {name: value for name, value in other.items() if name in a}
@@ -61,7 +67,7 @@ def alike(a: Any, b: Any) -> bool:
 
 
 def for_peer(name: str, value: dict[str, Any]) -> Any:
-    """The peer's object of a message."""
+    """Return the peer's object of a message."""
     made = {}
     for field in fields(name):
         found = value[field.name]

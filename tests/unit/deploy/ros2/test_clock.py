@@ -1,4 +1,4 @@
-"""Stamps become times of day by the message that took the shortest."""
+"""Conversion of stamps to times of day, by the message with the least delay."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,7 +23,7 @@ def test_the_error_is_the_least_delay_of_late_and_never_more_than_the_newest(del
 
 def test_a_clock_that_drifts_is_followed() -> None:
     clock = TimeOfDay()
-    for n in range(3000):  # a minute, in which the time of day gains 30 ms
+    for n in range(3000):  # a minute in which the time of day gains 30 ms
         stamp = n * 20 * MS
         clock.learn(stamp, OFFSET + stamp + MS + n * 10_000)
     assert clock.of(stamp) - (OFFSET + stamp + MS + 30 * MS) > -6 * MS
@@ -32,7 +32,7 @@ def test_a_clock_that_drifts_is_followed() -> None:
 def test_a_clock_that_begins_anew_or_is_set_is_believed_at_once() -> None:
     clock = TimeOfDay()
     clock.learn(500 * S, OFFSET + 500 * S)
-    clock.learn(1 * S, OFFSET + 501 * S)  # the robot has begun anew
+    clock.learn(1 * S, OFFSET + 501 * S)  # the robot's clock was reset
     assert clock.of(1 * S) == OFFSET + 501 * S
     clock.learn(2 * S, 3 * S)  # the time of day was set back
     assert clock.of(2 * S) == 3 * S

@@ -1,4 +1,7 @@
-"""What ROS is told is what Sextant says: poses, twists, joints, and maps cell by cell, in the frames of REP 105."""
+"""Conversions to ROS: poses, twists, joints, and maps cell by cell.
+
+The frames are those of REP 105.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ TWISTS = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
 
 
 def transform_of(value: converted.Value, position: str = "position", rotation: str = "orientation") -> NDArray[np.float64]:
-    """The (4, 4) of a pose or transform."""
+    """Return the (4, 4) matrix of a pose or transform."""
     p, q = value[position], value[rotation]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_from_quaternion([q["w"], q["x"], q["y"], q["z"]]), [p["x"], p["y"], p["z"]]
@@ -95,8 +98,11 @@ def terrain(nx: int = 5, ny: int = 3) -> TerrainMap:
 
 
 def at_position(grid: converted.Value, layer: str, xy: NDArray[np.float64]) -> float:
-    """What a grid map has at a place, as grid_map's documentation reads one: index 0 at the largest x and y, rows along x,
-    the matrix column by column."""
+    """Return a grid map's value at a position.
+
+    The layout follows grid_map's documentation. Index 0 is at the largest x and y. Rows run along x, and the matrix is stored
+    column by column.
+    """
     info, data = grid["info"], grid["data"][grid["layers"].index(layer)]
     columns, rows = data["layout"]["dim"]
     assert (columns["label"], rows["label"]) == ("column_index", "row_index")

@@ -1,4 +1,4 @@
-"""Types and their hashes are those that ROS publishes."""
+"""Types and their hashes equal those that ROS publishes."""
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -7,8 +7,8 @@ from sextant.deploy.ros2 import interface
 from sextant.deploy.ros2.definitions import DEFINITIONS
 from sextant.deploy.ros2.interface import fields, type_hash
 
-# As rosidl generates them: from published packages of Jazzy and Kilted, and from those that refer to these types, which carry
-# their hashes as expected ones. That of String is also in the design of rmw_zenoh.
+# As rosidl generates them, from published packages of Jazzy and Kilted. Some come from packages that refer to these types and
+# contain the expected hashes. That of String is also in the design of rmw_zenoh.
 PUBLISHED = {
     "builtin_interfaces/msg/Time": "b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197",
     "std_msgs/msg/Header": "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",

@@ -1,4 +1,7 @@
-"""Twists lead the robot while they come, by the rules of all operators, and nothing moves when they stop."""
+"""Twists move the robot while they arrive, by the rules of all operators.
+
+The robot stops when they stop.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -18,12 +21,12 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 class Desk:
-    """A lead in beats of 20 ms, and an actuator that gives the lease to who orders."""
+    """A lead in beats of 20 ms, and an actuator that gives the lease to each sender."""
 
     def __init__(self, ahead: int = 0, **state: Any) -> None:
         self.lead = Lead(Walk(max_speed=0.1, body_height=0.11))
         self.now = 1_000 * MS
-        self.ahead = ahead  # by which the robot's clock is ahead of this machine's
+        self.ahead = ahead  # offset of the robot's clock ahead of this machine's
         found = {"lease": "", "mode": Mode.HOLD, "reason": "standing", **state}
         self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **found)
         self.said: list[Message] = []
@@ -42,7 +45,7 @@ class Desk:
         self.words += self.lead.drain_words()
 
     def drive(self, beats: int, x: float = 0.05, y: float = 0.0, turn: float = 0.0) -> None:
-        """A Twist in every beat."""
+        """Receive a Twist in each beat."""
         for _ in range(beats):
             self.lead.twist(np.array([x, y]), turn, self.now)
             self.beat()
@@ -79,7 +82,7 @@ def test_what_goes_out_is_stamped_and_numbered_by_the_robots_clock_also_after_it
     assert all(0 <= desk.now + hour - m.stamp_ns <= 61 * 20 * MS for m in desk.said)
     assert orders[0].sequence > hour
     desk.ahead = 0
-    desk.drive(102)  # two seconds, in which that is a claim, and a moment
+    desk.drive(102)  # two seconds in which the reset is only a claim, and some more
     assert desk.words[-1].startswith("the robot's clock began anew"), "the Twists that come now move nothing"
     assert not desk.lead.leading
     desk.rest(30)
@@ -121,7 +124,7 @@ def test_a_twist_of_zeros_begins_nothing() -> None:
     desk.drive(50, x=0.0)
     assert desk.said == []
     desk.drive(20)
-    desk.drive(50, x=0.0)  # while it leads, it is a velocity like others
+    desk.drive(50, x=0.0)  # while the lead holds, zero is a velocity like others
     assert desk.lead.leading
     assert not desk.velocities()[-1].velocity.any()
 
@@ -169,7 +172,7 @@ def test_who_takes_over_or_lets_go_ends_it_without_a_word_from_here(change: dict
     assert desk.said == [], "neither a velocity nor an order, though Twists go on"
     assert not desk.lead.leading
     desk.state = replace(desk.state, lease="", mode=Mode.HOLD)
-    desk.drive(1, x=0.0)  # one of zeros is a stick let go
+    desk.drive(1, x=0.0)  # a Twist of zeros is a released stick
     desk.drive(5)
     assert desk.orders() == ["walk"]
 

@@ -1,4 +1,4 @@
-"""Keys, tokens and attachments are those of rmw_zenoh."""
+"""Keys, tokens and attachments equal those of rmw_zenoh."""
 
 import re
 
@@ -67,7 +67,7 @@ def test_a_gid_belongs_to_its_token() -> None:
     tokens = [Node(0, "1", "a").endpoint_token(n, "MP", "odom", STRING, 1) for n in (1, 2)]
     assert len({gid(token) for token in tokens}) == 2
     assert [len(gid(token)) for token in tokens] == [16, 16]
-    # XXH3 of 128 bits of nothing, by its specification: the low half first.
+    # The 128-bit XXH3 of empty data, by its specification: the low half first.
     assert gid("") == (0x99AA06D3014798D86001C324468D497F).to_bytes(16, "little")
 
 

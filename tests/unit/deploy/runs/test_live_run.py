@@ -19,7 +19,7 @@ PATIENCE_S = 20.0
 
 
 class Caller:
-    """Orders the robot to stand, fifty times a second."""
+    """A service that orders the robot to stand, fifty times a second."""
 
     name = "caller"
     paced_by = Every.hz(50.0)
@@ -37,7 +37,7 @@ class Caller:
 
 
 class Listener:
-    """Hears the orders; breaks when it has heard enough."""
+    """A service that receives orders, and fails after enough of them."""
 
     name = "listener"
     paced_by = topics.MODE
@@ -79,7 +79,7 @@ def test_what_breaks_in_an_attendant_comes_out_where_the_run_is_watched() -> Non
 
 
 class Hand:
-    """Takes the launcher's place and notes what is done to whom."""
+    """A replacement for the launcher that records its calls."""
 
     def __init__(self) -> None:
         self.acts: list[tuple[str, str]] = []
@@ -96,7 +96,7 @@ class Hand:
 
 def test_faults_happen_once_when_their_time_has_come() -> None:
     hand = Hand()
-    camera = Fault(1.0, "camera", "blind")  # the simulator's own
+    camera = Fault(1.0, "camera", "blind")  # the simulator handles its own fault
     faults = Faults((Fault(5.0, "planner", "hang", for_s=2.0), Fault(6.0, "mapper"), camera))
     told = []
     for tenth in range(100):
@@ -155,7 +155,7 @@ SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
     ("late_s", "slowed_down", "reason", "too_slow"),
     [
         (0.0, "", "time limit", ""),
-        (1.0, "", "time limit", SLOW),  # a hiccup is no reason of a failure
+        (1.0, "", "time limit", SLOW),  # a short delay is no reason of a failure
         (20.0, "", f"time limit; {SLOW}", SLOW),
         (0.0, "simulated time ran at 0.40 of real time: this computer is too slow", "time limit", None),
     ],

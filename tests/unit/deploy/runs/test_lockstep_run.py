@@ -29,7 +29,7 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> list[tuple[str, bytes, int]]:
-    """All that is said in a run but health, which holds how long things took."""
+    """Return all frames of a run except health, which contains durations."""
     heard: list[tuple[str, bytes, int]] = []
 
     def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
@@ -65,7 +65,7 @@ def test_all_services_are_heard_at_their_rates() -> None:
     heard = Counter(key for key, _, at_ns in frames(3, S))
     for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
         assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
-    assert heard[topics.BODY_POSE.key] > 2  # of 15 a second, once the robot has stood still for a while
+    assert heard[topics.BODY_POSE.key] > 2  # the rate is 15 Hz, after the robot has stood still for a while
     assert heard[topics.SCAN.key] > 2
     assert heard[topics.TERRAIN.key] >= 1
     assert heard[topics.COLOR.key] == 0, "nobody asked for colour"

@@ -20,7 +20,7 @@ PERIOD_NS = 50_000_000
 
 
 class Robot:
-    """A robot that obeys at once and goes where it is told, and an operator who commands it."""
+    """A robot that follows commands at once, and an operator that commands it."""
 
     def __init__(self, y=0.0, yaw=0.0, side_slip=0.0, scenario=SCENARIO):
         self.operator = Operator(load_profile(scenario.robot), scenario)
@@ -121,7 +121,7 @@ def test_one_who_comes_as_the_robot_walks_and_stops_it_before_he_knows_where_it_
     robot = Robot()
     robot.mode, robot.pose_comes = Mode.WALK, False
     robot.beat()
-    robot.mode, robot.pose_comes = Mode.HOLD, True  # it has taken his order to stand for a stop
+    robot.mode, robot.pose_comes = Mode.HOLD, True  # it took the order to stand as a stop
     for _ in range(60):
         stands = sorted({order.sequence for _, order in robot.orders if order.mode == "stand"})
         if len(stands) > 1 and robot.mode is Mode.HOLD and not robot.may_walk:
@@ -154,7 +154,7 @@ def test_it_walks_to_the_goal_and_stops_there():
     assert 1.53 <= robot.T[0, 3] < 1.56
     assert not np.any(robot.velocities[-1].velocity)
     assert robot.mode is Mode.HOLD
-    robot.beat()  # and goes on telling the robot to rest
+    robot.beat()  # the operator keeps sending the command to rest
     assert not np.any(robot.velocities[-1].velocity)
     speeds = [np.linalg.norm(v.velocity) for v in robot.velocities]
     assert max(speeds) == pytest.approx(SCENARIO.walk.speed)
@@ -166,7 +166,7 @@ def test_it_walks_to_the_goal_and_stops_there():
 def test_it_comes_back_to_the_line(y, yaw, side_slip):
     robot = Robot(y, yaw, side_slip).run()
     assert robot.operator.finished
-    steady = side_slip / (2.0 * SCENARIO.walk.speed)  # where the course makes up for the slip
+    steady = side_slip / (2.0 * SCENARIO.walk.speed)  # offset at which the course compensates the slip
     assert abs(robot.T[1, 3]) < abs(y) * 0.12 + 0.02 + steady
     assert abs(yaw_of(robot.T)) < 0.02
     assert max(abs(v.yaw_rate) for v in robot.velocities) <= 0.15

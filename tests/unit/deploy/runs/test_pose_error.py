@@ -1,4 +1,7 @@
-"""Errors as recorded ones: their statistics, derived again from the recordings, and what is moved by them."""
+"""Pose errors like recorded ones: their statistics and their effects.
+
+The statistics are derived again from the recordings.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -83,7 +86,7 @@ def test_the_models_are_those_of_the_recordings(name: str, series: str) -> None:
 
 
 class Still:
-    """A perception that says the same again and again."""
+    """A perception that sends the same pose and scan repeatedly."""
 
     name = "perception"
     paced_by = topics.DEPTH
@@ -117,7 +120,7 @@ def scan(n: int = 50, color: bool = True) -> Scan:
 
 
 def test_pose_and_scan_move_together() -> None:
-    """What lay before the body still does, as a robot that is elsewhere would see it."""
+    """Move the scan with the pose: points keep their place relative to the body."""
     before = scan()
     erring = Erring(Still(before), MODEL, seed=2)  # type: ignore[arg-type]
     for stamp_ns in (0, 10**9, 3 * 10**9):
@@ -129,7 +132,7 @@ def test_pose_and_scan_move_together() -> None:
         np.testing.assert_allclose(apply(inverse(pose.T_world_body), shifted), apply(inverse(T), points), atol=1.2e-3)
         camera = apply(inverse(pose.T_world_body), moved.p_world_camera)
         np.testing.assert_allclose(camera, apply(inverse(T), before.p_world_camera), atol=1e-12)
-        # What the legs know stays what it was: T_world_odom is off by the same.
+        # Odometry is unchanged: T_world_odom has the same error.
         np.testing.assert_allclose(inverse(pose.T_world_odom) @ pose.T_world_body, inverse(POSE.T_world_odom) @ T, atol=1e-12)
         np.testing.assert_array_equal(moved.color, before.color)
         assert (np.diag(pose.covariance) > MODEL.sigma**2).all()

@@ -1,4 +1,4 @@
-"""The radio of lockstep: what arrives when."""
+"""The radio of lockstep: arrival times and losses of messages."""
 
 import numpy as np
 import pytest

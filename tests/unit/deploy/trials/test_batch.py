@@ -16,7 +16,10 @@ SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 
 
 def _report(scenario, seed):
-    """Odd seeds fall, seed 6 loses a servo, the rest arrive; a blind robot only at multiples of ten."""
+    """Return a report: odd seeds fall, seed 6 loses a servo, all others arrive.
+
+    A blind robot arrives only for multiples of ten.
+    """
     good = seed % 10 == 0 if scenario.walk.blind else seed % 2 == 0 and seed != 6
     fall = not good and seed != 6
     reason = "goal reached" if good else f"fell {seed / 10:.2f} m along" if fall else "servo shut down: left rear femur"
@@ -93,7 +96,7 @@ def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
     assert first.seeds + second.seeds == list(range(10))
     anew = batch.run_trials(SCENARIO, range(10), 1, tmp_path / "anew", run=Runner())
     assert repr(replace(result, made=anew.made)) == repr(anew), "compared as text: what was not measured is NaN"
-    # The seeds that are asked for count, not all that are on file.
+    # Only the requested seeds count, not all in the file.
     assert batch.run_trials(SCENARIO, [2, 4], 1, tmp_path, run=Runner(until=0)).success.n == 2
 
 

@@ -1,4 +1,4 @@
-"""The table of all terrains, from made-up runs."""
+"""The table of all terrains, from synthetic runs."""
 
 import functools
 import json
@@ -68,7 +68,7 @@ def test_a_campaign_that_was_stopped_goes_on_where_it_was(tmp_path):
     first, second = Runner(until=5), Runner()
     with pytest.raises(KeyboardInterrupt):
         campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, run=first)
-    # What is done is on file already.
+    # Completed runs are in the file already.
     assert "`flat`" in (tmp_path / "table.md").read_text()
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, run=second)
     assert [(name, seed) for name, _, _, seed in first.ran + second.ran] == [

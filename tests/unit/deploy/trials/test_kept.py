@@ -1,4 +1,4 @@
-"""Runs on file: read as they were written, and no others."""
+"""Stored runs are read as they were written, and no others are."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Masri's Table 6.1 again, and the table of all passages, from made-up runs."""
+"""Masri's Table 6.1, and the table of all passages, from synthetic runs."""
 
 from dataclasses import replace
 
@@ -63,7 +63,10 @@ def test_only_the_newest_program_counts_and_walks_without_passages_do_not():
 
 
 def test_the_thesis_has_three_sections_of_three_trials_of_three_scenarios():
-    """As it says of them: less than a second but for two sections of the third scenario."""
+    """All sections take less than a second, except two of the third scenario.
+
+    The thesis states this.
+    """
     sections = {name: [section for trial in published for section in trial] for name, published in THESIS.items()}
     assert [len(s) for s in sections.values()] == [9, 9, 9]
     assert sum(section.seconds > 1.0 for some in sections.values() for section in some) == 2

@@ -15,7 +15,7 @@ def test_the_interval_holds_the_rate_and_solves_the_score_equation(trials):
     r = wilson(successes, n)
     assert 0.0 <= r.low <= r.rate <= r.high <= 1.0
     for bound in (r.low, r.high):
-        # Wilson's bounds are the rates under which what was seen is 1.96 standard errors off.
+        # At Wilson's bounds the observed rate is 1.96 standard errors away.
         if 1e-9 < bound < 1 - 1e-9:
             assert abs(r.rate - bound) == pytest.approx(1.959963984540054 * math.sqrt(bound * (1 - bound) / n), rel=1e-6)
 

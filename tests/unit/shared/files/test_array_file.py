@@ -1,4 +1,7 @@
-"""Arrays in .npy: numbers alone are read, and nothing is allocated for what a header claims."""
+"""Arrays in .npy files: only numbers are read.
+
+Nothing is allocated for the size that a header claims.
+"""
 
 import tracemalloc
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Configuration: what fits is built, what does not is named, all of it at once."""
+"""Configuration: valid tables are built, and all errors are reported at once."""
 
 import contextlib
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from sextant.shared.scenario.scenario import Scenario, load_scenario, scenario_n
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One member of a union."""
+    """A member of a union."""
 
     radius: float
     kind: Literal["round"] = "round"
@@ -25,7 +25,7 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class Square:
-    """The other."""
+    """The other member of the union."""
 
     edge: float
     kind: Literal["square"] = "square"
@@ -45,7 +45,7 @@ class Inner:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Every kind of field there is."""
+    """A table with every kind of field."""
 
     count: int
     name: str = "x"
@@ -84,7 +84,7 @@ def test_a_table_becomes_the_dataclass() -> None:
     assert built == Settings(
         3, "robot", True, 2.0, Inner(0.2, "wave"), (1.0, 2.5), (1, 2, 3), (Round(1.0), Square(2.0)), {"a": 1.0}, 4.0
     )
-    assert isinstance(built.ratio, float)  # a whole number is a number
+    assert isinstance(built.ratio, float)  # an integer is a valid number
     assert isinstance(built.pair[0], float)
 
 
@@ -95,7 +95,7 @@ def test_defaults_fill_what_is_left_out() -> None:
 def test_as_table_is_what_build_takes() -> None:
     built = config.build(FULL, Settings)
     assert config.build(config.as_table(built), Settings) == built
-    assert "maybe" not in config.as_table(Settings(1))  # TOML has no word for nothing
+    assert "maybe" not in config.as_table(Settings(1))  # TOML has no null
 
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)

@@ -1,4 +1,7 @@
-"""Files that others have written: only `FileError` leaves the readers, it names the file, and nothing blocks."""
+"""Files from other programs: readers raise only `FileError`, and never block.
+
+The error names the file.
+"""
 
 import contextlib
 import errno

@@ -1,4 +1,4 @@
-"""Pictures: what they are is read from their head, and only then are they decoded."""
+"""Pictures: the type is read from the header before a picture is decoded."""
 
 import struct
 import zlib

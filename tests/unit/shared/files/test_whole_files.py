@@ -71,7 +71,7 @@ def test_a_partial_file_that_a_killed_process_left_is_taken_over(tmp_path: Path)
 
 def test_a_secret_is_never_readable_by_others(tmp_path: Path) -> None:
     path = tmp_path / "key.pem"
-    whole_files.partial(path).touch(0o666)  # as a killed process left it
+    whole_files.partial(path).touch(0o666)  # as a killed process leaves it
     with whole_files.replacing(path, mode=0o600) as file:
         assert stat.S_IMODE(whole_files.partial(path).stat().st_mode) == 0o600
         file.write(b"secret")
@@ -79,7 +79,7 @@ def test_a_secret_is_never_readable_by_others(tmp_path: Path) -> None:
 
 
 def limited(code: str, path: Path) -> subprocess.CompletedProcess[str]:
-    """Run code that writes a file where files may have 1000 bytes."""
+    """Run code that writes a file, with a limit of 1000 bytes per file."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
@@ -164,7 +164,7 @@ def test_what_goes_on_without_a_file_warns() -> None:
     assert told == ["warning: /dev/null/a.txt cannot be written: its folder is a file; write to another one"]
 
 
-# What is not written whole by `sextant.shared.files.whole_files`, and why.
+# Files that are not written with `sextant.shared.files.whole_files`, and the reasons.
 APART = {
     "deploy/bed/namespace.py": "the kernel's own files",
     "deploy/bench/link.py": "a folder that is removed at the end",

@@ -1,4 +1,4 @@
-"""The log: each thing once, in words, when it comes about."""
+"""The event log: one text per event, when it occurs."""
 
 from dataclasses import replace
 

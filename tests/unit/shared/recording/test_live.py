@@ -42,7 +42,7 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, limit: s
     most = {"_QUEUE_FRAMES": 10, "_QUEUE_BYTES": sum(len(frame) for _, frame, _ in messages[:10])}[limit]
     monkeypatch.setattr(f"sextant.shared.recording.live.{limit}", most)
     live = LiveRecorder(recorder(tmp_path / "r"))
-    for topic, frame, at_ns in messages:  # nobody writes yet
+    for topic, frame, at_ns in messages:  # nothing is written yet
         live.take(topic, frame, at_ns)
     assert live.taken + live.dropped == 20
     assert live.taken in (10, 11), "a small one may still have fitted"
@@ -52,7 +52,7 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, limit: s
 
 
 class FullDisk(Recorder):
-    """Its disk is full."""
+    """A recorder whose disk is full."""
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         raise WriteError(self.path, OSError(errno.ENOSPC, "No space left on device"))
@@ -64,7 +64,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None
         feed(live)
     assert "the disk is full; make room" in live.problem
     assert str(tmp_path / "r") in live.problem
-    feed(live)  # nobody is held up, and nothing piles up
+    feed(live)  # frames neither block the caller nor accumulate
     assert live.taken == 80
 
 
@@ -94,7 +94,7 @@ def test_a_disk_that_fills_up_leaves_whole_files(tmp_path: Path) -> None:
 
 
 class Link:
-    """Hands frames over while somebody listens."""
+    """A link that delivers frames to its subscribers."""
 
     def __init__(self) -> None:
         self.listeners: dict[str, Callable[[AnyTopic, bytes], None]] = {}
@@ -122,7 +122,7 @@ def test_everything_but_pictures_is_listened_to_until_the_end(tmp_path: Path) ->
 
 
 def test_what_came_is_handed_to_the_system_while_the_recording_goes_on(tmp_path: Path) -> None:
-    """A process that is killed loses what came since: no more than a second of it."""
+    """Hand frames to the system continuously: a killed process loses at most a second."""
     flushed = threading.Event()
 
     class Watched(Recorder):

@@ -26,7 +26,10 @@ COUNT = 300
 def foreign(
     compression: CompressionType = CompressionType.ZSTD, chunked: bool = True, crcs: bool = True, count: int = COUNT
 ) -> bytes:
-    """A recording of another program: positions 10 ms apart, with an attachment, metadata and a profile."""
+    """Return a recording of another program: positions 10 ms apart.
+
+    It also contains an attachment, metadata and a profile.
+    """
     out = BytesIO()
     writer = Writer(out, chunk_size=600, compression=compression, use_chunking=chunked, enable_crcs=crcs, enable_data_crcs=crcs)
     writer.start(profile="ros2", library="another")
@@ -41,7 +44,7 @@ def foreign(
 
 
 def numbers(data: bytes) -> tuple[list[int], Condition]:
-    """The sequence numbers of the messages in a file, and its condition."""
+    """Return the sequence numbers of the messages in a file, and its condition."""
     condition = Condition()
     return [record.sequence for record in records(BytesIO(data), condition) if isinstance(record, Entry)], condition
 
@@ -152,7 +155,7 @@ def test_a_record_that_is_larger_than_the_limit_is_passed_over(tmp_path: Path) -
     whole = foreign(count=5)
     with (tmp_path / "large.mcap").open("wb") as file:
         file.write(whole[: len(MAGIC)] + struct.pack("<BQ", Opcode.ATTACHMENT, LARGEST_BYTES + 1))
-        file.seek(LARGEST_BYTES + 1, 1)  # a hole, which takes no place
+        file.seek(LARGEST_BYTES + 1, 1)  # a hole, which takes no space
         file.write(whole[len(MAGIC) :])
     with (tmp_path / "large.mcap").open("rb") as file:
         condition = Condition()

@@ -73,7 +73,7 @@ def test_damage_in_the_middle_costs_what_it_hit(
     try:
         found = recover(folder / "bad.mcap", folder / "new.mcap")
     except RecordingError:
-        return  # the declarations of everything else were hit
+        return  # the damage hit the declarations that all messages need
     after = read(folder / ("bad.mcap" if found.was_whole else "new.mcap"))  # an index of messages has no checksum
     assert after != []
     assert found.messages == len(after)
@@ -129,7 +129,7 @@ def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureF
 
 
 def recover_within(folder: Path, most_bytes: int) -> subprocess.CompletedProcess[str]:
-    """Run `sextant recover` where a file may have so many bytes."""
+    """Run `sextant recover` with a limit of bytes per file."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))

@@ -138,7 +138,7 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
 
 def test_a_recording_that_was_never_closed_is_read_up_to_half_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer._CHUNK_BYTES", 2000)
-    written = some_messages(n=400)  # two frames a second
+    written = some_messages(n=400)  # two frames per second
     recorder = Recorder(tmp_path / "r", ABOUT)
     for topic, message, at_ns in written:
         recorder.write(topic, codec.encode(message), at_ns)

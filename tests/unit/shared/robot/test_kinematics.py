@@ -1,4 +1,4 @@
-"""Laws of the leg's geometry, and both theses' equations, corrected, against it."""
+"""Laws of the leg geometry, and the corrected equations of both theses."""
 
 from dataclasses import replace
 
@@ -25,7 +25,10 @@ angles = st.floats(-np.pi, np.pi)
 
 @st.composite
 def reachable(draw: st.DrawFn) -> tuple[LegLinks, Array]:
-    """Links and a foot they can reach, on the side of the coxa axis to which the leg points."""
+    """Draw links and a reachable foot, on the side to which the leg points.
+
+    The side is that of the coxa axis.
+    """
     links = draw(all_links)
     nearest, farthest = abs(links.femur - links.tibia), links.femur + links.tibia
     d_l = nearest + draw(st.floats(1e-6, 1.0 - 1e-6)) * (farthest - nearest)
@@ -37,7 +40,10 @@ def reachable(draw: st.DrawFn) -> tuple[LegLinks, Array]:
 
 @st.composite
 def knee_up(draw: st.DrawFn) -> tuple[LegLinks, Array]:
-    """Links and joint angles with the knee up and the foot in front of the coxa axis."""
+    """Draw links and joint angles with the knee up.
+
+    The foot is in front of the coxa axis.
+    """
     links = draw(all_links)
     q = np.array([draw(angles), draw(angles), draw(st.floats(-np.pi + 0.05, -0.05))])
     reach = links.coxa + links.femur * np.cos(q[1]) + links.tibia * np.cos(q[1] + q[2])
@@ -45,7 +51,7 @@ def knee_up(draw: st.DrawFn) -> tuple[LegLinks, Array]:
 
 
 def random_stances(n: int, seed: int = 1, profile: RobotProfile = PROFILE) -> Array:
-    """(n, 6, 3) joint angles within the limits, knee up."""
+    """Return (n, 6, 3) joint angles within the limits, knee up."""
     limits = profile.joint_limits.copy()
     limits[:, 2, 1] = -0.1
     return np.random.default_rng(seed).uniform(limits[..., 0], limits[..., 1], (n, 6, 3))
@@ -199,7 +205,7 @@ def test_round_trip_of_all_six_legs() -> None:
     again = kinematics.body_forward(PROFILE, kinematics.body_inverse(PROFILE, feet))
     reached = np.isfinite(again)
     np.testing.assert_allclose(again[reached], feet[reached], rtol=0, atol=1e-9)
-    assert reached.mean() > 0.9  # the rest has its foot behind the coxa axis
+    assert reached.mean() > 0.9  # the others have their foot behind the coxa axis
 
 
 def test_batches_are_rows_one_by_one() -> None:
@@ -253,7 +259,10 @@ def test_the_robot_is_symmetric() -> None:
 
 
 def test_torques_do_the_work_that_the_ground_does() -> None:
-    """Principle of virtual work: motors and ground together do none on any small motion."""
+    """Check the principle of virtual work.
+
+    Motors and ground together do no work on any small motion.
+    """
     q = random_stances(1)[0]
     rng = np.random.default_rng(3)
     forces, dq = rng.normal(0.0, 5.0, (6, 3)), 1e-6 * rng.normal(size=(6, 3))
@@ -274,7 +283,7 @@ def test_standing_loads_the_femurs_downwards() -> None:
 
 # -------------------------------------------------------------------------------- Masri 2016, Tables 3.1 and 3.2
 
-PHI, PSI, OMEGA, PI = 45.0, -3.5, 46.3, 180.0  # [deg] his offsets; phi is the neutral yaw of the outer legs
+PHI, PSI, OMEGA, PI = 45.0, -3.5, 46.3, 180.0  # [deg] offsets of the thesis; phi is the neutral yaw of the outer legs
 TABLE_3_1 = {  # leg: (o_C, a_C), (o_F, a_F), (o_T, a_T), in degrees of alpha, beta, gamma
     "f1": ((PHI, -1), (-PSI, -1), (-OMEGA + PI, -1)),
     "f2": ((-PHI, 1), (PSI, 1), (OMEGA - PI, 1)),
@@ -296,20 +305,23 @@ IN_THE_TABLE = {"f1": 0, "f2": 1, "f3": 2, "f4": 3, "f5": 4, "f6": 5}
 
 
 def masri_alpha_beta_gamma(f: Array, leg: int) -> tuple[float, float, float]:
-    """Eq. (3.2)-(3.10) with their corrections [deg]; f is the foot from the coxa axis, along the body's axes."""
+    """Eq. (3.2)-(3.10) with their corrections [deg].
+
+    `f` is the foot relative to the coxa axis, along the body's axes.
+    """
     outward = abs(f[1])
     ahead = abs(f[0]) if leg in (3, 4) else f[0]  # the rear legs count backwards
     alpha = np.arctan2(ahead, outward)  # (3.2)
     d_p = np.hypot(f[0], f[1]) - LINKS.coxa  # (3.3)
     d_l = np.hypot(d_p, f[2])  # (3.4)
-    delta = np.arctan(f[2] / d_p)  # (3.5): d_p for d_l; without the minus, since z points up here
+    delta = np.arctan(f[2] / d_p)  # (3.5): d_p instead of d_l; without the minus, since z points up here
     epsilon = np.arccos((d_l**2 + LINKS.femur**2 - LINKS.tibia**2) / (2 * d_l * LINKS.femur))  # (3.7)
     gamma = np.arccos((LINKS.femur**2 + LINKS.tibia**2 - d_l**2) / (2 * LINKS.femur * LINKS.tibia))  # (3.10)
     return float(np.degrees(alpha)), float(np.degrees(delta + epsilon)), float(np.degrees(gamma))
 
 
 def feet_around_rest(n: int) -> Array:
-    """(n, 6, 3) feet within a step of the resting stance."""
+    """Return (n, 6, 3) feet within a step of the resting stance."""
     rng = np.random.default_rng(4)
     return PROFILE.rest_feet() + rng.uniform([-0.03, -0.03, -0.03], [0.03, 0.03, 0.02], (n, 6, 3))
 
@@ -358,7 +370,10 @@ def test_masri_3_5_needs_the_horizontal_reach() -> None:
 
 
 def lotriet_inverse(p: Array, links: LegLinks) -> tuple[Array, dict[str, Array]]:
-    """Eq. (5.2)-(5.6) with their corrections, without the mounting angles pi/4 and pi/2; x outward as in (5.7)."""
+    """Eq. (5.2)-(5.6) with their corrections, without the mounting angles pi/4, pi/2.
+
+    x points outward as in (5.7).
+    """
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     d = np.hypot(x, y)  # (5.6)
     c = np.hypot(d - links.coxa, z)  # (5.5)
@@ -369,7 +384,10 @@ def lotriet_inverse(p: Array, links: LegLinks) -> tuple[Array, dict[str, Array]]
 
 
 def acute_feet(n: int) -> Array:
-    """(n, 3) feet far enough out for the angle at the femur to be acute, as (5.3) takes for granted."""
+    """Return (n, 3) feet far enough out for an acute angle at the femur.
+
+    (5.3) assumes an acute angle.
+    """
     rng = np.random.default_rng(5)
     p = rng.uniform([0.13, -0.08, -0.12], [0.22, 0.08, 0.02], (8 * n, 3))
     c = np.hypot(np.hypot(p[:, 0], p[:, 1]) - LINKS.coxa, p[:, 2])
@@ -385,7 +403,10 @@ def test_lotriet_5_2_with_its_corrections_is_ours() -> None:
 
 
 def test_lotriet_angles_as_printed_in_ours() -> None:
-    """With his mounting angles, and the coxa angle measured from y as (5.2) prints it."""
+    """Use the thesis's mounting angles, and its coxa angle.
+
+    (5.2) prints the coxa angle as measured from y.
+    """
     p = acute_feet(50)
     _, terms = lotriet_inverse(p, LINKS)
     elevation = np.arctan(p[:, 2] / (terms["d"] - LINKS.coxa))
@@ -395,7 +416,7 @@ def test_lotriet_angles_as_printed_in_ours() -> None:
 
 
 def test_lotriet_5_3_takes_the_wrong_branch_near_the_body() -> None:
-    p = np.array([0.12, 0.0, -0.08])  # c = 0.105 m, below sqrt(tibia^2 - femur^2) = 0.115 m: the angle is blunt
+    p = np.array([0.12, 0.0, -0.08])  # c = 0.105 m, below sqrt(tibia^2 - femur^2) = 0.115 m: the angle is obtuse
     theta, terms = lotriet_inverse(p, LINKS)
     q = kinematics.leg_inverse(p, LINKS)
     np.testing.assert_allclose(kinematics.leg_forward(q, LINKS), p, atol=1e-12)
@@ -462,7 +483,7 @@ def test_the_nearest_reachable_foot_is_reachable_and_stays_where_it_was_if_it_wa
     moved = kinematics.nearest_reachable(PROFILE, feet)
     before, after = kinematics.body_inverse(PROFILE, feet), kinematics.body_inverse(PROFILE, moved)
     tibia = PROFILE.joint_limits[:, 2]
-    above_or_below = np.isnan(after).any(axis=1)  # straight over or under the axis of its femur nothing is near
+    above_or_below = np.isnan(after).any(axis=1)  # no nearest point exists straight above or below the femur axis
     p_coxa = (PROFILE.T_coxa_body @ np.column_stack([feet, np.ones(6)])[:, :, None])[:, :3, 0]
     high = np.abs(p_coxa[:, 2]) > 0.08
     assert (~above_or_below | high | (np.hypot(p_coxa[:, 0], p_coxa[:, 1]) < 0.06)).all()

@@ -1,4 +1,4 @@
-"""Robot profiles: what the file says, what follows from it, and what is refused."""
+"""Robot profiles: values of the file, derived values, and errors."""
 
 import copy
 import re
@@ -46,7 +46,7 @@ def test_names_say_where_the_legs_are() -> None:
 
 @pytest.mark.parametrize("name", profile_names())
 def test_profiles_that_come_along_reach_their_stride(name: str) -> None:
-    """At rest and half a stride to either side, down on the ground and lifted off it by 2 cm."""
+    """Reach the resting place, half a stride ahead and behind, and 2 cm above."""
     profile = load_profile(name)
     assert profile.name == name
     half = profile.stance.stride / 2
@@ -199,14 +199,14 @@ def test_a_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str,
 
 
 def _at(table: Any, path: str) -> tuple[Any, Any]:
-    """The container and the key in it that a path like legs[0].servo_ids[1] leads to."""
+    """Return the container and the key at a path like legs[0].servo_ids[1]."""
     *way, last = [int(key) if key.isdigit() else key for key in re.findall(r"\w+", path)]
     for key in way:
         table = table[key]
     return table, last
 
 
-# Each is wrong by itself, whatever the others are: place in the table, a value that cannot be, what is said of it.
+# Each is wrong independently of the others: path in the table, invalid value, error message.
 MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 and at most 10000 expected, found -1.0"),
     "servo.model": ("AX-19", "servo.model: one of 'AX-12A', 'AX-18A', 'AX-12W', 'RX-64' expected, found 'AX-19'"),
@@ -292,7 +292,7 @@ def test_a_leg_is_a_value() -> None:
     assert isinstance(LEG, Leg)
 
 
-# ------------------------------------------------------------------------------------------------------ a robot of its own
+# ------------------------------------------------------------------------------------------------------ a calibrated robot
 
 trims = st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3)
 
@@ -306,7 +306,7 @@ def test_trims_turn_the_servo_and_leave_the_joint_where_it_is(legs: set[str], da
     turned = robot.servo_signs * (robot.servo_angles(q) - PROFILE.servo_angles(q))
     measured = {entry.leg: entry.trims_deg for entry in entries}
     np.testing.assert_allclose(np.degrees(turned), [measured.get(leg, (0.0, 0.0, 0.0)) for leg in LEGS], atol=1e-9)
-    np.testing.assert_allclose(robot.joint_limits, PROFILE.joint_limits, atol=1e-12)  # the brackets are where they were
+    np.testing.assert_allclose(robot.joint_limits, PROFILE.joint_limits, atol=1e-12)  # the brackets have not moved
 
 
 def test_a_trim_cannot_turn_a_servo_beyond_its_range() -> None:

@@ -1,4 +1,4 @@
-"""The support margin against geometry done another way."""
+"""The support margin against an independent computation."""
 
 from dataclasses import replace
 
@@ -16,7 +16,10 @@ SQUARE = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 
 
 def reference(feet: Array, centre: Array) -> float:
-    """Least distance to a supporting line over all directions: the support function, sampled finely."""
+    """Return the least distance to a supporting line over all directions.
+
+    The support function is sampled finely.
+    """
     angles = np.linspace(0.0, 2 * np.pi, 7200, endpoint=False)
     outward = np.stack([np.cos(angles), np.sin(angles)])
     return float(((feet - centre) @ outward).max(axis=0).min())

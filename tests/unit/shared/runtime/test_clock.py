@@ -1,4 +1,7 @@
-"""A machine that goes by the robot's clock: late by the shortest way, never early, and never back."""
+"""The robot's clock on another machine: late by the least delay, monotonic.
+
+It is never ahead of the robot's time.
+"""
 
 import pytest
 from hypothesis import given
@@ -65,12 +68,12 @@ def test_a_robot_that_was_switched_off_is_another_time() -> None:
     own = Own(1000 * SEC)
     robot = RobotClock(own)
     robot.heard(5000 * SEC)
-    robot.heard(4995 * SEC)  # only late
+    robot.heard(4995 * SEC)  # delayed by 5 s
     robot()
     robot.heard(3 * SEC)
     own.now_ns += 1960 * MS
     robot.heard(5 * SEC)
-    robot()  # up to here it is a claim
+    robot()  # the new time is still a claim
     own.now_ns += 40 * MS
     robot.heard(5 * SEC)
     with pytest.raises(ClockError, match="began anew"):
@@ -108,7 +111,10 @@ def test_a_process_goes_by_its_machines_clock_unless_it_is_told_otherwise(monkey
 
 
 class TwoClocks:
-    """A monotonic clock and one that counts suspended time; a reading takes 1 us, and `torn` readings much longer."""
+    """A monotonic clock and one that counts suspended time.
+
+    A reading takes 1 us; `torn` readings take much longer.
+    """
 
     def __init__(self, suspended_ns: int = 0) -> None:
         self.ns, self.suspended_ns, self.torn = 0, suspended_ns, 0

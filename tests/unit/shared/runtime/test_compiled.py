@@ -1,4 +1,7 @@
-"""Compiled functions stand alone: their cache is told by their own file's date, and by nothing else."""
+"""Compiled functions use no names from other files.
+
+Their cache is invalidated only by the date of their own file.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -10,7 +13,7 @@ COMPILED = ("compiled", "written_into")
 
 
 def borrowed(source: str) -> Iterator[str]:
-    """Names from other files of ours that compiled functions of one use."""
+    """Yield the names from other files of this project that compiled functions use."""
     module = ast.parse(source)
     imported = {
         alias.asname or alias.name

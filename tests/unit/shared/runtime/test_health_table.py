@@ -1,4 +1,4 @@
-"""The table of health: bounded whatever names come, and each role has its own names."""
+"""The health table: bounded for any names, and separate names for each role."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How late inputs are, and when that is the computer's fault."""
+"""Ages of inputs, and the conditions under which the computer is too slow."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def maps(age_s: float = 1.6, arrived_s: float = 1.2, late: float = 0.5) -> Input
 
 
 def after(computer: SlowComputer, *reports: Health, seconds: float = 1.0) -> str:
-    """What it says of reports that came one after the other."""
+    """Return the warning after consecutive reports."""
     for k, report in enumerate(reports):
         computer.update({report.service: (report, round(k * seconds * S))})
     return computer.words(round((len(reports) - 1) * seconds * S))
@@ -77,12 +77,12 @@ def test_a_link_or_lockstep_is_told_apart() -> None:
 @pytest.mark.parametrize(
     "reports",
     [
-        (health("planner", maps()),),  # once: something began again
-        (health("planner", maps(arrived_s=0.2)),) * 5,  # they were new when they came: whoever makes them has stopped
-        (health("planner", maps(late=0.05)),) * 5,  # now and then
+        (health("planner", maps()),),  # only once: a service restarted
+        (health("planner", maps(arrived_s=0.2)),) * 5,  # they were new when they arrived: their publisher has stopped
+        (health("planner", maps(late=0.05)),) * 5,  # only occasionally
         (health("planner", InputAge("any/thing", 9.0, 9.0, 0.1, 1.0)),) * 5,  # no input of any service
         (health("planner", InputAge(TERRAIN, 9.0, 9.0, 0.0, 1.0)),) * 5,
-        (health("planner", InputAge(TERRAIN, 1e300, 9.0, 0.8, 1.0)),) * 5,  # no clock has measured that
+        (health("planner", InputAge(TERRAIN, 1e300, 9.0, 0.8, 1.0)),) * 5,  # no clock measures such an age
         (health("planner", InputAge(TERRAIN, 9.0, 9.0, 0.8, 7.0)),) * 5,
     ],
 )

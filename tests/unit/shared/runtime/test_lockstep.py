@@ -18,7 +18,7 @@ VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_ST
 
 @dataclass
 class Recorder:
-    """Every frame as it was sent, the timing inside health reports apart."""
+    """A tap that records every frame as it was sent, except health."""
 
     frames: list[tuple[str, bytes, int]] = field(default_factory=list)
 
@@ -140,7 +140,7 @@ def test_a_killed_service_comes_back_as_a_new_object_that_knows_nothing() -> Non
     assert run.service("planner") is not first
     assert seen(run)[0][0] == 200 * MS + round(1e9 * VELOCITY.latency_s)
     missed = seen(run)[0][1].stamp_ns
-    assert missed == 200 * MS  # what came in the meantime is lost
+    assert missed == 200 * MS  # messages in the meantime are lost
     assert len(seen(run, "console")) == 31  # the others go on
 
 
@@ -157,7 +157,7 @@ def test_a_hung_service_goes_on_where_it_was() -> None:
     counts = [codec.decode(f, PlannerStatus)[0].step for key, f, _ in tap.frames if key == STATUS.key]
     stamps = [v.stamp_ns for _, v in seen(run)]
     waited = [count - stamp for count, stamp in zip(counts, stamps, strict=True)]
-    assert max(waited) >= 10  # orders that came while it hung were waiting for it, as they would in its queue
+    assert max(waited) >= 10  # orders waited in its queue while it hung
 
 
 def test_a_service_that_hangs_misses_its_beats() -> None:

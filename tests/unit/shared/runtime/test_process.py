@@ -1,4 +1,4 @@
-"""The process around a service: its settings, its arguments, its exit status, its end."""
+"""The process of a service: settings, arguments, exit status, and end."""
 
 import ctypes
 import logging
@@ -22,7 +22,7 @@ from sextant.shared.runtime.service import Every, Inbox, Stages
 from sextant.shared.wire.messages import Message
 from sextant.shared.wire.transport import Endpoints, TransportError
 
-PATIENCE_S = 180.0  # for what a busy machine may take long to do
+PATIENCE_S = 180.0  # for anything that may take long on a busy machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Registration:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Every kind of setting a service may have."""
+    """Settings of every kind that a service may have."""
 
     port: int = 7000
     host: str = "localhost"
@@ -146,7 +146,7 @@ def test_defaults_are_left_out() -> None:
 
 
 class NoLink:
-    """Stands in for the network."""
+    """A replacement for the network."""
 
     opened: list[Endpoints]
     closed: int
@@ -171,7 +171,7 @@ class NoLink:
 
 @dataclass
 class Beating:
-    """A service that does what a test says at each beat."""
+    """A service that calls a test's function at each beat."""
 
     act: Callable[[], None]
     name: str = "beating"
@@ -201,7 +201,7 @@ class Beating:
 def fake_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     NoLink.opened, NoLink.closed = [], 0
     monkeypatch.setattr(process, "ZenohLink", NoLink)
-    monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # it is the process of all tests that would end
+    monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # otherwise the process of all tests would end
     switching_s = sys.getswitchinterval()
     yield
     sys.setswitchinterval(switching_s)
@@ -247,7 +247,10 @@ def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() ->
 
 
 def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is being compiled cannot be told to end, and a minute is more patience than whoever started it has."""
+    """End at once on a signal during the compilation.
+
+    Compilation cannot be interrupted, and takes up to a minute.
+    """
     left: list[int] = []
     ended = threading.Event()
 

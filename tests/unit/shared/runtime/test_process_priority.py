@@ -1,4 +1,4 @@
-"""What a process asks of its host."""
+"""Requests of a process to its operating system."""
 
 import gc
 import os
@@ -22,7 +22,7 @@ def collector_as_before() -> Iterator[None]:
 
 
 class Run:
-    """Something that refers to itself, as runs do."""
+    """An object that refers to itself, as runs do."""
 
     def __init__(self) -> None:
         self.itself = self
@@ -52,7 +52,10 @@ def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monk
 
 
 def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> None:
-    """Its answer is taken by a thread beside one that computes; measured with Python's usual 5 ms, some came too late."""
+    """Switch threads often enough that a servo's answer is read in time.
+
+    A thread reads the answer while another one computes. With Python's usual 5 ms, some answers came too late in measurements.
+    """
     usual_s = sys.getswitchinterval()
     try:
         switch_often()

@@ -1,4 +1,4 @@
-"""What arrives for a service, and how it is stepped."""
+"""Messages that arrive for a service, and its steps."""
 
 import threading
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from tests.support.scripted_service import Kept, Scripted, order, status, veloci
 
 MS = 1_000_000
 VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_STATUS, topics.HEALTH
-PATIENCE_S = 10.0  # an event that has not come by then never will
+PATIENCE_S = 10.0  # longest wait for an event
 
 
 def inbox(*reads: AnyTopic) -> Inbox:
@@ -33,7 +33,7 @@ def test_latest_keeps_the_newest_only() -> None:
     found = box.latest(VELOCITY)
     assert found is not None
     assert found.stamp_ns == 4
-    assert box.dropped == 0  # passing over old states is no loss
+    assert box.dropped == 0  # overwriting old states is no loss
 
 
 def test_every_keeps_all_in_order() -> None:
@@ -81,7 +81,7 @@ def test_a_message_is_fresh_for_three_periods_of_its_topic() -> None:
     for age_ns, fresh in ((0, True), (VELOCITY.fresh_for_ns, True), (VELOCITY.fresh_for_ns + 1, False)):
         box.now_ns = 1000 + age_ns
         assert (box.fresh(VELOCITY) is not None) == fresh
-        assert box.latest(VELOCITY) is not None  # however old
+        assert box.latest(VELOCITY) is not None  # at any age
     assert VELOCITY.fresh_for_ns == 150 * MS
 
 
@@ -97,7 +97,7 @@ def test_a_refused_frame_is_counted_and_the_last_good_message_stays() -> None:
         assert box.refused == n
         assert box.last_refusal.startswith("operator/velocity: ")
     box.now_ns = 1 + VELOCITY.fresh_for_ns + 1
-    assert box.fresh(VELOCITY) is None  # garbage does not keep the old message fresh
+    assert box.fresh(VELOCITY) is None  # an invalid message does not keep the old one fresh
 
 
 def test_good_frames_around_a_bad_one_are_kept() -> None:
@@ -140,7 +140,7 @@ def test_an_inbox_may_be_filled_from_many_threads() -> None:
         thread.join(PATIENCE_S)
     found += [c.sequence for c in box.drain(MODE)]
     assert sorted(found) == list(range(400))
-    for i in range(4):  # each sender's in its order
+    for i in range(4):  # in the order of each sender
         own = [n for n in found if n // 100 == i]
         assert own == sorted(own)
 
@@ -286,7 +286,7 @@ class Needy(Scripted):
 
 
 class Desk:
-    """A worker whose clock a test moves, what it sends, and what it states to simulated time."""
+    """A worker on a test clock, its messages, and its holds of simulated time."""
 
     def __init__(self, service: Service) -> None:
         self.now_ns = 0

@@ -1,4 +1,4 @@
-"""How a process ends, whatever its main thread is caught in."""
+"""The end of a process, even while its main thread is blocked."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ import pytest
 from sextant.shared.runtime import shutdown
 from sextant.shared.runtime.shutdown import ToldToEnd
 
-PATIENCE_S = 180.0  # for a process of its own on a busy machine
+PATIENCE_S = 180.0  # for a separate process on a busy machine
 
 _BEGINS = """
 import ctypes, os, signal, sys, threading
@@ -60,7 +60,7 @@ sys.stdin.read()
 
 @contextlib.contextmanager
 def begun(source: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
-    """A process, and whoever it starts; none of them is left behind."""
+    """Start a process; kill it and its children at the end."""
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", source, *words]
     process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, process_group=0)
@@ -102,7 +102,7 @@ def test_nobody_who_hangs_outlives_the_one_that_started_it() -> None:
     with begun(_STARTS_ONE, child, "0.5") as parent:
         assert is_ready(parent)
         parent.kill()
-        said, complained = parent.communicate(timeout=PATIENCE_S)  # until the child has closed them, too
+        said, complained = parent.communicate(timeout=PATIENCE_S)  # until the child has also closed them
     assert said == ""
     assert "Timeout" in complained
 
@@ -115,7 +115,7 @@ def test_what_is_raised_in_the_end_is_told_and_is_status_1() -> None:
 
 
 def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # it is the process of all tests that would end
+    monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # otherwise the process of all tests would end
     heard: list[int] = []
     before: Any = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:

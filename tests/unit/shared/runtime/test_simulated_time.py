@@ -1,4 +1,4 @@
-"""Simulated time: never back, never faster than real time, and it waits for what is late."""
+"""Simulated time: monotonic, at most real time, and held for late services."""
 
 import threading
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ def time_(tmp_path: Path, machine: Machine) -> SimulatedTime:
 
 
 def let_run(time_: SimulatedTime, machine: Machine, real_ns: int, step_ns: int = 4 * MS) -> int:
-    """Grant as a simulator does for a while; what time it is then."""
+    """Grant time repeatedly as a simulator does; return the resulting time."""
     for _ in range(real_ns // step_ns):
         machine.now_ns += step_ns
         time_.grant()
@@ -77,7 +77,7 @@ def test_it_goes_on_without_a_service_that_has_ended_or_hangs(time_: SimulatedTi
     limit = time_() + 50 * MS
     time_.hold("mapper", limit)
     assert let_run(time_, machine, 5 * SEC) == pytest.approx(limit + 3950 * MS, abs=50 * MS)
-    time_.hold("mapper", limit + 1 * MS)  # it is back, and late: that is waited for again
+    time_.hold("mapper", limit + 1 * MS)  # it is back and late: time waits for it again
     assert let_run(time_, machine, 500 * MS) <= limit + 4 * SEC
     assert let_run(time_, machine, 5 * SEC) > limit + 7 * SEC
 
@@ -91,7 +91,7 @@ def test_processes_that_map_the_file_share_the_time(time_: SimulatedTime, machin
     other.hold("planner", time_() + 10 * MS)
     limit = time_() + 10 * MS
     assert let_run(time_, machine, 500 * MS) == other() == limit
-    other.hold("operator", 0)  # who is not named has no limit
+    other.hold("operator", 0)  # a name that is not in the file has no limit
     other.hold("planner", None)
     assert let_run(time_, machine, 500 * MS) > limit
 

@@ -1,4 +1,4 @@
-"""Signs of life as systemd's protocol has them, heard on sockets of this machine."""
+"""Watchdog pulses by systemd's protocol, received on local sockets."""
 
 import contextlib
 import os
@@ -26,13 +26,16 @@ def ear() -> Iterator[socket.socket]:
 
 @pytest.fixture
 def watch() -> Iterator[Watch]:
-    """Makes watchdogs, and closes them at the end."""
+    """Yield a function that makes watchdogs; close them at the end."""
     with contextlib.ExitStack() as stack:
         yield lambda **environment: stack.enter_context(Watchdog(environment))
 
 
 def heard(ear: socket.socket) -> list[bytes]:
-    """What has come, and nothing is waited for: a datagram of this machine is there once it is sent."""
+    """Return the datagrams that have arrived, without waiting.
+
+    A local datagram arrives as soon as it is sent.
+    """
     found: list[bytes] = []
     while True:
         try:

@@ -1,4 +1,4 @@
-"""A service in a process of its own at real time."""
+"""A service in a separate process in real time."""
 
 import itertools
 import threading
@@ -20,11 +20,11 @@ from tests.support.scripted_service import Kept, Scripted, order, status, veloci
 
 MS = 1_000_000
 VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_STATUS, topics.HEALTH
-PATIENCE_S = 10.0  # an event that has not come by then never will
+PATIENCE_S = 10.0  # longest wait for an event
 
 
 class Wire:
-    """A link in memory: what is sent is kept, what a test publishes arrives."""
+    """A link in memory: it stores sent frames and delivers a test's frames."""
 
     def __init__(self) -> None:
         self.receivers: dict[str, list[Any]] = {}
@@ -132,7 +132,7 @@ def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire)
     stop = threading.Event()
 
     def wait(length_s: float) -> None:
-        waits.append(length_s)  # and comes back before its time
+        waits.append(length_s)  # returns early
         if len(waits) == 3:
             stop.set()
 
@@ -169,7 +169,10 @@ def test_live_the_thread_that_steps_says_that_it_lives_also_where_nothing_has_it
 
 
 def beaten(stalls: list[int], period: int) -> list[int]:
-    """When beats come [ns], with work of some length before each, on a clock that nothing else moves."""
+    """Return the times of beats [ns], with work before each.
+
+    Only the work and the waits advance the clock.
+    """
     now, came = 0, [0]
 
     def wait(seconds: float) -> None:
@@ -208,7 +211,10 @@ def test_live_an_error_in_a_step_ends_the_run(wire: Wire) -> None:
 
 
 def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire) -> None:
-    """Of a clock that goes on by 5 ms each time it is read; what waits says meanwhile that it lives."""
+    """Wait for beats on a clock that advances by 5 ms at each reading.
+
+    The runner reports that it is alive while it waits.
+    """
     times, lives = itertools.count(0, 5 * MS), list[int]()
     service = Scripted("operator", Every.hz(20), writes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
     stop = threading.Event()

@@ -1,4 +1,7 @@
-"""Scenarios: those that come along are sound, and anybody's own is read or refused in words."""
+"""Scenarios: the supplied ones are valid, and user files are read or rejected.
+
+A rejection states its reason.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -52,14 +55,14 @@ def test_flat_and_steps_are_there() -> None:
 
 
 def test_every_course_begins_with_flat_ground() -> None:
-    """The camera sees nothing nearer than half a metre, so nothing may stand in the first 0.8 m."""
+    """Keep the first 0.8 m flat: the camera sees nothing nearer than half a metre."""
     for name in scenario_names():
         for piece in load_scenario(name).terrain:
             if isinstance(piece, Rubble):
                 assert piece.x[0] >= 0.8
             if isinstance(piece, Stairs):
                 assert piece.xy[0] >= 0.8
-            if isinstance(piece, Box | Hole):  # or stand at the side
+            if isinstance(piece, Box | Hole):  # or it stands at the side
                 extents = zip(piece.size, piece.size_spread, piece.xy_spread, strict=True)
                 length, width = ((size + more) / 2 + aside for size, more, aside in extents)
                 assert piece.xy[0] - length >= 0.8 or abs(piece.xy[1]) - width >= 0.45

@@ -1,4 +1,7 @@
-"""The bridge's messages: round trips, whatever else comes, the worked example of the document, and ages."""
+"""Messages of the bridge: round trips, invalid data, and ages.
+
+The worked example of the document is included.
+"""
 
 import dataclasses
 import re
@@ -213,7 +216,7 @@ def test_an_age_is_never_more_than_the_delay_and_right_once_something_was_quick(
     began_us: int, offset_ns: int, sent: list[tuple[int, int]]
 ) -> None:
     clock, now_us, arrived_ns = RemoteClock(), began_us, 0
-    clock.age_ns(now_us, 1000 * now_us + offset_ns)  # one without delay
+    clock.age_ns(now_us, 1000 * now_us + offset_ns)  # a message without delay
     for gap_us, delay_ns in sent:
         now_us += gap_us
         arrived_ns = max(arrived_ns, 1000 * now_us + offset_ns + delay_ns)

@@ -1,4 +1,4 @@
-"""The fault grid: what can be asked of it, and what is refused, all at once and in words."""
+"""The fault grid: valid faults, and rejection of invalid ones with all reasons."""
 
 from pathlib import Path
 from typing import get_args
@@ -17,7 +17,7 @@ KINDS, TARGETS = get_args(FaultKind), get_args(FaultTarget)
 
 
 def fault(target: FaultTarget, kind: FaultKind) -> BusFault:
-    """The plainest fault of a cell."""
+    """Return the simplest fault of a cell."""
     return BusFault(target, kind, 1.0, servo=5 if GRID[target, kind].needs_servo else -1)
 
 

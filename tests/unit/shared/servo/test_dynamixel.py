@@ -1,4 +1,7 @@
-"""The bytes of Protocol 1.0: vectors of the manuals, round trips, and any garbage between good packets."""
+"""Bytes of Protocol 1.0: vectors of the manuals, round trips, and garbage.
+
+The garbage lies between valid packets.
+"""
 
 import math
 from itertools import pairwise
@@ -84,7 +87,7 @@ def test_packets_survive_the_stream_however_it_is_cut(packets: list[tuple[int, i
 
 GARBAGE = st.one_of(
     st.binary(max_size=40),
-    st.lists(st.sampled_from([0xFF, 0xFF, 0, 1, 2, 4, 200]), max_size=40).map(bytes),  # headers that lie
+    st.lists(st.sampled_from([0xFF, 0xFF, 0, 1, 2, 4, 200]), max_size=40).map(bytes),  # false headers
 )
 
 
@@ -98,7 +101,7 @@ def test_good_packets_are_found_between_garbage(pairs: list[tuple[bytes, tuple[i
     stream += tail
     found = parser.feed(bytes(stream)) + parser.flush()
     assert parser.pending == 0
-    for p in found:  # nothing is made up: each is on the wire where it says
+    for p in found:  # each found packet is on the wire at its stated position
         raw = dxl.encode(p.servo_id, p.code, p.parameters)
         assert stream[p.end - len(raw) : p.end] == raw
     spans = [(p.end - len(p.parameters) - dxl.OVERHEAD, p.end) for p in found]
@@ -129,7 +132,7 @@ def test_drops_are_counted_by_reason() -> None:
     parser.feed(hexed("FF FF 09 01 00 00"))
     parser.feed(hexed("FF FF 09 C8 00 00"))
     assert parser.dropped[Dropped.LENGTH] == 2
-    assert parser.feed(hexed("FF FF 09 0A 00") + good) == []  # announces more than comes
+    assert parser.feed(hexed("FF FF 09 0A 00") + good) == []  # announces more bytes than arrive
     assert [p.servo_id for p in parser.flush()] == [9]
     assert parser.dropped[Dropped.TRUNCATED] == 1
 

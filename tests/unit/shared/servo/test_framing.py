@@ -1,4 +1,4 @@
-"""Frames on a serial line: the stuffing's published vectors, and laws of streams that something has happened to."""
+"""Frames on a serial line: published vectors of the stuffing, and damaged streams."""
 
 import zlib
 
@@ -30,7 +30,7 @@ UP = bytes(range(1, 256))
     ],
 )
 def test_stuffing_is_as_published(data: str, stuffing: str) -> None:
-    """The examples of Cheshire and Baker's encoding that Wikipedia lists."""
+    """Compare with the examples of Cheshire and Baker's encoding on Wikipedia."""
     assert stuffed(bytes.fromhex(data)) == bytes.fromhex(stuffing)
     assert unstuffed(bytes.fromhex(stuffing)) == bytes.fromhex(data)
 

@@ -1,4 +1,4 @@
-"""What each role may put and read is what its processes write and read, and no more."""
+"""Each role may publish and read exactly what its processes publish and read."""
 
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -16,13 +16,16 @@ from sextant.shared.wire import access, topics
 from sextant.shared.wire.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
 from sextant.shared.wire.topics import TOPICS
 
-HEARD_OF = ("robot", "base", "console", "site")  # on other machines
+HEARD_OF = ("robot", "base", "console", "site")  # presence of these roles is read on other machines
 LOCAL: set[AnyTopic] = {topics.HEALTH_OF["viewer"], topics.PRESENCE_OF["viewer"]}
 OF_THE_SIMULATOR = {topic for topic in TOPICS if topic.key.startswith("simulator/")}
 
 
 def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[AnyTopic]]:
-    """Of processes of the table on a machine of a role, its health and presence included."""
+    """Return the topics that processes publish and read on a machine of a role.
+
+    Health and presence of the machine are included.
+    """
     written: set[AnyTopic] = {topics.HEALTH_OF[role], topics.PRESENCE_OF[role]}
     read: set[AnyTopic] = {topics.PRESENCE_OF[name] for name in HEARD_OF}
     for process in TABLE:
@@ -30,7 +33,7 @@ def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[Any
             service = _service(process.module)
             pace = getattr(service, "paced_by", None)
             written |= set(service.writes)
-            reads = {*service.reads} - {topics.HEALTH_OF["viewer"]}  # which crosses no router
+            reads = {*service.reads} - {topics.HEALTH_OF["viewer"]}  # it crosses no router
             read |= {*reads, *([pace] if isinstance(pace, topics.Topic) else [])}
     return written, read
 
@@ -76,7 +79,10 @@ OF_ROLES = {**{t: r for r, t in topics.HEALTH_OF.items()}, **{t: r for r, t in t
 
 @pytest.mark.parametrize("role", [role for role in ROLES if role.name != SITE], ids=lambda role: role.name)
 def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role) -> None:
-    """A console is no actuator's health, and no robot's presence; nor does anything but a robot tell its time."""
+    """Publish health and presence by their own role only.
+
+    A console cannot publish an actuator's health or a robot's presence. Only a robot publishes its time.
+    """
     assert {OF_ROLES[topic] for topic in role.puts if topic in OF_ROLES} <= {role.name}
     assert (topics.ACTUATOR_STATE in role.puts) == (role.name == "robot"), "whose clock other machines follow"
     assert {OF_ROLES[topic] for topic in role.relays} <= {"base", "console"}
@@ -108,7 +114,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rules(keys: Path, role: str) -> Iterator[tuple[str, str, str]]:
-    """(message, flow, key) of all that a role is allowed."""
+    """Yield (message, flow, key) of all that a role is allowed."""
     control = Keys.load(keys / "robot").hosting("here")["access_control"]
     (subject,) = (s for s in control["subjects"] if s.get("cert_common_names") == [role])
     allowed = {rule for policy in control["policies"] if subject["id"] in policy["subjects"] for rule in policy["rules"]}

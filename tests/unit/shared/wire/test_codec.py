@@ -1,4 +1,7 @@
-"""Frames: every message comes back as it was, and whatever else arrives is refused in words."""
+"""Frames: each message survives a round trip, and all other data is rejected.
+
+A rejection states its reason.
+"""
 
 import dataclasses
 import struct
@@ -58,13 +61,13 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
 
 @st.composite
 def messages(draw: st.DrawFn, kind: type[Message]) -> Message:
-    """Any message of a type, made from its declaration."""
+    """Draw a message of a type from its declaration."""
     fields = m.schema(kind)
     arrays = [detail[1] for _, base, detail in fields if base is np.ndarray]
     names = {n: dims.lengths or (0, 5) for dims in arrays for n in dims.shape if isinstance(n, str)}
     lengths = {n: draw(st.integers(least, min(most, 5)), label=n) for n, (least, most) in sorted(names.items())}
     values = {name: draw(field_values(base, detail, lengths)) for name, base, detail in fields}
-    if kind is m.Health:  # a name for each number
+    if kind is m.Health:  # one name for each number
         values["stages"] = tuple(map(str, range(lengths["stage"])))
         values["inputs"] = tuple(map(str, range(lengths["input"])))
     return kind(**values)
@@ -101,14 +104,14 @@ def assert_equal(found: Message, expected: Message) -> None:
 
 
 def framed(kind: type[Message], fields: Any, data: bytes = b"", *, timing: Any = (0, 0), name: str | None = None) -> bytes:
-    """A frame with a header of one's own making."""
+    """Return a frame with a given header."""
     header = fields if isinstance(fields, bytes) else msgpack.packb([name or codec.schema_id(kind), *timing, fields])
     start = struct.pack("<I", len(header)) + header
     return start + bytes(-len(start) % 8) + data
 
 
 def with_field(kind: type[Message], name: str, value: object) -> bytes:
-    """The frame of the example message with one field of its header replaced."""
+    """Return the frame of the example message with one field of its header replaced."""
     frame = codec.encode(example(kind))
     (length,) = struct.unpack_from("<I", frame)
     header = msgpack.unpackb(frame[4 : 4 + length])
@@ -123,7 +126,10 @@ def refusal(frame: bytes, kind: type[Message], max_bytes: int = 1 << 26) -> str:
 
 
 def decoded_or_refused(frame: bytes, kind: type[Message]) -> Message | None:
-    """What every receiver does; any exception but DecodeError fails the test."""
+    """Decode as every receiver does.
+
+    Any exception other than DecodeError fails the test.
+    """
     try:
         return codec.decode(frame, kind)[0]
     except codec.DecodeError:
@@ -143,7 +149,7 @@ def test_every_message_comes_back(kind: type[Message], data: st.DataObject) -> N
     found, found_timing = codec.decode(frame, kind)
     assert_equal(found, message)
     assert found_timing == timing
-    assert codec.encode(found, timing) == frame  # the same message is the same bytes
+    assert codec.encode(found, timing) == frame  # the same message has the same bytes
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -214,7 +220,7 @@ def test_a_depth_frame_costs_little_memory_to_decode() -> None:
 
 
 def pose_of(change: Any) -> Any:
-    """A pose, something of which is changed."""
+    """Return a changed pose."""
     T = np.eye(4)
     change(T)
     return T
@@ -451,7 +457,7 @@ def test_a_number_that_is_none_is_refused_where_numbers_are_asked(kind: type[Mes
         if base is np.ndarray and detail[0].kind == "f" and detail[1].finite:
             message = example(kind)
             before = codec.encode(message)
-            getattr(message, name).flat[-1] = np.nan  # behind the message's back: only the receiver can tell
+            getattr(message, name).flat[-1] = np.nan  # after the message's own check, so only the receiver can find it
             frame = codec.encode(message)
             assert len(frame) == len(before)
             assert "NaN or infinity" in refusal(frame, kind)
@@ -532,7 +538,7 @@ def test_a_huge_array_claim_allocates_nothing() -> None:
 
 
 def _peak(act: Any) -> int:
-    """Most bytes that an action held at once."""
+    """Return the peak of the memory that an action holds [bytes]."""
     tracemalloc.start()
     try:
         act()

@@ -1,4 +1,4 @@
-"""Endpoints, and the sentence for each reason why one cannot be reached or listened on."""
+"""Endpoints, and the reasons why one cannot be reached or used for listening."""
 
 import errno
 import socket
@@ -93,7 +93,7 @@ def test_a_name_that_no_host_can_have_is_an_unknown_one() -> None:
 
 def test_a_host_that_does_not_answer_is_no_program_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(endpoint, "_CONNECT_S", 0.05)
-    with socket.socket() as full:  # whose backlog is taken, so that a new connection gets no answer
+    with socket.socket() as full:  # its backlog is full, so a new connection gets no answer
         full.bind(("127.0.0.1", 0))
         full.listen(0)
         here = f"tls/127.0.0.1:{full.getsockname()[1]}"

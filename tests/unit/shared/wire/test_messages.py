@@ -1,4 +1,7 @@
-"""A message that exists is well formed; one that is not says which field, what was expected and what was found."""
+"""Messages are validated when they are made.
+
+An error names the field, the expected and the found value.
+"""
 
 import dataclasses
 from enum import StrEnum
@@ -15,7 +18,7 @@ KINDS = list(topics.OF_TYPE)
 
 
 def example(kind: type[Message]) -> Message:
-    """The plainest message of a type, made from its declaration."""
+    """Return the simplest message of a type, from its declaration."""
     values: dict[str, Any] = {}
     for name, base, detail in m.schema(kind):
         if base is np.ndarray:
@@ -50,7 +53,7 @@ def test_every_type_can_be_made_and_not_changed(kind: type[Message]) -> None:
         message.stamp_ns = 1  # type: ignore[misc]
     assert m.schema(kind)[0] == ("stamp_ns", int, None)
     assert kind.__doc__
-    assert "->" in kind.__doc__  # who sends, who reads
+    assert "->" in kind.__doc__  # publishers and subscribers
 
 
 @pytest.mark.parametrize(("kind", "name", "detail"), fields_with(np.ndarray))
@@ -67,7 +70,7 @@ def test_arrays_are_checked(kind: type[Message], name: str, detail: Any) -> None
         longer = np.concatenate([good, good], axis)
         if isinstance(length, int):
             assert "found (" in refused(message, name, longer)
-        elif sum(length in d[1].shape for _, b, d in m.schema(kind) if b is np.ndarray) > 1:  # others go by the same name
+        elif sum(length in d[1].shape for _, b, d in m.schema(kind) if b is np.ndarray) > 1:  # others share the name
             with pytest.raises(ValueError, match=rf"^{kind.__name__}\.\w+: .*expected with {length} = "):
                 dataclasses.replace(message, **{name: longer})  # type: ignore[arg-type]
     if dtype.kind == "f":
@@ -162,7 +165,7 @@ def test_a_goal_has_a_waypoint_and_not_too_many() -> None:
 
 
 def test_a_text_that_no_frame_may_carry_is_cut_where_the_message_is_made() -> None:
-    """What a service quotes of others ends no service."""
+    """Truncate texts of others, so that they end no service."""
     status = m.PlannerStatus(0, "waiting", "x" * (m.MAX_TEXT + 1), 0, 0, -1)
     assert status.reason == "x" * (m.MAX_TEXT - 3) + "..."
     assert dataclasses.replace(status, reason="half a pair \ud800").reason == "half a pair ?"

@@ -1,4 +1,4 @@
-"""The topic table: one row a topic, nothing twice, every message with a place."""
+"""The topic table: one row per topic, no duplicates, a topic for every message."""
 
 from enum import StrEnum
 from typing import Any

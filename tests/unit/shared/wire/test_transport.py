@@ -1,4 +1,4 @@
-"""Frames over Zenoh on this machine's loopback, with the router in this process."""
+"""Frames over Zenoh on loopback, with the router in this process."""
 
 import contextlib
 import json
@@ -18,7 +18,7 @@ from sextant.shared.wire import topics, transport
 from sextant.shared.wire.transport import Endpoints, ForeignLink, Router, TransportError, ZenohLink
 
 MODE, VELOCITY, DEPTH, COLOR = topics.MODE, topics.VELOCITY, topics.DEPTH, topics.COLOR
-PATIENCE_S = 10.0  # an event that has not come by then never will
+PATIENCE_S = 10.0  # longest wait for an event
 
 
 def free_endpoint() -> str:
@@ -35,7 +35,7 @@ def endpoint() -> Iterator[str]:
 
 
 class Receiver:
-    """Collects frames and tells when the one that a test waits for has come."""
+    """A receiver that collects frames and reports the arrival of the expected one."""
 
     def __init__(self, last: bytes):
         self.frames: list[bytes] = []
@@ -48,13 +48,13 @@ class Receiver:
             self.done.set()
 
     def expect(self, last: bytes) -> None:
-        """Wait for another one."""
+        """Wait for another frame."""
         self.last = last
         self.done.clear()
 
 
 def wait_until_wanted(link: ZenohLink, topic: Any) -> None:
-    """A declaration takes a moment to travel."""
+    """Wait until a declaration has arrived."""
     pause, until = threading.Event(), time.monotonic() + PATIENCE_S
     while not link.wanted(topic):
         assert time.monotonic() < until, f"nobody subscribed to {topic.key}"
@@ -89,7 +89,7 @@ def test_of_states_the_newest_arrives_and_a_slow_reader_skips(endpoint: str) -> 
     with ZenohLink(Endpoints((endpoint,))) as sender, ZenohLink(Endpoints((endpoint,))) as reader:
         watcher = Receiver(b"")
         reader.subscribe(VELOCITY, slow)
-        reader.subscribe(MODE, watcher)  # in the same lane, so it sees when all before it have come
+        reader.subscribe(MODE, watcher)  # in the same lane, so it receives its frame after all earlier ones
         wait_until_wanted(sender, VELOCITY)
         wait_until_wanted(sender, MODE)
         sender.send(VELOCITY, b"first")
@@ -101,7 +101,7 @@ def test_of_states_the_newest_arrives_and_a_slow_reader_skips(endpoint: str) -> 
             assert watcher.done.wait(PATIENCE_S)
         release.set()
         assert last.wait(PATIENCE_S)
-    assert received == [b"first", b"19"]  # what came in between was passed over
+    assert received == [b"first", b"19"]  # the frames in between were overwritten
 
 
 def test_a_depth_frame_arrives_whole(endpoint: str) -> None:
@@ -191,7 +191,7 @@ def test_among_others_payloads_have_attachments_and_tokens_last_as_long_as_the_s
             sample = subscriber.recv()
             assert (sample.payload.to_bytes(), sample.attachment.to_bytes()) == (b"payload", b"beside it")
             link.announce(f"@them/{link.id}/here")
-            while not (found := tokens()) and time.monotonic() < until:  # it takes a moment to travel
+            while not (found := tokens()) and time.monotonic() < until:  # it takes a moment to arrive
                 pause.wait(0.001)
             assert found == [f"@them/{link.id}/here"]
             link.subscribe("7/ours", received.append)
@@ -219,7 +219,10 @@ def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
 
 
 def test_a_subscriber_is_asked_for_nothing_while_it_is_undeclared() -> None:
-    """Zenoh's subscriber refuses all else meanwhile: `Already mutably borrowed`."""
+    """Do not access a subscriber during its undeclaration.
+
+    Zenoh's subscriber then raises an error: `Already mutably borrowed`.
+    """
     ended, failed = threading.Event(), list[str]()
 
     class Handler:
@@ -278,7 +281,7 @@ def test_links_outlive_an_error_inside_them(endpoint: str) -> None:
 
     with pytest.raises(KeyError):
         fail()
-    with ZenohLink(Endpoints((endpoint,))) as link:  # and the next one opens
+    with ZenohLink(Endpoints((endpoint,))) as link:  # the next one opens
         link.send(MODE, b"x")
 
 
@@ -330,7 +333,7 @@ def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_silent_connections_keep_no_client_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "_CONNECT_MS", 3000)  # Zenoh's defaults: the first 100 keep all others out for 10 s
+    monkeypatch.setattr(transport, "_CONNECT_MS", 3000)  # with Zenoh's defaults the first 100 keep all others out for 10 s
     address = free_endpoint()
     host, port = address.removeprefix("tcp/").split(":")
     with Router((address,)), contextlib.ExitStack() as stack:

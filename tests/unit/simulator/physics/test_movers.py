@@ -1,4 +1,4 @@
-"""What moves over a course: boxes and striding legs are where their path, speed and start say, and the camera sees them."""
+"""Moving boxes and legs: positions by path, speed and start, and camera images."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def moving(*movers: Mover, seed: int = 0) -> Movers:
 
 
 def legs_of(movers: Movers, now_s: float, body: Array = HERE) -> tuple[Array, Array]:
-    """Lower and upper ends (2, 3) of a pair of legs."""
+    """Return the lower and upper ends (2, 3) of a pair of legs."""
     movers.advance(now_s, body)
     capsules = movers.solids()[1]
     return capsules.start, capsules.end
@@ -107,7 +107,10 @@ def test_when_they_set_off_is_the_seed_s() -> None:
 
 
 def test_the_depth_camera_sees_them_whoever_looks_and_nothing_feels_them() -> None:
-    """A cart stands in for a wall 0.8 m ahead; it then drives through the robot."""
+    """Move a cart through the robot.
+
+    At first it is a wall 1.3 m ahead.
+    """
     cart = BoxMover(((1.5, 0.0), (-1.5, 0.0)), speed=1.0, size=(0.4, 0.6, 0.5))
     course = Scenario("flat", (Plane(),), Goal(1.0), movers=(cart,))
     profile = load_profile("phantomx_mk2")

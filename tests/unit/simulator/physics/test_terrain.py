@@ -50,7 +50,7 @@ def build(*terrain: Primitive, seed: int = 0, folder: Path | str = ".") -> Terra
 
 
 def heights_by_rays(terrain: Terrain, xy: Array) -> Array:
-    """Heights (n,) where MuJoCo's rays from far above meet the terrain."""
+    """Return the heights (n,) where MuJoCo's rays from far above hit the terrain."""
     world = World(load_profile("phantomx_mk2"), terrain)
     only_terrain = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
     mujoco.mj_forward(world.model, world.data)
@@ -95,7 +95,7 @@ def test_height_is_where_a_ray_from_above_ends(kind: str) -> None:
     np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
     hit = np.isfinite(ours)
     assert hit.any()
-    np.testing.assert_allclose(ours[hit], theirs[hit], atol=1e-6)  # MuJoCo keeps height fields in single precision
+    np.testing.assert_allclose(ours[hit], theirs[hit], atol=1e-6)  # MuJoCo stores height fields in single precision
 
 
 def test_raster_is_height_at_its_points() -> None:
@@ -155,11 +155,11 @@ def test_as_many_pillars_are_weak_as_are_said_and_the_seed_chooses_them() -> Non
         (k,) = terrain.weak.box
         xy = terrain.boxes.centre[:, :2]
         np.testing.assert_array_equal(terrain.sink_at(xy), np.where(np.arange(4) == k, 0.05, 0.0))
-        np.testing.assert_array_equal(terrain.height_at(xy), 0.0)  # nothing shows
+        np.testing.assert_array_equal(terrain.height_at(xy), 0.0)  # the visible surface is unchanged
 
 
 def outline(centre: Array, half: Array, R: Array) -> Array:
-    """Points (n, 2) around a block's top."""
+    """Return points (n, 2) around a block's top."""
     s = np.linspace(-1, 1, 41)
     edge = np.ones_like(s)
     around = np.concatenate([np.stack(side, axis=1) for side in ((s, edge), (s, -edge), (edge, s), (-edge, s))])
@@ -266,7 +266,7 @@ def test_stairs_are_as_high_and_as_long_as_their_seed_says() -> None:
 
 
 def profile_along(terrain: Terrain, x: Array, y: float = 0.0) -> Array:
-    """Heights along a line in the direction of x."""
+    """Return the heights along a line in the direction of x."""
     return terrain.height_at(np.column_stack([x, np.full_like(x, y)]))
 
 
@@ -301,7 +301,7 @@ def test_a_shuffled_course_has_the_same_stretches_in_another_order() -> None:
     course = Course((Level(1.0), *inner, Level(2.0)), 1.0, x=-0.2, shuffled=True, rest=0.2)
     x = np.arange(-0.1, 3.0, 0.001)
     lines = [profile_along(build(course, seed=seed), x, y=0.49) for seed in range(10)]
-    # Up to where the shuffled part begins, and from where it ends, all are alike.
+    # All are equal before the shuffled part and after it.
     assert np.ptp([line[x < 0.79] for line in lines], axis=0).max() == 0.0
     assert np.ptp([line[x > 2.15] for line in lines], axis=0).max() < 1e-12
     assert len({line.tobytes() for line in lines}) > 3
@@ -334,7 +334,7 @@ def test_a_part_of_a_height_map_can_be_taken_and_turned(tmp_path: Path, monkeypa
     field = build(part, folder="/elsewhere").height_field
     assert field is not None
     taken = whole[1:4, 2:6]
-    # A quarter turn counterclockwise takes what lay at (x, y) to (-y, x).
+    # A quarter turn counterclockwise moves (x, y) to (-y, x).
     ij = np.array([(i, j) for i in range(3) for j in range(4)])
     turned = np.column_stack([3 - ij[:, 1], ij[:, 0]]).astype(float)
     np.testing.assert_array_equal(field.height_at(turned), taken[ij[:, 0], ij[:, 1]])
@@ -416,7 +416,7 @@ def test_puddles_are_seen_level_and_give_way() -> None:
     np.testing.assert_array_equal(terrain.height_at(xy), 0.0)
     inside = [np.all(np.abs(xy - p.xy) < np.array(p.size) / 2, axis=1) for p in PUDDLES]
     np.testing.assert_allclose(terrain.sink_at(xy), sum(p.depth * i for p, i in zip(PUDDLES, inside, strict=True)))
-    # What carries in the physics is the surface less the sink, everywhere.
+    # The physics supports feet at the surface minus the sink, everywhere.
     carrying = Terrain(terrain.carrying_boxes()).height_at(xy)
     np.testing.assert_allclose(carrying, terrain.height_at(xy) - terrain.sink_at(xy), atol=1e-12)
 

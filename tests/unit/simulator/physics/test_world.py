@@ -21,7 +21,10 @@ RIGID, STRONG = 18.0, PROFILE.servo.stall_torque
 
 
 def leg_points(profile: RobotProfile, q: Array) -> Array:
-    """Coxa, femur and tibia axes and the foot's centre (6, 4, 3) [m] {body}, by trigonometry from the profile alone."""
+    """Return leg points (6, 4, 3) [m] {body}, by trigonometry from the profile alone.
+
+    The points are the coxa, femur and tibia axes and the foot's centre.
+    """
     links, points = profile.links, np.zeros((6, 4, 3))
     for i, leg in enumerate(profile.legs):
         yaw = np.radians(leg.neutral_yaw_deg) + q[i, 0]
@@ -34,7 +37,7 @@ def leg_points(profile: RobotProfile, q: Array) -> Array:
 
 
 def standing_angles(profile: RobotProfile) -> Array:
-    """Joint angles (6, 3) of the resting stance, by the law of cosines."""
+    """Return joint angles (6, 3) of the resting stance, by the law of cosines."""
     links = profile.links
     reach = profile.foot_radii - links.coxa
     drop = profile.foot.radius - profile.stance.body_height
@@ -80,7 +83,7 @@ def test_the_model_has_the_kinematics_of_the_profile() -> None:
         np.testing.assert_allclose(capsules.start[:18], points[:, :3].reshape(18, 3), atol=1e-12)
         links = capsules.end[:18].reshape(6, 3, 3)
         np.testing.assert_allclose(links[:, :2], points[:, 1:3], atol=1e-12)
-        # The shank ends inside the foot's sphere, so that only the sphere meets the ground.
+        # The tibia ends inside the foot's sphere, so that only the sphere meets the ground.
         np.testing.assert_allclose(np.linalg.norm(links[:, 2] - points[:, 3], axis=1), PROFILE.foot.radius, atol=1e-12)
         np.testing.assert_allclose(capsules.start[18:], points[:, 3], atol=1e-12)
 
@@ -306,19 +309,19 @@ def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
     assert np.linalg.norm(world.p_world_foot - settled, axis=1).max() < 2e-4
     standing = world.foot_contact
     assert standing.sum() >= 3
-    # A foot touches ground that slopes beside its lowest point, so its centre is at least a radius above that below it.
+    # On a slope a foot touches next to its lowest point, so its centre is at least a radius above the ground below it.
     assert np.all(settled[:, 2] - ground > PROFILE.foot.radius - 1e-3)
-    # Normal forces lean where the ground does, so they add up to a little more or less than the weight.
+    # Normal forces lean with the ground, so their sum differs a little from the weight.
     assert carried.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=0.1)
 
 
 @pytest.mark.parametrize("leg", range(6))
 def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(leg: int) -> None:
     q, T = standing_angles(PROFILE), from_xyz_rpy((0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
-    q[leg, 2] += np.radians(50.0)  # the shank slants outwards
+    q[leg, 2] += np.radians(50.0)  # the tibia slants outwards
     knee, foot = apply(T, leg_points(PROFILE, q)[leg, 2:])
     middle = 0.5 * (knee + foot)
-    half = np.array([0.005, 0.005, (middle[2] - 0.005) / 2])  # the top is a little within the shank
+    half = np.array([0.005, 0.005, (middle[2] - 0.005) / 2])  # the top is slightly within the tibia
     block = Boxes(np.array([[*middle[:2], half[2]]]), half[None], np.eye(3)[None])
     world = World(PROFILE, Terrain(block))
     world.place(q, T)
@@ -328,7 +331,7 @@ def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(
 
 
 def under_the_feet(bears: float) -> Terrain:
-    """A pillar under each foot of the resting stance, one of them weak."""
+    """Return a pillar under each foot of the resting stance, one of them weak."""
     world = World(PROFILE, FLAT)
     world.stand(standing_angles(PROFILE))
     xy = tuple((float(x), float(y)) for x, y, _ in world.p_world_foot)
@@ -349,7 +352,7 @@ def test_a_weak_pillar_sinks_once_it_is_pressed_and_stays_down() -> None:
     assert tilt(world) < 0.1
     assert world.terrain.sink_at(world.p_world_foot[:, :2]) == pytest.approx(np.where(np.arange(6) == leg, 0.05, 0.0))
     raised = q.copy()
-    raised[leg, 1] += 0.5  # nothing presses on it now
+    raised[leg, 1] += 0.5  # no load on it now
     for _ in range(50):
         world.step(raised, RIGID, STRONG, steps=2)
     assert world.sunk == pytest.approx(0.05)

@@ -1,4 +1,7 @@
-"""The colour camera: its pictures lie over the depth, ground keeps its colour, and no two pixels of it are alike."""
+"""The colour camera: images are aligned with depth, and ground keeps its colour.
+
+No two pixels of the ground are alike.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +30,7 @@ def camera(seed: int = 0) -> ColorCamera:
 
 
 def ground(T: Array) -> Array:
-    """Where each pixel (h, w, 3) [m] lies in the world."""
+    """Return the position (h, w, 3) [m] {world} of each pixel."""
     depth = Renderer(TERRAIN, PROFILE.camera.intrinsics).depth(T)
     points = PROFILE.camera.intrinsics.points(np.where(np.isfinite(depth), depth, np.nan))
     return apply(T, points.reshape(-1, 3)).reshape(points.shape)

@@ -22,12 +22,12 @@ def camera(seed: int = 0, sensor: DepthSensor = SENSOR, noise: bool = True, drop
 
 
 def wall(z: float) -> NDArray[np.float32]:
-    """Inverse depth of a wall before the camera."""
+    """Return the inverse depth of a wall in front of the camera."""
     return np.full((XTION.height, XTION.width), 1.0 / z, dtype=np.float32)
 
 
 def errors(frames: int, z: float = 2.0) -> NDArray[np.float64]:
-    """Disparity errors (frames, h, w) [px] of a wall, unquantised."""
+    """Return the disparity errors (frames, h, w) [px] of a wall, unquantised."""
     cam = camera(sensor=FINE)
     raw = np.array([cam.measure(wall(z)) for _ in range(frames)])
     assert np.all(raw > 0)
@@ -86,7 +86,7 @@ def test_depth_comes_in_steps_of_disparity_and_errs_as_the_sensor_says(z: float)
     w = np.tile((1.0 / truth).astype(np.float32), (XTION.height, 1))
     raw = cam.measure(w)
     disparity = BF / (raw / SENSOR.depth_scale) / SENSOR.disparity_step
-    # A millimetre of rounding moves the disparity by this many steps.
+    # A millimetre of rounding moves the disparity by this number of steps.
     slack = BF / z**2 * 0.5e-3 / SENSOR.disparity_step * 1.1
     assert np.abs(disparity - np.rint(disparity)).max() < max(slack, 1e-9)
     error = raw / SENSOR.depth_scale - truth

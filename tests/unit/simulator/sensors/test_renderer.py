@@ -43,7 +43,10 @@ KINDS = {
 
 
 def views(rng: np.random.Generator, world: World) -> list[tuple[Array, Intrinsics]]:
-    """The robot's own camera, others that look at its legs from near, some from outside, and one between the legs."""
+    """Return the poses and intrinsics of cameras.
+
+    They are the robot's own camera, some near its legs, some outside, and one between the legs.
+    """
     out = [(world.T_world_body @ PROFILE.camera.T_body_camera, XTION)]
     for k in range(4):
         around = 2.0 * np.pi * k / 4 + rng.uniform(0, 1.0)
@@ -60,7 +63,7 @@ def views(rng: np.random.Generator, world: World) -> list[tuple[Array, Intrinsic
 def depth_by_rays(
     world: World, T: Array, intrinsics: Intrinsics, u: NDArray[np.int64], v: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Depth of pixels (n,) by MuJoCo's own rays, and whether they end on the robot."""
+    """Return the depth of pixels (n,) by MuJoCo's rays, and hits on the robot."""
     rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(len(u))], axis=1)
     geom, depth = np.zeros(len(u), dtype=np.int32), np.zeros(len(u))
     vectors = np.ascontiguousarray(rays @ T[:3, :3].T).ravel()

@@ -1,4 +1,7 @@
-"""Servos on a workbench: plugged in and out, bent by hand, and moving as the host's time passes."""
+"""Servos on a workbench, moving in the host's time.
+
+They are plugged in, unplugged, and bent by hand.
+"""
 
 import numpy as np
 import pytest
@@ -111,7 +114,10 @@ def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
 
 @pytest.mark.parametrize("fresh", [False, True])
 def test_all_that_is_compiled_is_compiled_before_the_first_question(fresh: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiling takes seconds on a machine that never ran it, and who answers so late is taken for a cable that is loose."""
+    """Compile before the first request.
+
+    Compilation takes seconds on a new machine; a host takes such a late answer for a loose cable.
+    """
     loops = ("_age", "_measure", "_pull")
     called = []
     for name in loops:

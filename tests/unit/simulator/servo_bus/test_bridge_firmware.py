@@ -1,4 +1,7 @@
-"""The reference firmware as a state machine: bytes and times in, bytes out, and a recorder on the servos' wire as the judge."""
+"""The reference firmware as a state machine from bytes and times to bytes.
+
+A recorder on the servo bus checks it.
+"""
 
 from collections.abc import Iterable
 
@@ -23,7 +26,7 @@ HERE = (512, 512, 512)
 
 
 class Recorded(ServoBusEmulator):
-    """A servo bus that keeps what went over it."""
+    """A servo bus that records its packets."""
 
     def __init__(self, bank: ServoBank) -> None:
         super().__init__(bank, BusTiming(usb_transaction_ns=0))
@@ -36,7 +39,7 @@ class Recorded(ServoBusEmulator):
 
 
 class Bench:
-    """A board with servos, and a host's hands."""
+    """A board with servos, and the actions of a host."""
 
     def __init__(self, torque: bool = False) -> None:
         self.bank = ServoBank(tuple(IDS))
@@ -48,7 +51,7 @@ class Bench:
         self.sequence = 0
 
     def pass_time(self, ns: int, *sent: Message | bytes) -> list[Message]:
-        """Send, let time pass, and return what was said meanwhile."""
+        """Send, let time pass, and return the answers in that time."""
         said: list[Message] = []
         for message in sent:
             data = message if isinstance(message, bytes) else bridge_protocol.encode(message)
@@ -86,7 +89,7 @@ def in_session(torque: bool = True) -> Bench:
 
 
 def writes(bench: Bench, register: dxl.Register) -> list[Packet]:
-    """What was written to a register by whatever packet."""
+    """Return the writes to a register by any kind of packet."""
     found = []
     for packet in bench.bus.heard:
         if packet.code in (Instruction.WRITE, Instruction.SYNC_WRITE):

@@ -1,4 +1,7 @@
-"""The emulated bus: what servos answer, when, and when writes reach the joints; in memory and over TCP."""
+"""The emulated bus in memory and over TCP.
+
+Tests cover answers, their times, and the times at which writes reach the joints.
+"""
 
 import socket
 import threading
@@ -65,7 +68,10 @@ def test_sync_write_of_goal_and_speed_to_18_servos_is_one_millisecond_of_wire() 
 
 
 def test_bus_time_of_the_facts() -> None:
-    """Reading 6 bytes of 18 servos: 12.6 ms with the factory's return delay, 3.6 ms without."""
+    """Read 6 bytes of 18 servos in 12.6 ms, or 3.6 ms without return delay.
+
+    12.6 ms is the time with the factory's return delay.
+    """
     for delay, expected_ns in ((250, 12_600_000), (0, 3_600_000)):
         _, bus = wire(18)
         bus.receive(put(dxl.BROADCAST_ID, dxl.RETURN_DELAY, delay), 0)
@@ -78,7 +84,7 @@ def test_bus_time_of_the_facts() -> None:
 
 def test_bytes_queue_on_the_wire() -> None:
     _, bus = wire()
-    bus.receive(bytes(100), 0)  # noise, but it takes its time
+    bus.receive(bytes(100), 0)  # noise takes time on the wire too
     (reply,) = bus.receive(dxl.ping(1), 0)
     assert reply.due_ns == (100 + 6 + 6) * BYTE + DELAY + USB
 
@@ -214,7 +220,7 @@ def test_ids_can_be_changed_and_reset_returns_to_one() -> None:
 def test_servos_with_one_id_speak_at_once() -> None:
     bank, bus = wire(2)
     bus.receive(put(2, dxl.ID, 1), 0)
-    assert answer(bus, dxl.ping(1)).servo_id == 1  # the same bytes: nobody can tell
+    assert answer(bus, dxl.ping(1)).servo_id == 1  # the same bytes: the host cannot distinguish them
     bank.step(np.array([0.5, -0.9]), np.zeros(2), np.zeros(2), 0.002)
     (reply,) = bus.receive(dxl.read(1, 36, 2), 0)
     assert PacketParser().feed(reply.data) == []

@@ -1,4 +1,4 @@
-"""The fault grid at its bytes: what each fault does to what a host hears, to what servos hear, and that it ends."""
+"""The fault grid byte by byte: effects on hosts and servos, and the faults' ends."""
 
 import socket
 import time
@@ -27,7 +27,7 @@ CELLS = sorted(GRID)
 
 
 class Rig:
-    """Three servos with torque on, on a bus where faults happen, and a clock in our hand."""
+    """Three servos with torque on, on a bus with faults, on a test clock."""
 
     def __init__(self, *faults: BusFault, seed: int = 0) -> None:
         self.bank = ServoBank(IDS)
@@ -116,10 +116,10 @@ def test_whatever_happens_nothing_crashes_and_it_is_all_over_in_the_end(
         for one in (rig, again):
             one.run(0.016)
         heard = rig.hear(request)
-        assert heard == again.hear(request)  # the same seed, the same bytes
+        assert heard == again.hear(request)  # the same seed gives the same bytes
         assert all(reply.due_ns >= rig.now_ns for reply in heard)
     rig.run(1.0)
-    rig.hear(b"")  # a pause: servos give up what they were in
+    rig.hear(b"")  # during a pause servos drop incomplete packets
     assert rig.bus.words(rig.now_ns) == ""
     for servo_id in IDS:
         assert rig.position(servo_id) == 512
@@ -129,7 +129,10 @@ def test_whatever_happens_nothing_crashes_and_it_is_all_over_in_the_end(
 
 @pytest.mark.parametrize("cell", CELLS, ids=" ".join)
 def test_a_fault_that_is_over_leaves_the_bus_as_before(cell: tuple[FaultTarget, FaultKind]) -> None:
-    """But for what lasts by its nature: heat, charge, a latched overload."""
+    """Restore the bus after a fault.
+
+    Lasting effects are exceptions: heat, charge, a latched overload.
+    """
     broken, well = Rig(of(*cell, at_s=0.0, for_s=0.1)), Rig()
     request = dxl.read(2, dxl.PRESENT_POSITION.address, PRESENT_STATE.size)
     for rig in (broken, well):
@@ -155,7 +158,7 @@ def test_a_servo_that_is_not_there_is_named() -> None:
 
 
 def bytes_heard(kind: FaultKind, n: int = 400, **parameters: object) -> tuple[bytes, bytes]:
-    """What a host hears of long answers, and what was said."""
+    """Return what a host receives of long answers, and the answers."""
     rig = Rig(of("bytes", kind, for_s=100.0, **parameters))
     said = dxl.status(1, 0, bytes(50))
     heard = b""
@@ -205,7 +208,7 @@ def test_bursts_come_and_go() -> None:
         whole.append([packet.servo_id for packet in rig.state(1)] == [1])
         rig.step()
     clear = [k * 4 % 28 < 20 for k in range(1, 29)]
-    assert whole[:5] == clear[:5]  # then servos and parser may hang on what the burst began
+    assert whole[:5] == clear[:5]  # later, servos and parser may wait for the rest of damaged packets
     assert not any(good for good, well in zip(whole, clear, strict=True) if not well)
 
 
@@ -293,8 +296,8 @@ def test_a_silent_servo_neither_hears_nor_answers_and_without_its_cable_holds_no
     assert (rig.out.torque_limit > 0).tolist() == [True, not cable, True]
     rig.run(0.2)
     assert rig.state(2) != []
-    assert rig.value(2, dxl.TORQUE_ENABLE) == (0 if cable else 1)  # its RAM is forgotten, and nobody turns torque on
-    assert rig.value(2, dxl.RETURN_DELAY) == 0  # its EEPROM is not
+    assert rig.value(2, dxl.TORQUE_ENABLE) == (0 if cable else 1)  # its RAM is lost, and no host turns torque on
+    assert rig.value(2, dxl.RETURN_DELAY) == 0  # its EEPROM is kept
     assert (rig.out.torque_limit > 0).tolist() == [True, not cable, True]
 
 
@@ -354,7 +357,7 @@ def test_an_overload_latches_and_latches_again_until_its_end() -> None:
     mend()
     assert rig.bank.shutdown[1]
     rig.run(0.1)
-    assert rig.bank.shutdown[1]  # nothing comes back by itself
+    assert rig.bank.shutdown[1]  # it does not recover by itself
     mend()
     assert not rig.bank.shutdown.any()
     assert rig.out.torque_limit[1] > 0
@@ -424,7 +427,7 @@ def test_a_port_that_is_gone_is_no_port_and_comes_back_under_its_name_or_another
         MemoryPort(rig.bus, lambda: rig.now_ns)
     assert (rig.out.torque_limit > 0).all()
     rig.run(0.1)
-    with pytest.raises(OSError, match="unplugged"):  # what was open does not work again
+    with pytest.raises(OSError, match="unplugged"):  # the open port does not work again
         port.read(6)
     again = MemoryPort(rig.bus, lambda: rig.now_ns, name=0, start_ns=port.now_ns())
     again.write(dxl.ping(1))
@@ -474,10 +477,10 @@ def test_over_tcp_the_port_goes_and_comes_back_elsewhere() -> None:
             with server.lock:
                 rig.bus.inject(BusFault("bus", "gone", 0.0, for_s=3600.0, renamed=True), clock())
             server.replug()
-            assert client.recv(1) == b""  # hung up
-        with pytest.raises(ConnectionError):  # refused, or reset where it was in the listener's queue already
+            assert client.recv(1) == b""  # the server closed it
+        with pytest.raises(ConnectionError):  # refused, or reset if it was in the listener's queue already
             ping(first)
-        now[0] = rig.bus.origin_ns + 4000 * S  # it is over
+        now[0] = rig.bus.origin_ns + 4000 * S  # the fault is over
         server.replug()
         patience = time.monotonic() + 10.0
         while server.address == first and time.monotonic() < patience:

@@ -1,4 +1,7 @@
-"""The servos around the joint: the controller they are, and the overload, heat and battery nobody may soften."""
+"""The servos around the joint: controller, overload, heat, and battery.
+
+The limits of overload, heat and battery must not be relaxed.
+"""
 
 import math
 from dataclasses import asdict
@@ -46,7 +49,7 @@ def powered(n: int = 1, **kwargs: object) -> ServoBank:
 
 
 def run_until(bank: ServoBank, torque: float, error: int, limit_s: float, dt: float = DT) -> float:
-    """Seconds of a held torque until the error bit appears."""
+    """Return the time [s] of a held torque until the error bit appears."""
     for k in range(1, round(limit_s / dt) + 1):
         step(bank, torque=torque, dt=dt)
         if bank.error(0) & error:
@@ -54,7 +57,7 @@ def run_until(bank: ServoBank, torque: float, error: int, limit_s: float, dt: fl
     return math.inf
 
 
-# ------------------------------------------------------------------------------------- constants: not to be softened
+# ------------------------------------------------------------------------------------- constants: not to be relaxed
 
 
 def test_constants_of_motor_protection_and_battery() -> None:
@@ -218,14 +221,18 @@ def test_an_rx_64_is_as_stiff_as_its_stall_torque_at_14_8_volts_and_its_supply_s
     stall_torque = 5.3 * 14.8 / 18.5
     np.testing.assert_allclose(command.stiffness, stall_torque / (32 * dxl.TICK_RAD), rtol=1e-3)
     np.testing.assert_allclose(command.torque_limit, stall_torque)
-    for torque in (0.0, 4.0):  # under load, too, the voltage is within the servo's own limits
+    for torque in (0.0, 4.0):  # the voltage is within the servo's own limits under load too
         step(bank, torque=torque)
         assert bank.error(0) == 0
 
 
 @pytest.mark.parametrize("name", profile_names())
 def test_a_profile_its_servos_and_their_supply_agree(name: str) -> None:
-    """One that disagrees lies down as it stands up: the voltage under load is below what the profile calls empty."""
+    """Match the voltage under load with the profile.
+
+    With a mismatch, the voltage falls below the profile's limit for an empty battery. The robot then lies down while it stands
+    up.
+    """
     profile = load_profile(name)
     bank = bank_of(profile.servo.model, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
     assert bank.motor.stall_torque == pytest.approx(profile.servo.stall_torque)
@@ -239,7 +246,10 @@ def test_a_profile_its_servos_and_their_supply_agree(name: str) -> None:
 
 
 def test_an_rx_64_shuts_down_at_the_duties_of_an_ax_12a() -> None:
-    """Shutdown goes by duty: of 4.24 N m stalls what of 1.5 N m does; heat trips later, since its limit is 80 deg C."""
+    """Shut down by duty: the limit is the same share of 4.24 N m and of 1.5 N m.
+
+    Heat trips later, since its limit is 80 deg C.
+    """
     bank = powered(model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
     assert run_until(bank, 4.24, ServoError.OVERLOAD, 3.0) == pytest.approx(1.5, abs=2 * DT)
     lasting = {
@@ -321,7 +331,7 @@ def test_moving_speed_ramps_the_setpoint() -> None:
     speed = 100 * 0.111 * 2 * math.pi / 60
     setpoints = [step(bank).setpoint[0] for _ in range(100)]
     assert setpoints[9] == pytest.approx(10 * DT * speed)
-    assert get(bank, dxl.MOVING) == 0  # long there
+    assert get(bank, dxl.MOVING) == 0  # it arrived long ago
     assert setpoints[-1] == pytest.approx(100 * dxl.TICK_RAD)
     assert np.max(np.diff(setpoints)) <= DT * speed + 1e-12
     put(bank, dxl.MOVING_SPEED, 0)
@@ -360,12 +370,15 @@ def test_present_registers_show_the_last_step() -> None:
 
 
 def test_registers_go_on_between_steps_as_the_joint_and_its_spring_do() -> None:
-    """Of a servo that turns at 4 rad/s towards its goal, its pull falling; for 6 ms at most."""
+    """Extrapolate a servo that turns at 4 rad/s towards its goal, for 6 ms at most.
+
+    Its torque decreases on the way.
+    """
     bank, at_ns, speed = powered(), 1_000_000_000, 4.0
     put(bank, dxl.GOAL_POSITION, dxl.ticks_from_angle(0.12))
     spring = step(bank).stiffness[0]
     goal = step(bank).setpoint[0]
-    bank.feel(np.zeros(1), np.array([speed]), np.array([spring * goal + 0.1]), at_ns)  # as it was when the step began
+    bank.feel(np.zeros(1), np.array([speed]), np.array([spring * goal + 0.1]), at_ns)  # the state at the beginning of the step
 
     def measured(after_ms: float) -> tuple[float, float, float]:
         table = bank.read(0, dxl.PRESENT_POSITION.address, 6, at_ns + round(after_ms * 1e6))
