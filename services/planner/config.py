@@ -43,6 +43,7 @@ class Settings:
             "touch_stride",
             "touch_width",
             "touch_lift",
+            "uneven",
         )
         for name in positive:
             if not 0.0 < getattr(self, name) < np.inf:
@@ -55,6 +56,7 @@ class Settings:
             "path_margin",
             "sink_margin",
             "leg_margin",
+            "retarget_from_m",
         ):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"a {name} of at least 0 expected, found {getattr(self, name)}")

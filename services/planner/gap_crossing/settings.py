@@ -62,5 +62,9 @@ class PassageSettings:
         ):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"a {name} of at least 0 expected, found {getattr(self, name)}")
-        if not self.strong <= self.weakest < 0:
-            raise ValueError(f"strong at most weakest, weakest below 0, expected, found {self.strong} and {self.weakest}")
+        for name in ("body_angle_deg", "foot_angle_deg"):
+            if not 0.0 < getattr(self, name) <= 180.0:
+                raise ValueError(f"a {name} above 0 and up to 180 deg expected, found {getattr(self, name)}")
+        if not self.wide <= self.strong <= self.weakest < 0:
+            found = f"{self.wide}, {self.strong} and {self.weakest}"
+            raise ValueError(f"wide at most strong, strong at most weakest, weakest below 0, expected, found {found}")

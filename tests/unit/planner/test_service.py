@@ -324,7 +324,10 @@ def test_commands_beyond_the_robot_are_refused_by_name() -> None:
     assert rig.status().reason == "a body height of 0.085 to 0.15 m expected, 0.25 m commanded"
 
 
-@pytest.mark.parametrize(("name", "bad"), [("touch_stride", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan)])
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [("touch_stride", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan), ("uneven", 0.0), ("retarget_from_m", -1.0)],
+)
 def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{name}.* expected, found {bad}"):
         Settings(**{name: bad})

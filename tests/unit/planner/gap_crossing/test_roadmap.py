@@ -214,8 +214,9 @@ def test_nonsense_is_refused(roadmap: Roadmap) -> None:
         roadmap.begin(level(), Stance(np.zeros(3), np.full((6, 3), np.nan)), 1.0, 0)
     with pytest.raises(ValueError, match="begun"):
         Roadmap(PROFILE, PassageSettings(nodes=100)).grow(1)
-    with pytest.raises(ValueError, match="body_moves"):
-        PassageSettings(body_moves=0)
+    for bad in ({"body_moves": 0}, {"body_angle_deg": 0.0}, {"foot_angle_deg": np.nan}, {"wide": -1}, {"weakest": 0}):
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            PassageSettings(**bad)
 
 
 def test_blocks_stand_where_they_are_said_to() -> None:
