@@ -1,1 +1,1 @@
-"""Owns the terrain map: elevation with its variance, and how well each cell carries a foot."""
+"""Mapper: elevation map with variance, and a foothold score for each cell."""

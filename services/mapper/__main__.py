@@ -1,4 +1,4 @@
-"""The mapper's process: `python -m sextant.services.mapper --connect tcp/127.0.0.1:7447`."""
+"""Mapper process: `python -m sextant.services.mapper --connect tcp/127.0.0.1:7447`."""
 
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper

@@ -8,19 +8,19 @@ from sextant.shared.wire import topics
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Size of the map and of the ground that is assumed at the start."""
+    """Parameters of the map, of the ground assumed at the start, and of passages."""
 
     cells: int = 256  # along x
-    cells_y: int = 0  # along y, 0 for as many
+    cells_y: int = 0  # along y; 0 for the same as along x
     resolution: float = 0.01  # [m]
     publish_every: int = 2  # scans per published map
-    # The camera sees nothing nearer than half a metre: there the ground is taken for the plane of the feet, and said to be.
+    # The camera sees nothing within half a metre. The ground there is assumed to be the feet's plane, and marked as assumed.
     assumed_ahead: float = 0.70  # [m] from the body's centre
     assumed_behind: float = 0.45  # [m]
     assumed_aside: float = 0.42  # [m]
-    passage_every: int = 8  # scans per map of a passage, while one is asked for
-    passage_cells: int = 40_000  # at most
-    scan_range: float = 1.5  # [m] horizontally from the camera, as far as perception's scans go
+    passage_every: int = 8  # scans per passage map, while one is requested
+    passage_cells: int = 40_000  # maximum per passage
+    scan_range: float = 1.5  # [m] horizontally from the camera, equal to the range of perception's scans
 
     @property
     def shape(self) -> tuple[int, int]:

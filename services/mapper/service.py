@@ -1,4 +1,4 @@
-"""The mapper: scans in, the terrain with its score out."""
+"""Mapper service: fuse scans into an elevation map and publish it with its scores."""
 
 import math
 from collections.abc import Iterator
@@ -35,29 +35,29 @@ from sextant.shared.wire.messages import (
     TerrainMap,
 )
 
-# What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
+# An unknown cell may be the edge of a block seen from below, so a foot keeps the same distance from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
-_SLACK_NS = 10_000_000  # [ns] by which scans may come unevenly
-_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
-_FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
-_FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
-_NARROWEST = 3  # cells of a passage, either way: fewer have no slope
-_BOX = 10  # cells of the box around a passage that lies askew, to those it may have
-_EVEN = 5  # feet that bear a robot which has been put down on even ground, at least
-_FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
-_NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
-_REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
-_CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m] of height and [ns] from which standing feet refute the map
-_SOLE, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the share of the cells there that agree with it at least
-_TOUCH_SIGMA = 0.005  # [m] of the ground's height by a foot: joints, and a sphere that rests beside its lowest point
-_WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] beyond which a pose is none
-_MAX_SCAN_AGE_S = 0.6  # [s] the map of an older scan is too old for a planner
-_LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
+_SLACK_NS = 10_000_000  # [ns] jitter allowed between scans
+_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] a scan older than the newest by less than this is late; by more, the clock has changed
+_FROM_BODY = 1.0  # [m] largest distance from body to camera; beyond it, pose and scan do not belong together
+_FROM_CAMERA = 1.0  # [m] largest distance from camera to scan origin, which is a corner of the camera's cell
+_NARROWEST = 3  # [cells] smallest length and width of a passage; fewer have no slope
+_BOX = 10  # largest ratio of the cells in the box around an oblique passage to the cells allowed in a passage
+_EVEN = 5  # feet that must carry load before the first step
+_FIRST_SEEN = 0.20  # [m] beyond the assumed ground; the most common colour there is taken as that of the start ground
+_NEAR = 1.2  # times the camera's minimum range; a ray without a return carries no information up to there
+_REACH = 0.30  # [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
+_CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
+_SOLE, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
+_TOUCH_SIGMA = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
+_WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] largest valid covariance of a pose
+_MAX_SCAN_AGE_S = 0.6  # [s] largest age of a scan, because the planner does not use an older map
+_LEVEL = 0.01  # [m] largest deviation from a plane for ground that continues it
 
 
 class Mapper:
-    """Fuses every scan, scores the map, and publishes both around the robot; surveys a passage while one is asked for."""
+    """Mapping service that fuses scans, scores the map and maps passages on request."""
 
     name = "mapper"
     paced_by: AnyTopic = topics.SCAN
@@ -65,8 +65,8 @@ class Mapper:
     writes: tuple[AnyTopic, ...] = (topics.SCAN_RECEIPT, topics.TERRAIN, topics.PASSAGE)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Begin with an unknown world."""
-        cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
+        """Start with an unknown map."""
+        cv2.setNumThreads(1)  # the other services need the other cores, and one thread is deterministic
         self.max_age_s = {topics.SCAN.key: _MAX_SCAN_AGE_S}
         self.stages = Stages()
         self._settings = settings
@@ -76,24 +76,24 @@ class Mapper:
         self._layers = FootholdLayers(
             settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS, keep_terms=profile.camera.color
         )
-        self._type: TerrainType | None = None  # from the first scan in colour on
+        self._type: TerrainType | None = None  # created at the first scan with colour
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
-        self._touch_ns = np.full(6, -1, dtype=np.int64)  # newest findings of the feet that are in the map
+        self._touch_ns = np.full(6, -1, dtype=np.int64)  # stamps of the newest touchdowns in the map
         self._touches = TouchWatch(profile.foot.radius)
-        self._stands = False  # whether it is known what the ground looks like that the robot came from
+        self._stands = False  # whether the colour of the ground at the start is known
         self._seeded = False
-        self._contradicted_ns = -1  # stamp of the first scan since which the feet have refuted the map, -1 if they do not
-        self._restarts = 0  # how often the map was begun again
+        self._contradicted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
+        self._restarts = 0  # number of times the map was restarted
         self._scans = 0
-        self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest scan that was mapped
-        self._refused = ""  # why the newest scan was not, in words
-        self._unpublished, self._published_ns = 0, -1  # scans since the newest map, and its stamp
-        self._known = 0.0  # share of the cells
+        self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest mapped scan
+        self._refused = ""  # why the newest scan was not mapped
+        self._unpublished, self._published_ns = 0, -1  # scans since the newest map, and the stamp of that map
+        self._known = 0.0  # share of known cells
         self._survey: Survey | None = None
-        self._surveyed = 0  # scans since the survey of this strip began
+        self._surveyed = 0  # scans since the mapping of this strip began
 
     def doing(self) -> str:
-        """How much is known."""
+        """Return the status for the operator: scans, share of known cells, drift."""
         if self._refused:
             return f"the newest scan is not mapped: {self._refused}"
         drift = self._grid.height_drift
@@ -103,13 +103,16 @@ class Mapper:
         return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}{again}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
-        """Fuse one scan; every few of them, or in the time of those where a link lets fewer pass, score and publish the map."""
+        """Fuse one scan, and score and publish the map after several scans.
+
+        A map is due after `publish_every` scans, or after their usual duration where the link drops scans.
+        """
         yield ScanReceipt(scan.stamp_ns)
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
         self._refused = self._objection(scan, pose, centre)
         if self._refused:
-            return  # no map goes out, so that nobody takes the old one for a new one
+            return  # an old map must not be published as a new one
         with self.stages("fuse"):
             try:
                 checked = CheckedScan.of_millimetres(
@@ -148,12 +151,12 @@ class Mapper:
             yield self._terrain(scan.stamp_ns, pose)
         request = inbox.fresh(topics.PASSAGE_REQUEST)
         if request is None:
-            self._survey = None  # nobody asks any more: nothing is kept
+            self._survey = None  # the request has ended: discard the passage map
         else:
             yield from self._survey_passage(request, scan, inbox)
 
     def _survey_passage(self, request: PassageRequest, scan: Scan, inbox: Inbox) -> Iterator[PassageMap]:
-        """Merge the scan into the cloud over the strip that is asked for; every few scans tell what is known of it."""
+        """Merge the scan into the passage map; publish it every `passage_every` scans."""
         try:
             strip = self._strip(request)
         except ValueError as error:
@@ -174,7 +177,7 @@ class Mapper:
             yield self._passage(scan.stamp_ns, self._survey, inbox)
 
     def _passage(self, stamp_ns: int, survey: Survey, inbox: Inbox) -> PassageMap:
-        """A survey as it crosses the wire."""
+        """Return the passage map as a message."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.fresh(topics.ACTUATOR_STATE)
         T_world_body = np.eye(4) if pose is None else pose.T_world_body
         with self.stages("passage"):
@@ -188,7 +191,7 @@ class Mapper:
             evaluation = _without(evaluation, survey.of_map(*self._hazards, 0))
         unseen = grid.unseen
         if pose is None or legs is None or legs.swing.any():
-            # Where the body could look from depends on feet that stand, and are known to.
+            # A view is only computed for known feet that all stand.
             words = f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen"
             outlook = Outlook(f"{words}; no look is proposed while legs swing or are silent" if unseen.any() else "", None)
         else:
@@ -212,10 +215,10 @@ class Mapper:
         )
 
     def _strip(self, request: PassageRequest) -> Strip:
-        """The strip that is asked for.
+        """Return the requested strip.
 
         Raises:
-            ValueError: There is no such strip, or it is too large.
+            ValueError: The strip is invalid or too large.
         """
         settings = self._settings
         strip = Strip((float(request.origin[0]), float(request.origin[1])), request.heading, request.length, request.width)
@@ -234,8 +237,14 @@ class Mapper:
         return strip
 
     def _objection(self, scan: Scan, pose: BodyPose | None, centre: Array) -> str:
-        """Why a scan is none of here and now, by the pose or else the body's place (3,) [m] {world}; nothing if it is."""
-        if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
+        """Return why a scan cannot be mapped, or an empty string.
+
+        Args:
+            scan: The scan.
+            pose: Newest body pose, if any.
+            centre: (3,) [m] {world} position of the body, or else of the camera.
+        """
+        if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # an older stamp is from another clock
             return "it is no newer than the one before"
         if not (np.abs(centre) < FAR).all():
             return f"a body within {FAR:g} m of the world's origin expected"
@@ -253,7 +262,7 @@ class Mapper:
         return ""
 
     def _feel(self, pose: BodyPose, legs: ActuatorState) -> None:
-        """Correct the map where feet have found ground since the last scan, or have found none."""
+        """Correct the map at the newest touchdowns, with or without ground."""
         new = np.flatnonzero(legs.touch_ns > self._touch_ns)
         self._touch_ns = legs.touch_ns.copy()
         for p in apply(pose.T_world_odom, legs.touch[new]):
@@ -261,10 +270,10 @@ class Mapper:
                 self._grid.touch(p, _TOUCH_SIGMA, self._profile.foot.radius)
 
     def _is_refuted(self, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
-        """Whether the feet of a standing robot have shown for a time that the map around them is of another place.
+        """Return whether stance feet have refuted the map for `_CONTRADICTED_NS`.
 
-        All feet that carry but one have no ground near their height around them. A single foot over an edge, or a pose that
-        is off by centimeters, is not enough.
+        At least three feet that carry load, and all of them but one, must disagree with the known heights around them. A
+        single foot over an edge, or a pose error of a few centimetres, does not refute the map.
         """
         carrying = legs.contact
         if legs.swing.any() or not _stand(legs):
@@ -280,7 +289,7 @@ class Mapper:
         return stamp_ns - self._contradicted_ns >= _CONTRADICTED_NS
 
     def _is_nowhere(self, foot: Array) -> bool:
-        """Whether what is known around the underside of a foot (3,) [m] {world} is not at its height."""
+        """Return whether the map around a foot's underside (3,) [m] {world} is wrong."""
         offsets = np.arange(-_SOLE, _SOLE + 1e-9, self._settings.resolution)
         around = foot[:2] + np.stack(np.meshgrid(offsets, offsets), axis=-1)
         above = self._grid.heights(around) - foot[2]
@@ -288,7 +297,7 @@ class Mapper:
         return bool(len(known)) and float(np.mean(np.abs(known) < _CONTRADICTED)) < _SOLE_AGREES
 
     def _begin_again(self, centre: Array) -> None:
-        """Forget the map; the next scans and the feet begin another."""
+        """Reset the map; it is rebuilt from the next scans and the feet."""
         self._grid = ElevationGrid(self._settings.shape, self._settings.resolution, self._model)
         self._grid.move_to(centre[:2])
         self._type = self._hazards = self._survey = None
@@ -297,7 +306,7 @@ class Mapper:
         self._restarts += 1
 
     def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:
-        """Colours of a scan, and what feet have found since the last."""
+        """Update the terrain type with the scan's colours and the newest touchdowns."""
         if self._type is None:
             self._type = TerrainType(self._settings.shape, self._settings.resolution, self._grid.low)
         known = self._type
@@ -314,7 +323,7 @@ class Mapper:
                 known.touch(touch.p_world[:2], sink if touch.carries else None)
 
     def _first_seen(self, T_world_body: Array) -> NDArray[np.bool_]:
-        """Cells (nx, ny) of the nearest ground ahead that the camera sees, as level as the feet stand."""
+        """Return the mask (nx, ny) of the nearest measured cells ahead of the body."""
         settings, snapshot = self._settings, self._grid.snapshot()
         x, y = (snapshot.origin[k] + settings.resolution * np.arange(settings.shape[k]) for k in (0, 1))
         off = np.stack(np.broadcast_arrays(x[:, None] - T_world_body[0, 3], y - T_world_body[1, 3]), axis=-1)
@@ -323,12 +332,12 @@ class Mapper:
         return np.asarray(near & np.isfinite(snapshot.elevation))
 
     def _assume_ground(self, pose: BodyPose, legs: ActuatorState) -> None:
-        """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
+        """Fill the ground that is out of view at the start with the feet's plane."""
         settings, T = self._settings, pose.T_world_body
         feet = apply(T, legs.feet)[legs.contact & ~legs.swing] - [0.0, 0.0, self._profile.foot.radius]
         plane = feet_plane(feet)
-        # In mid-course, where a mapper begins anew, there may be anything ahead: unless what is seen beyond goes on as the
-        # feet stand, only the ground under the robot is taken for known.
+        # A mapper that restarts in mid-course does not know the ground ahead. It then assumes ground ahead only if the measured
+        # ground continues the plane of the feet, and otherwise only under the robot.
         known = legs.step == 0 or self._goes_on(T, plane)
         ahead = settings.assumed_ahead if known else float(legs.feet[:, 0].max())
         corners: Array = np.array(
@@ -342,7 +351,7 @@ class Mapper:
         self._grid.seed_plane(apply(T, corners)[:, :2], plane)
 
     def _goes_on(self, T_world_body: Array, plane: Array) -> bool:
-        """Whether the first ground seen ahead lies in a plane (a, bx, cy) [m] {world}."""
+        """Return whether the nearest ground ahead lies in a plane (a, bx, cy) [m] {world}."""
         settings = self._settings
         x, y = np.meshgrid(
             settings.assumed_ahead + np.linspace(-0.1, 0.1, 11), np.linspace(-1, 1, 21) * settings.assumed_aside, indexing="ij"
@@ -387,9 +396,10 @@ class Mapper:
 
 
 def _stand(legs: ActuatorState) -> bool:
-    """Whether the feet show where the ground is: limp legs, or a robot that is being carried, do not.
+    """Return whether the feet show the height of the ground.
 
-    Before its first step a robot of which feet hang stands on ground that is no plane.
+    They do not with torque off or while the robot is carried. Before the first step at least `_EVEN` feet must carry load:
+    if more feet hang, the ground is not a plane.
     """
     carrying = legs.contact & ~legs.swing
     enough = _EVEN if legs.step == 0 and not legs.swing.any() else 3
@@ -398,7 +408,7 @@ def _stand(legs: ActuatorState) -> bool:
 
 
 def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:
-    """An answer without a cell."""
+    """Return a passage map without cells, with the reason."""
     nothing = np.zeros((0, 0))
     return PassageMap(
         stamp_ns=stamp_ns,
@@ -418,17 +428,20 @@ def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reaso
 
 
 def _without(evaluation: NDArray[np.int8], hazard: NDArray[np.uint8]) -> NDArray[np.int8]:
-    """An evaluation function by which no foot may stand where there is a hazard."""
+    """Return the evaluation function with the cells of a hazard marked as no foothold."""
     return np.where(hazard > 0, np.maximum(evaluation, np.int8(1)), evaluation)
 
 
 def _measured_variance(snapshot: ElevationSnapshot) -> NDArray[np.float32]:
-    """Variance (nx, ny) [m^2] where there is a measurement; what is assumed is no less certain of its edges: it has none."""
+    """Return the variance (nx, ny) [m^2], 0 for assumed heights.
+
+    A plane that is assumed has no uncertain edges.
+    """
     return np.where(snapshot.assumed != 0, np.float32(0.0), snapshot.variance)
 
 
 def _position_sigma(pose: BodyPose) -> float:
-    """Standard deviation [m] of the body's place in the direction in which it is known least."""
+    """Return the standard deviation [m] of the body's least certain horizontal axis."""
     xy = pose.covariance[:2, :2]
     half, spread = (xy[0, 0] + xy[1, 1]) / 2, math.hypot((xy[0, 0] - xy[1, 1]) / 2, xy[0, 1])
     return math.sqrt(max(0.0, half + spread))

@@ -1,4 +1,7 @@
-"""The mapper maps a block on level ground and surveys a passage, so that all it calls is compiled before a scan comes."""
+"""Warm-up of the mapper on synthetic scans, which compiles all its functions.
+
+The scans show a block on level ground and a passage, before the first real scan arrives.
+"""
 
 import numpy as np
 
@@ -11,14 +14,14 @@ from sextant.shared.runtime.warmup import Rehearsal
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PassageRequest, Scan
 from sextant.shared.wire.topics import SCAN
 
-_AHEAD, _ASIDE, _CELL = (0.5, 1.2), 0.35, 0.01  # [m] ground that is seen, a point each cell
-_BLOCK, _HIGH = (0.8, 1.0), 0.05  # [m] from where to where it reaches, and how high it is
-_BEYOND = np.array([0.3, 0.0, 0.1])  # [m] of what is seen, where nothing stands
-_STEP = 0.03  # [m] that the robot walks from scan to scan
+_AHEAD, _ASIDE, _CELL = (0.5, 1.2), 0.35, 0.01  # [m] visible ground, one point per cell
+_BLOCK, _HIGH = (0.8, 1.0), 0.05  # [m] extent of the block along x, and its height
+_BEYOND = np.array([0.3, 0.0, 0.1])  # [m] from a seen point to the end of a free ray
+_STEP = 0.03  # [m] distance walked per scan
 
 
 def rehearse(profile: RobotProfile, settings: Settings) -> None:
-    """Compile all that the mapper calls, for a robot's camera."""
+    """Compile all functions that the mapper calls for a robot's camera."""
     stage = Rehearsal(Mapper(profile, settings))
     period_ns = round(1e9 / SCAN.rate_hz)
     for k in range(2 * max(settings.passage_every, settings.publish_every) + 1):
@@ -31,7 +34,7 @@ def rehearse(profile: RobotProfile, settings: Settings) -> None:
 
 
 def _scan(profile: RobotProfile, stamp_ns: int, x: float) -> Scan:
-    """What is seen from a place [m] along x."""
+    """Return the scan of the ground from a position [m] along x."""
     ahead, aside = np.meshgrid(
         np.arange(*_AHEAD, _CELL) + _CELL / 2, np.arange(-_ASIDE, _ASIDE, _CELL) + _CELL / 2, indexing="ij"
     )
@@ -54,7 +57,7 @@ def _scan(profile: RobotProfile, stamp_ns: int, x: float) -> Scan:
 
 
 def _legs(profile: RobotProfile, stamp_ns: int, x: float) -> ActuatorState:
-    """Six standing feet, which find ground where the body is."""
+    """Return six stance feet that touch the ground at the body's position."""
     feet = profile.rest_feet(profile.stance.body_height)
     T = from_xyz_rpy((x, 0.0, profile.stance.body_height), (0.0, 0.0, 0.0))
     underside = feet + T[:3, 3] - [0.0, 0.0, profile.foot.radius]

@@ -1,1 +1,1 @@
-"""Owns the depth camera and where the robot is: cameras, scan reduction, registration."""
+"""Perception: depth cameras, scan reduction and registration of the robot's pose."""

@@ -1,4 +1,4 @@
-"""The perception's process: `python -m sextant.services.perception --connect tcp/127.0.0.1:7447`."""
+"""Perception process: `python -m sextant.services.perception --connect tcp/127.0.0.1:7447`."""
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception

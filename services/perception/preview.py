@@ -1,4 +1,4 @@
-"""Small pictures of what the camera sees, for people to look at. Pure."""
+"""Small images of the camera's view for display."""
 
 import math
 
@@ -10,17 +10,19 @@ from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import Preview
 
 _WIDTH = 320  # [px]
-_QUALITY = 80  # of the JPEG
+_QUALITY = 80  # JPEG quality
 
 
 def preview(stamp_ns: int, depth: NDArray[np.uint16], sensor: DepthSensor, rgb: NDArray[np.uint8] | None) -> Preview:
-    """What a depth frame, and a colour frame where there is one, look like; near is red, far is blue, unknown is black.
+    """Render a depth frame and an optional colour frame as JPEG images.
+
+    Near is red, far is blue, unknown is black.
 
     Args:
         stamp_ns: Of the depth frame.
-        depth: (h, w) raw units of the sensor, some of it.
-        sensor: Its scale and range.
-        rgb: (h, w, 3), or none.
+        depth: (h, w) raw units of the sensor, not empty.
+        sensor: Scale and range of the camera.
+        rgb: (h, w, 3), or None.
     """
     every = math.ceil(max(depth.shape) / _WIDTH)
     small = depth[::every, ::every]

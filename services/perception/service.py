@@ -1,4 +1,4 @@
-"""Perception: depth frames in, the body's pose and a reduced scan out."""
+"""Perception service: estimate the body pose and reduce depth frames to scans."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,20 +33,23 @@ from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
 
-_MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # of a prior: whatever was travelled since the last frame
-_PREVIEW_NS = 180_000_000  # [ns] at least between two pictures for people
-_SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
-_EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
-_BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
-_SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
-_MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
-_MOST_TILT = 1.0  # [rad] of a body whose legs carry it; beyond, the pose is wrong
-_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
-_MAX_FRAME_AGE_S = 0.3  # [s] the pose of an older frame is too old for a planner
+_MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # [m] [rad] upper bounds of the prior's sigma
+_PREVIEW_NS = 180_000_000  # [ns] minimum time between two previews
+_SAMPLED = 8  # [px] row and column spacing of the pixels compared to detect a frozen image
+_EMPTY_EVERY = 3  # [scans] interval at which pixels without a return count as free rays, because these are less reliable
+_BLIND_WAY = 0.6  # [m] largest distance walked over mapped ground while nothing is in the camera's range
+_SILENT_S = 0.5  # [s] without odometry, after which directions that the scene does not constrain are unknown
+_MOVED = 0.01  # [m] or [rad] body motion after which two identical images show a frozen camera
+_MOST_TILT = 1.0  # [rad] largest tilt of a body on its legs; a pose with more is wrong
+_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] a frame older than the newest by less than this is late; by more, the clock has changed
+_MAX_FRAME_AGE_S = 0.3  # [s] largest age of a frame, because the planner does not use an older pose
 
 
 class Perception:
-    """Registers frames with the legs' motion as the prior inside the cost; {world} is {odom} of the first frame."""
+    """Pose estimation from depth frames, with leg odometry as prior in the cost.
+
+    {world} is {odom} of the first frame.
+    """
 
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
@@ -54,8 +57,8 @@ class Perception:
     writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
-        """Begin without a pose."""
-        cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
+        """Start without a pose."""
+        cv2.setNumThreads(1)  # the other services need the other cores, and one thread is deterministic
         self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
         self._profile, self._settings = profile, settings
@@ -66,26 +69,26 @@ class Perception:
         self._coloring = (
             Coloring(profile.camera.intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
         )
-        if self._coloring is None:  # nobody else asks a camera for pictures that are a megabyte each
+        if self._coloring is None:  # colour images are about 1 MB each: subscribe only if they are used
             self.reads = tuple(topic for topic in self.reads if topic is not topics.COLOR)
         self._odometry = OdometryHistory()
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)
         self._T_world_body: Array = np.eye(4)
-        self._last: Motion | None = None  # when a frame was registered
-        self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
+        self._last: Motion | None = None  # at the last registered frame
+        self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, averaged
         self._stamp_ns = -1
         self._frames = 0
-        self._preview_ns = 0  # [ns] when the next one is due
-        self._looks = 0  # scans whose lines of sight have been told
+        self._preview_ns = 0  # [ns] when the next preview is due
+        self._looks = 0  # number of scans sent, which selects their free rays
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
-        self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
+        self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # pixel sample, first stamp, and motion then
         self._link = LinkCare()
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
-        """How the registration fares, and the link to the map."""
+        """Return the status of the registration and of the link to the mapper."""
         allowed = self._link.allowance
         if self._link.share == 1.0:
             return self._words
@@ -93,7 +96,10 @@ class Perception:
         return f"{self._words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
-        """Find the pose of every few frames, and pass them on as scans; between them the legs' odometry carries the pose."""
+        """Register every n-th frame and publish its pose and scan.
+
+        Leg odometry carries the pose between these frames.
+        """
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
         for receipt in inbox.drain(topics.SCAN_RECEIPT):
@@ -106,11 +112,11 @@ class Perception:
         if not used:
             return
         before_ns = self._preview_ns - image.stamp_ns
-        waits = 0 < before_ns <= _PREVIEW_NS + _OUT_OF_ORDER_NS  # a stamp further back is of another clock
+        waits = 0 < before_ns <= _PREVIEW_NS + _OUT_OF_ORDER_NS  # an older stamp is from another clock
         if not waits and inbox.wanted(topics.PREVIEW) and image.depth.size:
             self._preview_ns = image.stamp_ns + _PREVIEW_NS
             yield self._preview(image, inbox)
-        if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
+        if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # an older stamp is from another clock
             self._words = "the camera's frames do not come in the order of their stamps; passing over those that are late"
             return
         self._newest_ns = image.stamp_ns
@@ -124,13 +130,13 @@ class Perception:
             return
         if self._last is None:
             legs = inbox.latest(topics.ACTUATOR_STATE)
-            if legs is not None:  # plans were walked before this service began: {world} is still theirs
+            if legs is not None:  # the robot walked before perception started: keep its {world}
                 self._T_world_odom = np.array(legs.T_world_odom)
         prior, covariance = self._prior(motion)
         T_camera = prior @ self._T_body_camera
         covariance = _seen_from(covariance, T_camera[:3, 3] - prior[:3, 3])
         with self.stages("registration"):
-            if useless:  # a frozen one would fit where it was taken, and hold the body back there
+            if useless:  # a frozen image would match its old pose and hold the estimate there
                 found = refused(image.stamp_ns, T_camera, covariance, None, useless)
             else:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
@@ -138,15 +144,15 @@ class Perception:
                     found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
             if self._is_overturned(found, motion):
                 found = self._begin_again(found, motion)
-        # The rotation of odometry may be slightly off; the error must not accumulate over frames.
+        # The rotation from odometry may not be exactly orthonormal; the error must not accumulate over frames.
         self._T_world_body = orthonormal(found.T_world_camera @ self._T_camera_body)
         self._T_world_odom = orthonormal(self._T_world_body @ inverse(motion.T_odom_body))
         self._steady_tilt(image.stamp_ns)
         if found.ok:
-            self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
+            self._last = motion  # after a failed frame the prior's covariance keeps growing
         yield self._pose(found, motion)
         if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
-            return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
+            return  # points at an unknown pose would corrupt the map; the map ages and the planner stops the robot
         if not self._link.wants():
             return
         with self.stages("reduction"):
@@ -158,19 +164,19 @@ class Perception:
         yield scan
 
     def _is_overturned(self, found: Registered, motion: Motion) -> bool:
-        """Whether a pose has a body on its side that stands on its legs, by the legs."""
+        """Return whether the pose has the body on its side, but odometry upright."""
         carried = self._settings.legs and motion.reliable and motion.T_odom_body[2, 2] > np.cos(_MOST_TILT)
         upright = (found.T_world_camera @ self._T_camera_body)[2, 2] > np.cos(_MOST_TILT)
         return bool(carried and not upright)
 
     def _begin_again(self, found: Registered, motion: Motion) -> Registered:
-        """Forget what was registered, and take the tilt and height of the legs' odometry."""
+        """Restart the registration with the tilt and height of leg odometry."""
         T = found.T_world_camera @ self._T_camera_body
         R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
         p = T[:3, 3] - R @ motion.T_odom_body[:3, 3]
         T_world_body = transform(R, [p[0], p[1], 0.0]) @ motion.T_odom_body
         self._registration = _make_registration(self._profile, self._settings)
-        self._stamp_ns = -1  # the tilt of {odom}, too, begins again
+        self._stamp_ns = -1  # restarts the tilt average of {odom}
         reason = "the pose has the body on its side, but the legs carry it: the registration begins again"
         return refused(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 
@@ -180,7 +186,10 @@ class Perception:
             return preview(image.stamp_ns, image.depth, self._camera.sensor, None if picture is None else picture.rgb)
 
     def _keep_for_color(self, image: DepthImage) -> None:
-        """Remember a frame that is not registered, by where the legs say that it was taken: its colour may be on its way."""
+        """Store an unregistered frame with its odometry pose.
+
+        A colour image for it may arrive later.
+        """
         motion = self._odometry.at(image.stamp_ns)
         if self._coloring is None or self._last is None or motion is None:
             return
@@ -189,7 +198,7 @@ class Perception:
             self._coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))
 
     def _colored(self, scan: Scan, picture: ColorImage | None, coloring: Coloring) -> Scan:
-        """A scan with the colours of the newest picture, where that is a new one."""
+        """Return the scan with the colours of the newest image, if that image is new."""
         if picture is None:
             return scan
         with self.stages("color"):
@@ -199,9 +208,11 @@ class Perception:
         return replace(scan, color=color) if len(color) else scan
 
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
-        """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon.
+        """Return whether nothing is in the camera's range but odometry is reliable.
 
-        For how long that may be so is for `cameras.image_quality` to say.
+        This happens before a wall or a drop.
+
+        `cameras.image_quality` limits how long this may last.
         """
         if self._last is None or motion.silence_s > _SILENT_S:
             return False
@@ -209,20 +220,23 @@ class Perception:
         return bool(empty and motion.travelled - self._last.travelled < _BLIND_WAY)
 
     def _has_wrong_size(self, image: DepthImage) -> str:
-        """Why a picture is not of the profile's camera, or nothing."""
+        """Return why an image does not have the profile's size, or an empty string."""
         expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
         if image.depth.shape == expected:
             return ""
         return f"a frame of {expected} expected by the profile, found {image.depth.shape}: check the camera's intrinsics"
 
     def _is_frozen(self, image: DepthImage, motion: Motion | None) -> str:
-        """Why a picture is no new one though the body has moved since it first came, or nothing."""
+        """Return why an image is frozen, or an empty string.
+
+        A frozen image stays the same although the body has moved.
+        """
         sample = image.depth[::_SAMPLED, ::_SAMPLED]
         if self._picture is None or not np.array_equal(sample, self._picture[0]):
             self._picture = (sample.copy(), image.stamp_ns, motion)
             return ""
         first, since_ns, before = self._picture
-        if before is None:  # the legs have been silent since it first came
+        if before is None:  # no odometry since the first of these images
             self._picture = (first, since_ns, motion)
         if motion is None or before is None or not sample.any():
             return ""
@@ -233,15 +247,18 @@ class Perception:
         )
 
     def _prior(self, motion: Motion) -> tuple[Array, Array]:
-        """Expected pose (4, 4) of the body and its covariance (6, 6) [m, rad], by the legs' motion since the last frame."""
+        """Predict the body pose (4, 4) and its covariance (6, 6) [m, rad].
+
+        Both follow from the odometry since the last registered frame.
+        """
         settings = self._settings
         if self._restarts != self._odometry.restarts:
-            # The legs count from zero again; until a frame says otherwise the body is where it was.
+            # The odometry restarted at zero; the body is assumed unmoved until a frame is registered.
             self._restarts = self._odometry.restarts
             if self._last is not None:
                 self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
                 self._last = motion
-                self._stamp_ns = -1  # the tilt, too, is that of a new frame
+                self._stamp_ns = -1  # restarts the tilt average, because {odom} is new
         last = self._last or motion
         way = settings.odometry_drift * max(0.0, motion.travelled - last.travelled) + settings.odometry_floor
         turn = settings.odometry_turn * max(0.0, motion.turned - last.turned) + settings.odometry_floor
@@ -249,15 +266,15 @@ class Perception:
         if not motion.reliable:
             way, turn = way + settings.unreliable_way, turn + settings.unreliable_turn
             level += settings.unreliable_level
-        way, turn = min(way, _MOST_DOUBT_M), min(turn, _MOST_DOUBT_RAD)  # what odometry says of itself is a claim
+        way, turn = min(way, _MOST_DOUBT_M), min(turn, _MOST_DOUBT_RAD)  # odometry reports both distances and may be wrong
         sigma = np.array([way, way, level, level, level, turn])
         return self._T_world_odom @ motion.T_odom_body, np.diag(sigma**2)
 
     def _steady_tilt(self, stamp_ns: int) -> None:
         """Average the tilt of {odom} over a few steps.
 
-        Each tripod stands a little crooked in its own way, by a millimetre of the map. A correction measured on one and
-        applied to the other would build up; what both share is what stays.
+        Each tripod tilts the body slightly and differently, about 1 mm in the map. A correction measured on one tripod and
+        applied to the other would accumulate; the average keeps only the common part.
         """
         tilt = rpy_from_rotation(self._T_world_odom[:3, :3])[:2]
         since_s = max(0, stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns >= 0 else np.inf
@@ -265,7 +282,7 @@ class Perception:
         self._tilt = self._tilt + (1.0 - np.exp(-since_s / self._settings.tilt_s)) * (tilt - self._tilt)
 
     def _correction(self, T_odom_body: Array) -> Array:
-        """T_world_odom (4, 4) with the steadied tilt, exact where the body is."""
+        """Return T_world_odom (4, 4) with the averaged tilt, exact at the body position."""
         R = rotation_from_rpy([*self._tilt, yaw_of(self._T_world_odom)])
         return transform(R, self._T_world_body[:3, 3] - R @ T_odom_body[:3, 3])
 
@@ -306,7 +323,7 @@ class Perception:
         )
 
     def _sights(self, image: DepthImage, found: Registered, origin: Array) -> NDArray[np.int16]:
-        """Where a picture shows that nothing stands, beyond the scan, [mm] from its origin."""
+        """Return free rays of an image that end beyond the scan, [mm] from its origin."""
         self._looks += 1
         points = free_sights(
             image.depth,
@@ -315,33 +332,33 @@ class Perception:
             found.T_world_camera,
             max_range=self._settings.scan_range,
             turn=self._looks,
-            # A camera that sees nothing at all may be covered.
+            # An image without any return may come from a covered camera.
             believe_empty=found.ok and self._looks % _EMPTY_EVERY == 0,
         )
         return to_millimetres(points, origin)
 
 
 def _carried(r: Array) -> Array:
-    """J (6, 6) that takes an error twist at a point to that at another, r (3,) [m] {world} from it: v + w x r."""
+    """Return J (6, 6) that moves an error twist by r (3,) [m] {world}: v + w x r."""
     J = np.eye(6)
     J[:3, 3:] = [[0.0, r[2], -r[1]], [-r[2], 0.0, r[0]], [r[1], -r[0], 0.0]]
     return J
 
 
 def _seen_from(covariance: Array, r: Array) -> Array:
-    """Covariance (6, 6) [m, rad] of an error twist at a point r (3,) [m] {world} away."""
+    """Return the covariance (6, 6) [m, rad] at a point r (3,) [m] {world} away."""
     J = _carried(r)
     return np.asarray(J @ covariance @ J.T, dtype=np.float64)
 
 
 def _twists_from(twists: Array, r: Array) -> Array:
-    """Unit twists (k, 6) at a point r (3,) [m] {world} away."""
+    """Return the unit twists (k, 6) at a point r (3,) [m] {world} away."""
     moved = twists @ _carried(r).T
     return np.asarray(moved / np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12), dtype=np.float64)
 
 
 def _is_noise(image: DepthImage) -> str:
-    """That a picture is noise, or nothing."""
+    """Return that the image is noise, or an empty string."""
     return "the camera sends noise: neighbouring pixels have nothing to do with each other" if is_noise(image.depth) else ""
 
 
@@ -350,7 +367,7 @@ def _silent(motion: Motion) -> str:
 
 
 def in_words(found: Registered) -> str:
-    """How a registration went, for the operator."""
+    """Return the status of a registration for the operator."""
     if not found.ok:
         return f"on odometry alone: {found.reason}"
     unobservable = unobservable_directions(found.degenerate)
@@ -361,7 +378,7 @@ def in_words(found: Registered) -> str:
 
 
 class Registers(Protocol):
-    """A way to find a frame's pose; `sextant.Registration` documents the arguments."""
+    """Interface of a registration; `sextant.Registration` documents the arguments."""
 
     def update(
         self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
@@ -374,7 +391,7 @@ def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
     camera = profile.camera
     if settings.method == "kiss-icp":
         from sextant.services.perception.registration.kiss_icp_adapter import (
-            KissRegistration,  # heavy, for those who ask for it
+            KissRegistration,  # slow import, only if selected
         )
 
         return KissRegistration(camera.intrinsics, camera.sensor)

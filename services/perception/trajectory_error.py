@@ -1,4 +1,4 @@
-"""How far an estimated trajectory is from the true one."""
+"""Error of an estimated trajectory against the true one."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import align_rigid, inverse, log_so3
 
-_SAME_SHAPE = 0.1  # of a trajectory's extent, up to which two of them have one shape
+_SAME_SHAPE = 0.1  # of a trajectory's extent, up to which two trajectories have the same shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryError:
-    """Absolute trajectory error, after the rigid alignment that makes it smallest."""
+    """Absolute trajectory error after the best rigid alignment."""
 
     T_truth_estimate: NDArray[np.float64]  # (4, 4) the alignment, or identity
     distances: NDArray[np.float64]  # (n,) [m] between aligned and true positions
@@ -40,10 +40,10 @@ def trajectory_error(T_estimate: NDArray[np.float64], T_truth: NDArray[np.float6
     Args:
         T_estimate: (n, 4, 4) estimated poses.
         T_truth: (n, 4, 4) true poses.
-        align: Move the estimate rigidly as a whole onto the truth first, by position.
+        align: First move the whole estimate rigidly onto the truth, by position.
 
     Raises:
-        ValueError: Shapes that differ, or fewer than three poses to align.
+        ValueError: The shapes differ, or there are fewer than three poses to align.
     """
     if T_estimate.shape != T_truth.shape or T_estimate.ndim != 3 or T_estimate.shape[1:] != (4, 4):
         raise ValueError(f"two (n, 4, 4) trajectories expected, found {T_estimate.shape} and {T_truth.shape}")
@@ -57,9 +57,10 @@ def trajectory_error(T_estimate: NDArray[np.float64], T_truth: NDArray[np.float6
 
 
 def relative_size(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float | None:
-    """Size of an estimated trajectory (n, 3) [m] over that of the true one, taken at the same times.
+    """Return the size of an estimated trajectory (n, 3) [m] relative to the true one.
 
-    None where nothing moves, or where the two differ in shape by more than a tenth of the true size.
+    Both have the same times. The result is None if nothing moves, or if the shapes differ by more than a tenth of the true
+    size.
     """
     T = align_rigid(estimate, truth)
     p, q = (estimate - estimate.mean(axis=0)) @ T[:3, :3].T, truth - truth.mean(axis=0)

@@ -1,10 +1,15 @@
-"""Recordings in the TUM RGB-D layout: a folder with depth.txt, groundtruth.txt, camera.toml and PNG depth images.
+"""Recordings in the TUM RGB-D layout.
 
-depth.txt: `timestamp filename`; groundtruth.txt: `timestamp tx ty tz qx qy qz qw` of the depth camera in the world; `#`
-starts a comment. Where there is an rgb.txt, laid out as depth.txt, its colour images lie pixel for pixel over the depth image
-that is nearest in time. camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally
-rate_hz, min_range and max_range [m], and gravity_world, the unit vector that points down in the world of groundtruth.txt.
-Pictures are without lens distortion: coefficients other than 0 are refused.
+A recording is a folder with depth.txt, camera.toml, PNG depth images, and optionally groundtruth.txt and rgb.txt. In the text
+files, `#` starts a comment.
+
+depth.txt: `timestamp filename`.
+groundtruth.txt: `timestamp tx ty tz qx qy qz qw` of the depth camera in the world.
+rgb.txt: as depth.txt; each colour image is aligned pixel by pixel with the depth image nearest in time.
+camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally rate_hz, min_range and
+max_range [m], and gravity_world, the unit vector that points down in the world of groundtruth.txt.
+
+Images must be free of lens distortion: coefficients other than 0 are refused.
 (Sturm et al. 2012, A benchmark for the evaluation of RGB-D SLAM systems.)
 """
 
@@ -23,7 +28,7 @@ from sextant.shared.geometry import interpolate, quaternion_from_rotation, rotat
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 _USUAL = DepthSensor()
-_PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
+_PAIRED_NS = 20_000_000  # [ns] largest time between a depth and a colour image that form a pair, as in the benchmark's tools
 _DEPTH_FILE, _TRUTH_FILE = "depth.txt", "groundtruth.txt"
 _DEPTH_HEADER = "# timestamp filename\n"
 _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
@@ -31,25 +36,25 @@ _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """What camera.toml says."""
+    """Contents of camera.toml."""
 
     intrinsics: Intrinsics
     depth_scale: float  # raw units per metre
     rate_hz: float  # [Hz]
-    gravity_world: NDArray[np.float64] | None  # (3,) unit vector pointing down, None where unknown
-    min_range: float = _USUAL.min_range  # [m] nearer depths are not used
+    gravity_world: NDArray[np.float64] | None  # (3,) unit vector pointing down, None if unknown
+    min_range: float = _USUAL.min_range  # [m] smaller depths are not used
     max_range: float = _USUAL.max_range  # [m]
 
     @property
     def sensor(self) -> DepthSensor:
-        """The depth sensor that it describes."""
+        """Depth sensor with these parameters."""
         ranges = {"min_range": self.min_range, "max_range": self.max_range}
         return DepthSensor(rate_hz=self.rate_hz, depth_scale=self.depth_scale, **ranges)
 
 
 @dataclass(frozen=True, slots=True)
 class _CameraFile:
-    """The keys of camera.toml."""
+    """Keys of camera.toml."""
 
     width: int  # [px]
     height: int  # [px]
@@ -62,7 +67,7 @@ class _CameraFile:
     min_range: float = _USUAL.min_range  # [m]
     max_range: float = _USUAL.max_range  # [m]
     gravity_world: tuple[float, float, float] | None = None  # unit vector pointing down
-    # Of OpenCV's model, so that a file that states them is understood.
+    # Distortion coefficients of OpenCV's model, accepted only if they are 0.
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
@@ -88,13 +93,16 @@ class _CameraFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Poses by time."""
+    """Poses over time."""
 
     stamps_ns: NDArray[np.int64]  # (n,) [ns] ascending
     T_world_camera: NDArray[np.float64]  # (n, 4, 4)
 
     def at(self, stamp_ns: int, max_gap_ns: int = 100_000_000) -> NDArray[np.float64] | None:
-        """Pose (4, 4) at a time, interpolated; None outside the trajectory or where it has a longer gap."""
+        """Return the interpolated pose (4, 4) at a time.
+
+        It is None outside the trajectory and inside a gap longer than max_gap_ns.
+        """
         after = int(np.searchsorted(self.stamps_ns, stamp_ns))
         if after < len(self.stamps_ns) and self.stamps_ns[after] == stamp_ns:
             return np.asarray(self.T_world_camera[after])
@@ -109,25 +117,25 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording opened for reading; images are read as they are asked for."""
+    """Recording opened for reading; images are read on demand."""
 
     folder: Path
     camera: Camera
     stamps_ns: NDArray[np.int64]  # (n,) [ns] ascending
     files: tuple[str, ...]  # of the depth images, relative to folder
-    truth: Trajectory | None  # None where there is no groundtruth.txt
+    truth: Trajectory | None  # None without groundtruth.txt
     colors: tuple[NDArray[np.int64], tuple[str, ...]] | None = (
-        None  # stamps [ns] and files of rgb.txt, None where there is none
+        None  # stamps [ns] and files of rgb.txt, None if there is no such file
     )
 
     def __len__(self) -> int:
         return len(self.files)
 
     def depth(self, index: int) -> NDArray[np.uint16]:
-        """Raw depth image (h, w).
+        """Read a raw depth image (h, w).
 
         Raises:
-            FileError: It is missing, or is no 16-bit grey image of the camera's size.
+            FileError: It is missing, or is not a 16-bit grey image of the camera's size.
         """
         path = self.folder / self.files[index]
         if not path.exists():
@@ -135,10 +143,12 @@ class Recording:
         return np.asarray(picture_file.read_grey(path, bits=(16,), size=self._size), dtype=np.uint16)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
-        """Colour image (h, w, 3), R, G, B, nearest in time to a depth image; None where none was taken near it.
+        """Read the colour image (h, w, 3), R, G, B, that belongs to a depth image.
+
+        It is the one nearest in time, or None if that is too far away.
 
         Raises:
-            FileError: It is no colour image of the camera's size.
+            FileError: It is not a colour image of the camera's size.
         """
         if self.colors is None:
             return None
@@ -150,11 +160,11 @@ class Recording:
 
     @property
     def _size(self) -> tuple[int, int]:
-        """Width and height [px] of its pictures."""
+        """Width and height [px] of the images."""
         return self.camera.intrinsics.width, self.camera.intrinsics.height
 
     def frames(self) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """Stamps [ns] and raw depth images in order; errors as in `depth`."""
+        """Iterate over stamps [ns] and raw depth images in order; errors as in `depth`."""
         for index, stamp_ns in enumerate(self.stamps_ns):
             yield int(stamp_ns), self.depth(index)
 
@@ -163,8 +173,8 @@ def read_recording(folder: Path) -> Recording:
     """Open a recording.
 
     Raises:
-        FileError: The folder or a file is missing or malformed; it names the line.
-        ConfigError: What is wrong in camera.toml.
+        FileError: The folder or a file is missing or malformed; the error names the line.
+        ConfigError: camera.toml is invalid.
     """
     if not folder.is_dir():
         raise FileError(folder, "a folder with depth.txt and camera.toml expected, found none")
@@ -177,10 +187,10 @@ def read_recording(folder: Path) -> Recording:
 
 
 def read_images(path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Stamps (n,) [ns], ascending, and files of the pictures that a depth.txt or rgb.txt names.
+    """Read the stamps (n,) [ns], ascending, and image files of depth.txt or rgb.txt.
 
     Raises:
-        FileError: It is missing, a line is malformed, or there is none.
+        FileError: The file is missing, a line is malformed, or there is no line.
     """
     rows = _rows(path, 2)
     if not rows:
@@ -189,11 +199,11 @@ def read_images(path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:
 
 
 def read_camera(path: Path) -> Camera:
-    """Read a camera.toml.
+    """Read camera.toml.
 
     Raises:
-        FileError: It is missing.
-        ConfigError: It is no TOML, lacks a key, or has one that is unknown or wrong.
+        FileError: The file is missing.
+        ConfigError: It is not valid TOML, lacks a key, or has an unknown or invalid one.
     """
     if not path.exists():
         raise FileError(path, "no such file; it gives width, height, fx, fy, cx, cy and depth_scale")
@@ -212,7 +222,7 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read poses in the layout of groundtruth.txt.
 
     Raises:
-        FileError: It is missing, a line is malformed, or there is none.
+        FileError: The file is missing, a line is malformed, or there is no line.
     """
     rows = _rows(path, 8)
     if not rows:
@@ -226,18 +236,21 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 class RecordingWriter:
-    """Writes a recording image by image, so that one cut short can still be read. Use it in a `with` statement."""
+    """Writer of a recording, image by image, for use in a `with` statement.
+
+    An interrupted recording remains readable.
+    """
 
     def __init__(self, folder: Path, camera: Camera) -> None:
         """Start a recording.
 
         Args:
-            folder: Made if missing; must not hold a recording already.
-            camera: Becomes camera.toml.
+            folder: Created if missing; must not contain a recording.
+            camera: Contents of camera.toml.
 
         Raises:
-            FileExistsError: The folder holds a depth.txt.
-            WriteError: It cannot be written.
+            FileExistsError: The folder contains a depth.txt.
+            WriteError: The recording cannot be written.
         """
         if (folder / _DEPTH_FILE).exists():
             raise FileExistsError(f"{folder} holds a recording already; choose another folder or remove it")
@@ -252,19 +265,19 @@ class RecordingWriter:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Nothing is left open: every frame is complete when it has been added."""
+        """Do nothing, because each frame is complete once it is added."""
 
     def add(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: NDArray[np.float64] | None = None) -> None:
-        """Append a frame and, where it is known, its true pose.
+        """Append a frame and, if known, its true pose.
 
         Args:
-            stamp_ns: [ns] later than the last, kept to the microsecond.
+            stamp_ns: [ns] later than the last, stored to the microsecond.
             depth_raw: (h, w) raw depth.
-            T_world_camera: (4, 4) true pose of the depth camera; groundtruth.txt is made with the first one.
+            T_world_camera: (4, 4) true pose of the depth camera; the first one creates groundtruth.txt.
 
         Raises:
-            ValueError: An image of another size or type, or a stamp not later than the last.
-            WriteError: It cannot be written; the recording is as it was.
+            ValueError: The image has another size or type, or the stamp is not later than the last.
+            WriteError: The frame cannot be written; the recording is unchanged.
         """
         shape = (self._camera.intrinsics.height, self._camera.intrinsics.width)
         if depth_raw.dtype != np.uint16 or depth_raw.shape != shape:
@@ -317,7 +330,7 @@ def _camera_toml(camera: Camera) -> str:
 
 
 def _rows(path: Path, columns: int) -> list[tuple[int, list[str]]]:
-    """Line numbers and fields of all lines that are not comments."""
+    """Return line numbers and fields of all lines that are not comments."""
     if not path.exists():
         raise FileError(path, f"no such file; the TUM RGB-D layout has one line of {columns} fields a frame")
     rows = []
@@ -337,7 +350,7 @@ def _stamps(path: Path, rows: list[tuple[int, list[str]]]) -> NDArray[np.int64]:
         if not 0.0 <= seconds < 9e9:
             raise FileError(path, f"a time in seconds from 0 to 9e9 expected, found {fields[0][:80]}", line)
         whole, _, fraction = fields[0].partition(".")
-        # Exactly, where the text is plain: a double holds the seconds since 1970 to a quarter of a microsecond only.
+        # Parse plain text exactly: a double holds the seconds since 1970 only to a quarter of a microsecond.
         plain = whole.isdecimal() and len(whole) < 20 and (fraction.isdecimal() or not fraction)
         stamps[n] = int(whole) * 10**9 + int(f"{fraction:0<9}"[:9]) if plain else round(seconds * 1e9)
         if n and stamps[n] <= stamps[n - 1]:

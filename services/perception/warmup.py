@@ -1,4 +1,7 @@
-"""Perception goes through a short walk past blocks, and a slip, so that all it calls is compiled before a picture comes."""
+"""Warm-up of perception on synthetic frames, which compiles all its functions.
+
+The frames show a short walk past blocks and a displacement, before the first real frame arrives.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +13,16 @@ from sextant.shared.robot.profile import Camera, RobotProfile
 from sextant.shared.runtime.warmup import Rehearsal
 from sextant.shared.wire.messages import ColorImage, DepthImage, Odometry
 
-_TICK_NS = 20_000_000  # [ns] of the odometry
-_BLOCKS = np.array(  # [m] {world} opposite corners; further apart than one body that may move before a robot that stands
+_TICK_NS = 20_000_000  # [ns] period of the odometry
+_BLOCKS = np.array(  # [m] {world} opposite corners; farther apart than one body that may move in front of a resting robot
     [[[0.85, -0.5, 0.0], [1.15, -0.2, 0.06]], [[0.9, 0.2, 0.0], [1.2, 0.5, 0.06]]]
 )
-_AWAY = 0.15  # [m] that it walks, and by which it is then carried off
-_LOOKS = 10  # used pictures from a place: enough to be settled, and to search for a place that is in doubt
+_AWAY = 0.15  # [m] distance walked, and then displaced without odometry
+_LOOKS = 10  # frames used per place: enough to settle, and to search while in doubt
 
 
 def rehearse(profile: RobotProfile, settings: Settings) -> None:
-    """Compile all that perception calls, for a robot's camera."""
+    """Compile all functions that perception calls for a robot's camera."""
     camera = profile.camera
     stage = Rehearsal(Perception(profile, settings))
     frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
@@ -39,15 +42,15 @@ def rehearse(profile: RobotProfile, settings: Settings) -> None:
 
 
 def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:
-    """Raw depth (h, w) of level ground and the blocks on it."""
+    """Render the raw depth (h, w) of level ground with the blocks."""
     intrinsics, sensor = camera.intrinsics, camera.sensor
     T = T_world_body @ camera.T_body_camera
-    rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T[:3, :3].T  # (h, w, 3) {world}, 1 m deep
+    rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T[:3, :3].T  # (h, w, 3) {world} at unit depth
     rays[np.abs(rays) < 1e-9] = 1e-9
     floor = np.where(rays[..., 2] < 0.0, -T[2, 3] / rays[..., 2], np.inf)
     depth = floor
     for block in _BLOCKS:
-        one, other = ((corner - T[:3, 3]) / rays for corner in block)  # depths at which rays pass its three pairs of sides
+        one, other = ((corner - T[:3, 3]) / rays for corner in block)  # depths where the rays cross its three pairs of sides
         enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
         depth = np.minimum(depth, np.where((enters < leaves) & (enters > 0.0), enters, np.inf))
     raw = np.where(depth <= sensor.max_range, np.rint(depth * sensor.depth_scale), 0.0)

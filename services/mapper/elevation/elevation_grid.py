@@ -1,14 +1,16 @@
-"""The height map around the robot: a circular buffer in the world frame, one Kalman filter per cell.
+"""Robot-centred elevation map with one Kalman filter per cell.
 
-The window follows the robot, its memory never shifts: a cell's place is its world index modulo the size (Lotriet 2024,
-eq. 4.11). Each cell holds the height it believes in and one rival. A measurement that fails the gate never drags the
-height; it votes for the rival, and a rival that persists takes the cell over, upward and downward alike. So an object
-that moved away is cleared in time, and symmetric noise leaves no bias, however badly its size was guessed.
+The map is a circular buffer in the world frame.
 
-Where the ground behind such an object is not measured, lines of sight clear it: a cell through which the camera looks at
-something behind, well below its height and scan after scan, becomes unseen again. And where the pose's height drifts from
-that of ground that is well known, the drift is taken out of what is fused, so that what was seen early and what is seen late
-fit together; what the map tells fits the newest pose, by which its reader's feet go.
+The window follows the robot, but its memory does not shift: a cell is stored at its world index modulo the size (Lotriet
+2024, eq. 4.11). Each cell holds its height and one rival height. A measurement that fails the gate does not change the
+height. It votes for the rival, and a persistent rival replaces the height, both upward and downward. The map therefore clears
+an object that moved away, and symmetric noise causes no bias even if its size is guessed wrongly.
+
+Rays clear such an object if the ground behind it is not measured. A cell becomes unseen again if the camera sees something
+behind it, well below its height, in several scans. If the pose drifts in height relative to well-known ground, the drift is
+subtracted from what is fused, so that early and late measurements agree. The published map has the drift added again, so that
+it fits the newest pose, which its readers use.
 """
 
 import math
@@ -31,46 +33,49 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class FusionCount:
-    """What became of the points of one scan."""
+    """Counts of the points and cells of one fused scan."""
 
-    updated: int  # cells whose height took a measurement in
-    disputed: int  # cells whose measurement failed the gate and went to the rival, or says nothing against a wall
-    replaced: int  # cells taken over by their rival
-    outside: int  # points beyond the window
-    cleared: int = 0  # cells that lines of sight have made unseen again
+    updated: int  # cells whose height was updated by a measurement
+    disputed: int  # cells whose measurement went to the rival, or was ignored at a vertical surface
+    replaced: int  # cells whose rival became the height
+    outside: int  # points outside the window
+    cleared: int = 0  # cells that rays made unseen again
 
 
 @dataclass(frozen=True, slots=True)
 class ElevationSnapshot:
-    """The map in world order, detached from the grid. Cell (i, j) is centred at origin + resolution * (i, j)."""
+    """Copy of the map in world order.
+
+    Cell (i, j) is centred at origin + resolution * (i, j).
+    """
 
     resolution: float  # [m] cell edge
     origin: NDArray[np.float64]  # (2,) [m] {world} centre of cell (0, 0)
     elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where never seen
     variance: NDArray[np.float32]  # (nx, ny) [m^2] of elevation, NaN where never seen
-    assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane and nothing was measured yet
-    height_drift: float = 0.0  # [m] by which the elevation lies higher than the ground was first seen
+    assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane without a measurement
+    height_drift: float = 0.0  # [m] height of the elevation above the first seen ground
 
 
 class ElevationGrid:
-    """Height, variance and rival of nx x ny cells around the robot, aligned with the world axes.
+    """Height, variance and rival of nx x ny cells around the robot, in world axes.
 
-    The window spans the cells [c - n // 2, c + n - n // 2) around the robot's cell c, along x and along y. It starts
-    around the world's origin with every cell unseen.
+    The window spans the cells [c - n // 2, c + n - n // 2) around the robot's cell c, along x and along y. It starts around
+    the world's origin with every cell unseen.
 
     Source: Lotriet 2024, section 4.3.
     """
 
     def __init__(self, size: int | tuple[int, int] = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
-        """Begin with every cell unseen.
+        """Create a map with every cell unseen.
 
         Args:
             size: [cells] along x and along y, one number for a square.
             resolution: [m] cell edge.
-            model: Noise of the measurements.
+            model: Error model of the measurements.
 
         Raises:
-            ValueError: Fewer than 8 cells along an axis, or a resolution out of its range.
+            ValueError: There are fewer than 8 cells along an axis, or the resolution is out of range.
         """
         shape = (size, size) if isinstance(size, int) else (int(size[0]), int(size[1]))
         if min(shape) < 8:
@@ -83,19 +88,19 @@ class ElevationGrid:
         self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
         self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
         self._cells = Cells.unseen(shape)
-        self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+        self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # entry of the scan for each cell, -1 outside fuse()
         self._drift, self._sights = HeightDrift(), SightLines(shape)
 
     @property
     def low(self) -> NDArray[np.int64]:
-        """(2,) world index of the window's lowest cell, that is of cell (0, 0) of a snapshot."""
+        """(2,) world index of the window's lowest cell, cell (0, 0) of a snapshot."""
         return self._low.copy()
 
     @property
     def height_drift(self) -> float:
-        """[m] by which the poses of scans are believed to lie higher by now than those that the map was begun with.
+        """[m] height offset of the newest poses from those at the start of the map.
 
-        Heights are kept as they were first seen and told with this added, as the newest scans see them.
+        Heights are stored as first seen. They are returned with this offset, as the newest scans see them.
         """
         return self._drift.value
 
@@ -105,10 +110,12 @@ class ElevationGrid:
         return np.asarray((self._low + 0.5) * self.resolution)
 
     def move_to(self, p_world_xy: ArrayLike) -> None:
-        """Centre the window on the cell of p_world_xy (2,) [m] {world}; cells that leave it are forgotten, only those.
+        """Centre the window on the cell of p_world_xy (2,) [m] {world}.
+
+        Only cells that leave the window are cleared.
 
         Raises:
-            ValueError: Not two finite coordinates within 1000 km.
+            ValueError: The argument is not two finite coordinates within 1000 km.
         """
         centre = np.asarray(p_world_xy, dtype=np.float64)
         if centre.shape != (2,) or not (np.abs(centre) < FAR).all():
@@ -124,25 +131,26 @@ class ElevationGrid:
         self._low = np.array(low, dtype=np.int64)
 
     def fuse(self, scan: CheckedScan) -> FusionCount:
-        """Take one reduced scan into the map; a cell counts at most once per scan.
+        """Fuse a reduced scan; each cell counts at most once per scan.
 
-        1. Each point gets a variance from the sensor model and the pose's covariance through the map's own slope; the
-           part that does not average away is its floor.
-        2. Points of one cell, several where the scan's cells are smaller, are merged; what they differ by beyond their noise
-           is the ground's own, as a point's spread is. Across an edge the upper one stands (Masri 2016, section 4.4).
-        3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
-           its variance never below the floor; one outside votes for the rival (see the module).
-        4. Cells that stand in a line of sight become unseen again after a while.
-        Before 3, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`),
-        and faces are heeded (`faces`): what is seen of a wall from near does not lower it.
+        1. Compute the variance of each point from the sensor model and from the pose covariance and the map's slope. The part
+           that does not average out is the floor of a cell's variance.
+        2. Merge points of the same cell, of which there are several if the scan's cells are smaller. Differences beyond noise
+           belong to the ground, as does a point's spread. Across an edge, the upper point is used (Masri 2016, section 4.4).
+        3. Update each cell. An unseen or assumed cell takes the measurement. A measurement within the gate is filtered, and the
+           variance stays above its floor. A measurement outside votes for the rival (see the module).
+        4. Clear cells that rays have passed through in several scans.
+
+        Before step 3, the drift of the pose's height is subtracted (`height_drift`). Vertical surfaces are protected there
+        (`vertical_surfaces`): what is seen of a wall at short range must not lower it.
         """
         cells = self._cells
-        # 1. Where the points lie, and how far their heights may be off.
+        # 1. Cells of the points, and variances of their heights.
         touched, z, random, systematic, ray = self.model.measure(
             scan, cells.height, self.resolution, int(self._low[0]), int(self._low[1])
         )
         inside, silent = len(touched), 0
-        # 2. One measurement for each cell, without what the pose has drifted in height.
+        # 2. One measurement for each cell, without the height drift of the pose.
         merged = merge(touched, z, random, systematic, self._slot, self.model.gate, self.model.step_in(self.resolution))
         touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         if inside:
@@ -153,7 +161,7 @@ class ElevationGrid:
             self._sights.raised(float(z.max()))
             silent = len(touched) - merged
             touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
-        # 3. Into the filters.
+        # 3. Update the filters.
         updated, disputed, replaced = update_cells(
             touched, z, random, systematic,
             cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
@@ -161,7 +169,7 @@ class ElevationGrid:
             cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
             self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
         )  # fmt: skip
-        # 4. What stands in a line of sight.
+        # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
         cleared = self._sights.look(*at, scan.points, every=FOLLOWED)
         cleared += self._sights.look(*at, scan.sights, nearest=scan.nearest)
@@ -169,10 +177,10 @@ class ElevationGrid:
         return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
 
     def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
-        """Take in that a foot has found ground at a place, or none above it; the cells changed under its sole.
+        """Correct the cells under a foot's sole and return how many changed.
 
-        Nothing that was seen outweighs it: where it is off by more than both let expect, it counts for as many scans as it
-        takes.
+        The foot has found ground at this height, or none above it. A touchdown outweighs all scans: if it differs from the map
+        by more than both errors allow, it counts for as many scans as needed.
 
         Args:
             p_world: (3,) [m] underside of the foot.
@@ -205,12 +213,14 @@ class ElevationGrid:
         return changed
 
     def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
-        """Fill the unseen cells of a region with a plane, marked as assumed; the first measurement replaces each.
+        """Fill the unseen cells of a region with a plane, marked as assumed.
+
+        The first measurement of a cell replaces it.
 
         Args:
             polygon: (k, 2) [m] {world} corners in order, k >= 3; cells whose centre lies inside (even-odd) are filled.
             plane: (3,) height is plane[0] + plane[1] * x + plane[2] * y, [m], [m/m], [m/m].
-            sigma: [m] standard deviation given to the assumed heights.
+            sigma: [m] standard deviation of the assumed heights.
 
         Returns:
             The number of cells filled.
@@ -246,7 +256,9 @@ class ElevationGrid:
         return len(rows)
 
     def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:
-        """Heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m]; NaN where unseen or outside the window.
+        """Return the heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m].
+
+        They are NaN where the map is unseen or outside the window.
 
         Raises:
             ValueError: The last axis is not 2.
@@ -275,7 +287,7 @@ class ElevationGrid:
         )
 
     def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Copy of a layer with the window's lowest cell first."""
+        """Return a copy of a layer with the window's lowest cell first."""
         i, j = (int(low % n) for low, n in zip(self._low, self.shape, strict=True))
         out = np.empty_like(layer)
         m, n = self.shape[0] - i, self.shape[1] - j
@@ -285,7 +297,7 @@ class ElevationGrid:
 
 
 def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Even-odd rule on the grid x (nx, 1), y (1, ny)."""
+    """Apply the even-odd rule on the grid x (nx, 1), y (1, ny)."""
     inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), dtype=np.bool_)
     for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if ay == by:
@@ -299,14 +311,17 @@ def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDA
 def _cell_indices(
     p_world_xy: NDArray[np.float64], resolution: float, low_i: int, low_j: int, rows: int, columns: int
 ) -> NDArray[np.int64]:
-    """Flat buffer index (n,) of each point, -1 outside the window of rows x columns that starts at cell (low_i, low_j)."""
+    """Return the flat buffer index (n,) of each point, or -1 outside the window.
+
+    The window has rows x columns cells and starts at cell (low_i, low_j).
+    """
     cell = np.empty(len(p_world_xy), dtype=np.int64)
     wrap_i, wrap_j = low_i % rows, low_j % columns
     for k in range(len(p_world_xy)):
         i = math.floor(p_world_xy[k, 0] / resolution) - low_i
         j = math.floor(p_world_xy[k, 1] / resolution) - low_j
         if 0 <= i < rows and 0 <= j < columns:
-            i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
+            i, j = i + wrap_i, j + wrap_j  # modulo the size, without a division
             cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
         else:
             cell[k] = -1

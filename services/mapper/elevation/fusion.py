@@ -1,4 +1,4 @@
-"""A scan into the cells of a map: how far each height is off, one measurement for each cell, and its filter."""
+"""Fusion of a scan into map cells: error model, merging and filter."""
 
 import math
 from dataclasses import dataclass
@@ -12,25 +12,25 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.runtime.compiled import compiled
 
-_AT_A_TIME = 256  # points
+_AT_A_TIME = 256  # points per block
 
 
 @dataclass(frozen=True, slots=True)
 class FusionModel:
-    """How far a measured height is off, and when a cell changes its mind.
+    """Error model of a measured height, and when a cell accepts a different height.
 
-    A depth error e moves a point along its ray, so on ground of slope s seen at grazing angle g the height is off by
-    e * (sin g + s * cos g); s is unknown and taken as `terrain_slope`.
+    A depth error e moves a point along its ray. On ground of slope s seen at a grazing angle g, the height error is
+    e * (sin g + s * cos g). The slope s is unknown, and `terrain_slope` is used for it.
     """
 
-    depth_sigma: float = 1.27e-3  # [m] of one pixel at 1 m, grows with the square of the distance; averages away
-    quantisation_sigma: float = 0.92e-3  # [m] of a scan's cell at 1 m, grows likewise; pixels of a cell share it
+    depth_sigma: float = 1.27e-3  # [m] of one pixel at 1 m; grows with the squared distance and averages out
+    quantisation_sigma: float = 0.92e-3  # [m] of a scan's cell at 1 m; grows the same way and is shared by the cell's pixels
     range_sigma: float = 0.0  # [m] noise of one pixel at any distance (scanners)
-    floor_sigma: float = 1.0e-3  # [m] error that no number of measurements averages away
-    terrain_slope: float = 0.27  # [m/m] steepest ground to be mapped well
-    independent_pixels: int = 8  # pixels of a cell beyond this many add nothing: their noise is correlated
-    gate: float = 3.0  # [sigma] measurements further off vote for the rival
-    edge_step: float = 0.01  # [m] points of one scan in one cell, further apart than this, are an edge: the upper wins
+    floor_sigma: float = 1.0e-3  # [m] error that repeated measurements do not average out
+    terrain_slope: float = 0.27  # [m/m] steepest ground that is mapped accurately
+    independent_pixels: int = 8  # maximum number of a cell's pixels that count, because their noise is correlated
+    gate: float = 3.0  # [sigma] beyond which a measurement votes for the rival height
+    edge_step: float = 0.01  # [m] points of one scan and cell that are farther apart form an edge, and the upper one is used
     patience: int = 5  # [scans] of disagreement until a well-established height is replaced
 
     def __post_init__(self) -> None:
@@ -46,12 +46,18 @@ class FusionModel:
             raise ValueError(f"patience of 1 to 200 scans expected, found {self.patience}")
 
     def step_in(self, resolution: float) -> float:
-        """[m] between points of one scan in a cell of that edge [m], beyond which they are an edge and not a slope."""
+        """Return the height difference [m] in one cell that separates edge from slope.
+
+        The resolution is the cell edge [m].
+        """
         return max(self.edge_step, 2.0 * self.terrain_slope * resolution)
 
     @classmethod
     def of_sensor(cls, sensor: DepthSensor, fx: float) -> Self:
-        """The model of a triangulating camera with focal length fx [px]; the other fields keep their defaults."""
+        """Create the model of a triangulating camera with focal length fx [px].
+
+        The other fields keep their defaults.
+        """
         if not 0 < fx < math.inf:
             raise ValueError(f"positive focal length expected, found fx = {fx}")
         per_pixel = 1.0 / (fx * sensor.baseline)
@@ -69,30 +75,32 @@ class FusionModel:
         pose_covariance: NDArray[np.float64] | None = None,
         slope: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Variance of measured heights: the part that repeated measurement averages away, and the part it does not.
+        """Compute the variance of measured heights, split by whether it averages out.
 
-        The distance stands for the depth, which overstates the noise by at most 1/cos of the angle off the axis. A
-        spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so the whole of it counts as one
-        sigma and does not average away: a scan that saw a cell's face and top together yields to one that saw the top alone.
+        The distance is used as the depth, which overstates the noise by at most 1/cos of the angle off the axis. A spread
+        beyond the noise of a pixel belongs to the ground. A foot may meet any height within it, so the whole spread counts as
+        one sigma and does not average out. A scan that saw both face and top of a cell therefore yields to one that saw only
+        the top.
 
-        A pose that is wrong by the twist (v, w) carries a point at r from the camera off by v + w x r, and the height
-        that is noted at a place of ground with the gradient s off by n . (v + w x r), n = (-s, 1). So a pose covariance S
-        adds J S J' with J = (n, r x n). Where s is unknown, it is taken as isotropic with `terrain_slope` for its rms.
-        Pose errors are shared by all points of a scan and last from scan to scan, so they do not average away.
+        A pose error twist (v, w) moves a point at r from the camera by v + w x r. The error of the height recorded for a place
+        on ground of gradient s is n . (v + w x r) with n = (-s, 1). A pose covariance S therefore adds J S J' with
+        J = (n, r x n). An unknown s is assumed isotropic with an rms of `terrain_slope`. All points of a scan share the pose
+        error, and it persists over scans, so it does not average out.
 
         Args:
             points: (n, 3) [m] {world} one point per cell, the mean of its pixels.
             count: (n,) pixels merged into each point.
-            spread: (n,) [m] from the lowest to the highest height merged.
+            spread: (n,) [m] height range of these pixels.
             p_world_camera: (3,) [m] {world} optical centre.
-            pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes; none: exact.
-            slope: (n, 2) [m/m] gradient of the ground at each point in x and y, NaN or none where it is unknown.
+            pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes; None: exact.
+            slope: (n, 2) [m/m] gradient of the ground at each point in x and y, NaN or None where it is unknown.
 
         Returns:
             random, systematic: (n,) [m^2] each.
 
         Source: Fankhauser et al. 2014, "Robot-centric elevation mapping with uncertainty estimates", section 3.1: the
-        sensor's and the pose's covariance through the Jacobians of the height; there without correlations, x, y and slope.
+        sensor's and the pose's covariance through the Jacobians of the height. Their model omits correlations, errors in x
+        and y, and the slope.
         """
         covariance = np.zeros((6, 6)) if pose_covariance is None else np.asarray(pose_covariance, dtype=np.float64)
         gradient = np.full((len(points), 2), np.nan) if slope is None else np.asarray(slope, dtype=np.float64)
@@ -104,20 +112,20 @@ class FusionModel:
     def measure(
         self, scan: CheckedScan, height: NDArray[np.float32], resolution: float, low_i: int, low_j: int
     ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-        """What a scan has to say of a map.
+        """Compute the measurements that a scan contains for the cells of a map.
 
         Args:
             scan: The scan.
-            height: (nx, ny) [m] the map's circular buffer, NaN where never seen; its slopes carry the pose's error.
+            height: (nx, ny) [m] circular buffer of the map, NaN where unseen; its slopes scale the pose error.
             resolution: [m] cell edge.
             low_i: World index, along x, of the lowest cell of the map's window.
-            low_j: Likewise along y.
+            low_j: World index, along y, of the same cell.
 
         Returns:
-            cells: (m,) flat buffer index of each point that lies in the window.
+            cells: (m,) flat buffer index of each point inside the window.
             z: (m,) [m] {world} its height.
-            random, systematic: (m,) [m^2] as of `height_variance`.
-            ray: (3,) [m] from the camera to the middle of those points.
+            random, systematic: (m,) [m^2] as in `height_variance`.
+            ray: (3,) [m] from the camera to the mean of those points.
         """
         return _measure(
             scan.points, scan.origin, scan.unit, scan.count, scan.spread, scan.p_world_camera, scan.pose_covariance,
@@ -126,7 +134,7 @@ class FusionModel:
 
     @property
     def _noise(self) -> tuple[float, float, float, float, float, float]:
-        """The numbers that `_variances` takes, in its order."""
+        """Parameters of `_variances`, in its order."""
         return (
             self.depth_sigma, self.range_sigma, self.quantisation_sigma, self.floor_sigma, self.terrain_slope,
             float(self.independent_pixels),
@@ -145,12 +153,15 @@ def _variances(
     S: Array,
     noise: tuple[float, float, float, float, float, float],
 ) -> tuple[Array, Array]:
-    """Random and systematic variance (n,) [m^2] of points at x, y, z (n,) [m]; see `FusionModel.height_variance`."""
+    """Compute the variances (n,) [m^2] of points at x, y, z (n,) [m].
+
+    See `FusionModel.height_variance`.
+    """
     depth_sigma, range_sigma, quantisation_sigma, floor_sigma, terrain_slope, most = noise
-    # Made here: only of arrays of its own does the compiler know that no other shares their memory.
+    # Allocated here, so that the compiler knows that these arrays share no memory with others.
     random, systematic = np.empty(len(x_of)), np.empty(len(x_of))
-    unknown2 = 0.5 * terrain_slope**2  # of either component of an isotropic gradient
-    # Numbers of their own and no branches, so that the loop runs in vectors.
+    unknown2 = 0.5 * terrain_slope**2  # of each component of an isotropic gradient
+    # Scalars and no branches, so that the compiler vectorises the loop.
     s00, s01, s02, s03, s04, s05 = S[0, 0], S[0, 1], S[0, 2], S[0, 3], S[0, 4], S[0, 5]
     s11, s12, s13, s14, s15 = S[1, 1], S[1, 2], S[1, 3], S[1, 4], S[1, 5]
     s22, s23, s24, s25 = S[2, 2], S[2, 3], S[2, 4], S[2, 5]
@@ -173,7 +184,7 @@ def _variances(
         xz = s02 + y * s03 - x * s04 + z * s24 - y * s25 + y * z * s34 - x * z * s44 - y * y * s35 + x * y * s45
         yz = s12 + y * s13 - x * s14 + x * s25 - z * s23 + x * y * s35 - x * x * s45 - y * z * s33 + x * z * s34
         xy = s01 + x * s05 - z * s03 + z * s14 - y * s15 + x * z * s45 - z * z * s34 - x * y * s55 + y * z * s35
-        # A known component of the slope counts with its correlations, an unknown one with its spread.
+        # A known component of the slope enters with its correlations, an unknown one with its spread.
         a, b = slope_x[k], slope_y[k]
         a, a2 = (a, a * a) if a == a else (0.0, unknown2)
         b, b2 = (b, b * b) if b == b else (0.0, unknown2)
@@ -198,7 +209,7 @@ def _measure(
     low_i: int,
     low_j: int,
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-    """See `FusionModel.measure`; some points at a time, so that what is noted of each stays in the fastest memory."""
+    """Implement `FusionModel.measure` in blocks of points that fit into the cache."""
     n = len(points)
     cells, z, random, systematic = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n), np.empty(n)
     xs, ys, zs = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
@@ -215,9 +226,9 @@ def _measure(
     m, x_sum, y_sum, z_sum = 0, 0.0, 0.0, 0.0
     for begin in range(0, n, _AT_A_TIME):
         some = 0
-        # 1. The cell, and the slope of the map there. Of the differences of height to both sides of a cell the smaller is its
-        # slope, and none where they disagree in sign: on a plane that is the plane's, beside a step it is that of the ground
-        # a foot would stand on, and not the step's.
+        # 1. The cell, and the slope of the map there. The slope is the smaller of the height differences to the two sides,
+        # and zero if their signs differ. On a plane this is the plane's slope. Next to a step it is the slope of the ground
+        # on which a foot would stand, and not that of the step.
         end = min(begin + _AT_A_TIME, n)
         for k in range(end - begin):
             xs[k], ys[k], zs[k] = points[begin + k, 0], points[begin + k, 1], points[begin + k, 2]
@@ -230,16 +241,16 @@ def _measure(
             i, j = np.int64(rows_at[k - begin]), np.int64(columns_at[k - begin])
             if not (0 <= i < rows and 0 <= j < columns):
                 continue
-            at = np.uint64(some)  # unsigned, as an index that is never counted from the end
+            at = np.uint64(some)  # unsigned, so that no index counts from the end
             x, y, z_off = x - x0, y - y0, height_there - z0
             x_of[at], y_of[at], z_of[at] = x, y, z_off
             x_sum, y_sum, z_sum = x_sum + x, y_sum + y, z_sum + z_off
             count_of[at], spread_of[at] = count[np.uint64(k)], unit * spread[np.uint64(k)]
-            a, b = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
+            a, b = i + wrap_i, j + wrap_j  # modulo the size, without a division
             a, b = a if a < rows else a - rows, b if b < columns else b - columns
             c = a * columns + b
             cells[np.uint64(m + some)], z[np.uint64(m + some)] = c, height_there
-            # The buffer goes on at its border with its other side, the window does not.
+            # The buffer wraps around at its border, the window does not.
             lower, upper = c - columns if a > 0 else c + (rows - 1) * columns, c + columns if a + 1 < rows else b
             before, after = c - 1 if b > 0 else c + columns - 1, c + 1 if b + 1 < columns else c - b
             here = heights[np.uint64(c)]
@@ -248,7 +259,7 @@ def _measure(
             slope_x[at] = along_x * per_cell if 0 < i < rows - 1 else nowhere
             slope_y[at] = along_y * per_cell if 0 < j < columns - 1 else nowhere
             some += 1
-        # 2. Their variance.
+        # 2. The variances.
         random[m : m + some], systematic[m : m + some] = _variances(
             x_of[:some], y_of[:some], z_of[:some], count_of[:some], spread_of[:some], slope_x[:some], slope_y[:some], S, noise
         )
@@ -259,7 +270,10 @@ def _measure(
 
 @compiled
 def _smaller(a: np.float32, b: np.float32) -> np.float32:
-    """Of two numbers of one sign the smaller in size, 0 if their signs differ, NaN if one is; without a branch to guess."""
+    """Return the smaller of two numbers of the same sign, or 0 if the signs differ.
+
+    Smaller refers to the absolute value. The result is NaN if a number is NaN. There is no branch to mispredict.
+    """
     size = abs(a) if abs(a) < abs(b) else abs(b)
     signed = size if a > np.float32(0.0) else -size
     product = a * b
@@ -276,7 +290,10 @@ def merge(
     gate: float,
     edge_step: float,
 ) -> int:
-    """Leave one measurement per cell, in place, and return how many there are; slot is -1 before and after."""
+    """Merge measurements to one per cell, in place, and return their number.
+
+    slot is -1 before and after.
+    """
     m = 0
     for k in range(len(cells)):
         c = np.uint64(cells[k])
@@ -294,7 +311,7 @@ def merge(
         gain = (random[d] + 1e-12) / (random[d] + random[k] + 2e-12)
         z[d] += gain * step
         random[d] *= 1.0 - gain
-        # Of their variance about the mean, what noise does not explain lasts.
+        # The part of their variance about the mean that noise does not explain is permanent.
         own = max(gain * (1.0 - gain) * step * step - random[k], 0.0)
         systematic[d] = max(systematic[d], systematic[k]) + own
     for e in range(m):
@@ -324,10 +341,13 @@ def update_cells(
     settled: int,
     well_below: float,
 ) -> tuple[int, int, int]:
-    """Filter one measurement into each cell; counts of cells updated, disputed and replaced."""
+    """Filter one measurement into each cell and count the results.
+
+    Returns the numbers of updated, disputed and replaced cells.
+    """
     updated = disputed = replaced = 0
     for k in range(len(cells)):
-        c = np.uint64(cells[k])  # unsigned, as an index that is never counted from the end
+        c = np.uint64(cells[k])  # unsigned, so that no index counts from the end
         noise = random[k] + systematic[k]
         if assumed[c] or np.isnan(height[c]):
             height[c], variance[c], support[c], assumed[c], votes[c], through[c] = z[k], noise, 1, 0, 0, 0
@@ -359,7 +379,7 @@ def update_cells(
             votes[c] -= 1
         else:
             rival[c], rival_variance[c], votes[c] = z[k], noise, 1
-        # A height seen once is no better than a rival seen twice; an established one waits for `patience` scans.
+        # A height seen once is replaced by a rival seen twice; an established one resists for `patience` scans.
         if votes[c] >= min(patience, support[c] + 1):
             fell[c] = np.uint8(rival[c] < height[c] - well_below)
             height[c], variance[c], support[c], votes[c], through[c] = rival[c], rival_variance[c], votes[c], 0, 0

@@ -1,4 +1,4 @@
-"""How far the poses of scans have drifted in height, by ground that is well known."""
+"""Drift of the poses in height, measured on well-known ground."""
 
 import math
 
@@ -9,41 +9,41 @@ from sextant.services.mapper.elevation.cell_layers import Cells
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-TELLS = 8  # every how many cells are asked
-KNOWN_WELL = 0.004  # [m] one sigma of a cell that tells of drift; beside an edge it is more
-SAME_GROUND = 0.03  # [m] further off it is not the same ground
-FEWEST = 50  # cells that can tell of drift
-ALIKE = 6  # neighbouring cells share their errors: so many of those asked count as one
-DRIFTED, LEVEL_AGAIN = 0.002, 0.0005  # [m] offset from which on, and down to which, drift is compensated
-PERSISTS = 3  # scans in a row that must show it
-RATE = 0.002  # [m] by which the compensation changes in a scan, at most
+TELLS = 8  # every n-th cell is used
+KNOWN_WELL = 0.004  # [m] largest sigma of a cell that is used; next to an edge it is larger
+SAME_GROUND = 0.03  # [m] largest offset of the same ground
+FEWEST = 50  # minimum number of cells
+ALIKE = 6  # cells that count as one, because neighbours share their errors
+DRIFTED, LEVEL_AGAIN = 0.002, 0.0005  # [m] offset that starts the compensation, and offset that ends it
+PERSISTS = 3  # consecutive scans that must show a drift
+RATE = 0.002  # [m] largest change of the compensation per scan
 
 
 class HeightDrift:
-    """By how much newer poses lie higher than those that a map was begun with.
+    """Height offset of the newest poses from those at the start of the map.
 
-    Ground as it was first seen tells, where it is well known and not disputed: by the median over all such cells, and only if
-    that is off by more than the sensor's own errors at different distances come to, and than the scan's noise, for a few
-    scans in a row. Then it is led back, no faster than a pose drifts. A pose that leaps has been corrected, or is wrong;
-    either way it is no drift: it disputes the cells, and disputed cells tell nothing.
+    The offset is the median over well-known, undisputed cells, relative to their first established height. It counts only if
+    it exceeds the sensor's errors at different distances and the noise of the scan, in several consecutive scans. It is then
+    compensated, no faster than a pose drifts. A pose that jumps was corrected, or is wrong. This is no drift: it disputes the
+    cells, and disputed cells are not used.
 
-    Source: the drift compensation of elevation_mapping_cupy (Miki et al. 2022, section III-B), there of the mean error and
-    without a dead band, which a map that does not move with its robot needs against its own noise.
+    Source: the drift compensation of elevation_mapping_cupy (Miki et al. 2022, section III-B). It uses the mean error
+    and has no dead band. A map that does not move with its robot needs a dead band against its own noise.
     """
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Start without drift."""
         self.value = 0.0  # [m]
-        self._lasts = 0  # for how many scans in a row it has been off, negative where downward
+        self._lasts = 0  # consecutive scans with an offset, negative if downward
 
     def follow(self, cells: Cells, touched: NDArray[np.int64], z: Array, ray: Array, covariance: Array) -> None:
-        """Amend it by a scan.
+        """Update the drift with a scan.
 
         Args:
-            cells: Of the map, before the scan is fused.
-            touched: (m,) flat indices of those that the scan measures.
-            z: (m,) [m] the heights that it gives them.
-            ray: (3,) [m] from the camera to the middle of them.
+            cells: Cells of the map, before the scan is fused.
+            touched: (m,) flat indices of the cells that the scan measures.
+            z: (m,) [m] heights of the scan there.
+            ray: (3,) [m] from the camera to the mean of the points.
             covariance: (6, 6) of the camera's pose: position, then rotation, in world axes.
         """
         off = _offsets(
@@ -69,13 +69,13 @@ class HeightDrift:
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """The upper median of at least one number; np.median looks for both middle numbers and for NaN."""
+    """Return the upper median of at least one number, faster than np.median."""
     half = len(values) // 2
     return float(np.partition(values, half)[half])
 
 
 def height_sigma(ray: NDArray[np.float64], S: NDArray[np.float64]) -> float:
-    """One sigma [m] by which a pose covariance (6, 6) lifts points around a ray (3,) [m] from the camera."""
+    """Return the height sigma [m] of points near a ray (3,) [m] by the pose."""
     lift = np.array([0.0, 0.0, 1.0, ray[1], -ray[0], 0.0])
     return math.sqrt(max(float(lift @ S @ lift), 0.0))
 
@@ -92,13 +92,13 @@ def _offsets(
     most_variance: float,
     same: float,
 ) -> NDArray[np.float64]:
-    """How far heights less the drift lie over where the ground was first seen, of every few cells that can tell (n,) [m]."""
+    """Return offsets (n,) [m] of usable cells from their first height, less drift."""
     out = np.empty(len(cells) // TELLS + 1)
     n = 0
     for k in range(0, len(cells), TELLS):
         c = np.uint64(cells[k])
         off = z[k] - drift - first[c]
-        # Ground that has sunk or risen since, by itself or by one wrong look, tells nothing.
+        # Ground that has sunk or risen since, or that seems to after one wrong measurement, is not used.
         tells = (abs(off) < same) & (votes[c] == 0) & (variance[c] < most_variance) & (abs(height[c] - first[c]) < same)
         out[n] = off
         n += int(tells)

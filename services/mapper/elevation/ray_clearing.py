@@ -1,4 +1,4 @@
-"""Things that are gone, cleared by lines of sight that pass where they stood."""
+"""Clearing of objects that have gone, by rays that pass through their cells."""
 
 import math
 from typing import Any
@@ -11,26 +11,26 @@ from sextant.services.mapper.elevation.validated_scan import CheckedScan
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FOLLOWED = 8  # every how many points of a scan have their line of sight followed, other ones each time
-SHORT = 3  # cells before its end at which a line of sight stops: what it meets is thick, and not quite where it is mapped
-WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a line of sight must pass below its height
-SIGHTS_NEEDED = 8  # scans that look through a cell until it is cleared, without one that measures it
-MAX_SIGMA_M = 0.01  # of a cell's height; what is more is the spread of what stood there, and says nothing of what is free
-FELL_AROUND = 3  # neighbours that have fallen, from which on a cell at the rim of what stood there may fall, too
-SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # scans that measure a fallen cell, until what stands beside it is no remnant
-_REFRESHED = 16  # scans after which the highest cell is looked for anew
+FOLLOWED = 8  # every n-th point of a scan has its ray traced, different ones in each scan
+SHORT = 3  # [cells] before its end at which a ray stops, because a hit object has a thickness and a position error
+WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a ray must pass below its height
+SIGHTS_NEEDED = 8  # scans through a cell until it is cleared, if none measures it
+MAX_SIGMA_M = 0.01  # [m] cap of a cell's height sigma, because a larger value is the spread of the object that stood there
+FELL_AROUND = 3  # cleared neighbours from which a cell at the rim of an object may also be cleared
+SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # measuring scans after which a cleared cell counts as normal again
+_REFRESHED = 16  # [scans] between searches for the highest cell
 
 
 class SightLines:
-    """Looks through the cells of a map."""
+    """Clearing of map cells by rays."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        """Begin with a map (nx, ny) of which nothing is known."""
+        """Create for an unseen map of shape (nx, ny)."""
         self._highest, self._scans = -math.inf, 0
-        self._marked = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # a cell counts once a scan; -1 between scans
+        self._marked = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # marks the cells counted in a scan; -1 between scans
 
     def raised(self, z: float) -> None:
-        """Hear of a height [m] that a cell may have."""
+        """Register a new height [m] of a cell."""
         self._highest = max(self._highest, z)
 
     def look(
@@ -45,20 +45,20 @@ class SightLines:
         every: int = 1,
         nearest: float = 0.0,
     ) -> int:
-        """Let every few lines of sight of a scan clear what stands in their way.
+        """Clear the cells that rays of a scan pass through.
 
         Args:
-            cells: Of the map.
+            cells: Cells of the map.
             low: (2,) world index of the lowest cell of its window.
             resolution: [m] cell edge.
-            drift: [m] by which the scan lies higher than what the map keeps.
-            scan: Whose camera the lines begin at.
-            points: (n, 3) where they end, in its unit from its origin.
-            every: How many of them are passed over for one that is followed; other ones each scan.
-            nearest: [m] from the camera up to which they say nothing.
+            drift: [m] height of the scan above the heights stored in the map.
+            scan: Scan from whose camera the rays start.
+            points: (n, 3) ends of the rays, in the scan's unit from its origin.
+            every: Every n-th ray is traced, different ones in each scan.
+            nearest: [m] from the camera, up to which the rays prove nothing.
 
         Returns:
-            How many cells are unseen again.
+            The number of cells that are unseen again.
         """
         if self._scans % _REFRESHED == 0:
             self._highest = float(np.fmax.reduce(cells.height, axis=None))
@@ -66,7 +66,7 @@ class SightLines:
             return 0
         lowest = float(scan.origin[2]) + scan.unit * float(points[:, 2].min()) - drift
         if not self._highest - WELL_BELOW > lowest:
-            return 0  # nothing stands above what is seen, as on level ground
+            return 0  # no cell is higher than the ray ends, as on level ground
         c = cells
         cleared = _clear_along_sights(
             points, scan.origin, scan.unit, self._scans % every, every, scan.p_world_camera, drift, nearest,
@@ -76,7 +76,7 @@ class SightLines:
         return int(cleared)
 
     def scanned(self) -> None:
-        """The lines of one scan have been followed."""
+        """End a scan."""
         self._scans += 1
 
 
@@ -104,13 +104,13 @@ def _clear_along_sights(
     fell: NDArray[np.uint8],
     slot: NDArray[np.int32],
 ) -> int:
-    """Count, once a scan, the cells that stand well above a line of sight, and clear those that have been so often.
+    """Count cells that stand well above a ray once per scan, and clear frequent ones.
 
-    A cell counts within a body: none of its eight neighbours is known to lie lower than the line but such as have
-    fallen already, and at most two are unknown; so what is narrower than three cells, a rim that fills its cells in part,
-    and a wall seen along its face are left to measurement. A body is eaten from within: a rim falls after what it was the
-    rim of. Outside of a body a cell counts that fewer scans have measured than must look through it: so something
-    thin that has passed by does not stay.
+    A cell counts inside an object: none of its eight neighbours is known to be lower than the ray, except those already
+    cleared, and at most two are unknown. Objects narrower than three cells, rims that fill their cells partly, and walls
+    seen along their face are therefore left to measurements. An object is cleared from the inside: a rim follows after its
+    inside. A cell outside an object counts only if fewer scans have measured it than must pass through it, so that a thin
+    passing object does not remain.
 
     Returns the number of cells cleared.
     """
@@ -127,8 +127,8 @@ def _clear_along_sights(
         length = resolution * math.sqrt(du * du + dv * dv)
         if way <= SHORT or length <= nearest or dz <= 0.0:
             continue
-        rise = 0.75 * dz / way  # from the middle of a cell to where the line is highest in it
-        # Only the steps within the window: a line may be far longer than that.
+        rise = 0.75 * dz / way  # from the middle of a cell to the highest point of the ray in it
+        # Only the steps within the window: a ray may be far longer.
         enters, leaves = SHORT / way, 1.0 - nearest / length
         for at, along, end in ((u, du, rows - 1.0), (v, dv, columns - 1.0)):
             if along != 0.0:
@@ -138,15 +138,15 @@ def _clear_along_sights(
                 leaves = -1.0
         if enters >= leaves:
             continue
-        start = max(SHORT, int(way * enters) - 1)  # rounding may take a step on either side
-        # Nothing is as high as the line from where on it is above everything. A float: it is infinite for a level line.
+        start = max(SHORT, int(way * enters) - 1)  # rounding may need one more step on either side
+        # The ray can stop where it is above all cells. The value is a float, because it is infinite for a level ray.
         above = (highest - z - rise - WELL_BELOW) / dz * way + 2.0
         last = int(max(min(way * leaves + 2.0, way * (1.0 - nearest / length), above), 0.0))
         step_x, step_y, step_z = du / way, dv / way, dz / way
         x, y, over = u + (start - 1) * step_x, v + (start - 1) * step_y, z + (start - 1) * step_z + rise + WELL_BELOW
         for _ in range(start, last):
             x, y, over = x + step_x, y + step_y, over + step_z
-            i, j = int(x), int(y)  # what rounding lets out of the window, on the lower side comes to 0
+            i, j = int(x), int(y)  # an index that rounding moves out of the window is 0 on the lower side
             if i < 1 or j < 1 or i >= rows - 1 or j >= columns - 1:
                 continue
             a, b = i + wrap_i, j + wrap_j

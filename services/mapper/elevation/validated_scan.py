@@ -1,4 +1,4 @@
-"""A reduced scan as it may be fused: of the right shapes, finite, within range."""
+"""Validation of a reduced scan before fusion: shapes, finite values and ranges."""
 
 import math
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] coordinates beyond this are refused: a cell index must stay exact
+FAR = 1e6  # [m] larger coordinates are refused, so that cell indices stay exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckedScan:
-    """A reduced scan that can be fused, as `of` and `of_millimetres` make it; see `ElevationGrid.fuse`.
+    """Validated scan, created by `of` or `of_millimetres`; see `ElevationGrid.fuse`.
 
-    Lengths are kept as they come, in metres or in the millimetres of the wire: only where they are used is it worth while
-    to make numbers of eight bytes of them.
+    Lengths stay in metres or in the millimetres of the message. They are converted to 8-byte numbers only where they are
+    used, which saves time.
     """
 
     points: NDArray[Any]  # (n, 3) [unit] {world} from the origin
@@ -41,16 +41,16 @@ class CheckedScan:
         sights: NDArray[np.floating] | None = None,
         nearest: float = 0.0,
     ) -> Self:
-        """Check a scan in metres.
+        """Validate a scan in metres.
 
         Args:
-            points: (n, 3) [m] {world} one point per cell seen, of the upper surface where a cell holds two.
+            points: (n, 3) [m] {world} one point per visible cell, on the upper surface if a cell has two.
             count: (n,) pixels merged into each point, at least 1.
-            spread: (n,) [m] from the lowest to the highest height merged, at least 0.
+            spread: (n,) [m] height range of these pixels, at least 0.
             p_world_camera: (3,) [m] {world} optical centre.
             pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes.
-            sights: (m, 3) [m] {world} points up to which there is nothing in the camera's sight, beside those of the scan.
-            nearest: [m] from the camera up to which sights say nothing, since it measures nothing there.
+            sights: (m, 3) [m] {world} ends of additional free rays.
+            nearest: [m] from the camera up to which rays prove nothing, because it measures nothing there.
 
         Raises:
             ValueError: A shape is wrong, or a value is not finite or out of its range.
@@ -74,7 +74,9 @@ class CheckedScan:
         sights_mm: NDArray[np.int16] | None = None,
         nearest: float = 0.0,
     ) -> Self:
-        """Check a scan as it crosses the wire, points (n, 3) and sights (m, 3) from an origin (3,) [m] {world}.
+        """Validate a scan message.
+
+        Points (n, 3) and sights (m, 3) are relative to the origin (3,) [m] {world}.
 
         Raises:
             ValueError: A shape or type is wrong, or a value is not finite or out of its range.
@@ -100,7 +102,7 @@ class CheckedScan:
 
 
 def _checked_place(name: str, p: ArrayLike) -> NDArray[np.float64]:
-    """Three coordinates [m]; ValueError where they are none."""
+    """Return three coordinates [m], or raise a ValueError."""
     place = np.asarray(p, dtype=np.float64)
     if place.shape != (3,) or not all(abs(v) < FAR for v in place.tolist()):
         raise ValueError(f"{name} of 3 coordinates within {FAR:g} m expected, found {p!r}")
@@ -108,7 +110,7 @@ def _checked_place(name: str, p: ArrayLike) -> NDArray[np.float64]:
 
 
 def _checked_nearest(nearest: float) -> float:
-    """A distance [m]; ValueError where it is none."""
+    """Return a distance [m], or raise a ValueError."""
     if not 0 <= nearest < math.inf:
         raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
     return nearest
@@ -120,7 +122,7 @@ def _checked_scan(
     spread: NDArray[np.floating],
     p_world_camera: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The scan as contiguous float64 arrays; ValueError where a shape or the camera is wrong."""
+    """Return the scan as contiguous float64 arrays, or raise a ValueError."""
     p = np.ascontiguousarray(points, dtype=np.float64)
     n = np.ascontiguousarray(count, dtype=np.float64)
     s = np.ascontiguousarray(spread, dtype=np.float64)
@@ -140,7 +142,7 @@ def _checked_scan(
 
 
 def _checked_covariance(covariance: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """A (6, 6) covariance, zero for none; ValueError where it is none."""
+    """Return a (6, 6) covariance, zero for None, or raise a ValueError."""
     if covariance is None:
         return np.zeros((6, 6))
     out = np.ascontiguousarray(covariance, dtype=np.float64)
@@ -155,7 +157,10 @@ def _checked_covariance(covariance: NDArray[np.float64] | None) -> NDArray[np.fl
 def _all_in_range(
     points: NDArray[np.float64], count: NDArray[np.float64], spread: NDArray[np.float64], far: float
 ) -> tuple[bool, bool, bool]:
-    """Whether all points (n, 3) are finite and near, all counts (n,) finite and from 1, all spreads (n,) finite and from 0."""
+    """Return whether points, counts and spreads are finite and in range.
+
+    Points (n, 3) must be nearer than `far`, counts (n,) at least 1, spreads (n,) at least 0.
+    """
     near, filled, spread_out = True, True, True
     for k in range(len(count)):
         near &= (abs(points[k, 0]) < far) & (abs(points[k, 1]) < far) & (abs(points[k, 2]) < far)
@@ -166,12 +171,15 @@ def _all_in_range(
 
 @compiled
 def _is_covariance(S: NDArray[np.float64], share: float) -> bool:
-    """Whether a matrix is symmetric and has no negative eigenvalue, but for a share of its largest element."""
+    """Return whether a matrix is symmetric and has no negative eigenvalue.
+
+    A share of its largest element is tolerated.
+    """
     size = 0.0
     for i in range(6):
         for j in range(6):
             size = max(size, abs(S[i, j]))
-    # With so much more in each direction it has a Cholesky factor.
+    # With this tolerance added to the diagonal it has a Cholesky factor.
     L = np.zeros((6, 6))
     for i in range(6):
         for j in range(i + 1):

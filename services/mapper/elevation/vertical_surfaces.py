@@ -1,10 +1,10 @@
-"""Walls in a height map: a cell that holds a face is as high as what has been seen of it.
+"""Vertical surfaces in the elevation map, which keep the largest height seen.
 
-A scan tells of a face how high it rises within the picture, and the nearer the camera comes the less of it that is; in the
-end it sees the ground before it, in the very cell that holds its foot. None of that says that the face is lower than it was
-seen to be from afar. Only ground seen on all eight sides of the cell, and in it, since the face was last seen says that it is
-gone; not in one scan, as the rows of a coarse camera lie cells apart. A face beside ground that is known to be as high needs
-no such care, and is left as narrow as it was measured.
+A scan shows a face only as high as it rises within the image, and less of it as the camera approaches. In the end the camera
+sees the ground in front of it, in the same cell as the foot of the face. None of these measurements means that the face is
+lower than seen from afar. The face is gone only if ground was seen in its cell and on all eight sides since the face was last
+seen. This may take several scans, because the rows of a coarse camera are cells apart. A face next to ground of known, equal
+height needs no such protection, and keeps its measured width.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ from sextant.services.mapper.elevation.cell_layers import Cells
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-TALL = 0.06  # [m] of a cell's spread in a scan, beyond what the pose may be wrong by, from which it is a face
-RIM = 0.02  # [m] by which what is seen must lie above or below what is known, to be another height
-RIM_VARIANCE = (RIM / 3.0) ** 2  # [m^2] by which it is, at a gate of three sigma
-REACH = 8  # cells to a side of a face, of which the nearest that a scan measures tells of that side
+TALL = 0.06  # [m] of a cell's spread in a scan, beyond the pose's error, from which the cell holds a face
+RIM = 0.02  # [m] between a measurement and the map, beyond which they are different heights
+RIM_VARIANCE = (RIM / 3.0) ** 2  # [m^2] variance for which RIM is at a gate of three sigma
+REACH = 8  # [cells] searched to a side of a face; the nearest measured cell represents that side
 _ALL_SIDES = 0xFF
 
 
@@ -31,25 +31,29 @@ def heed_faces(
     sigma: float,
     low: NDArray[np.int64],
 ) -> int:
-    """Let the measurements of a scan say of faces no more than they can, before they go into the filters.
+    """Limit the effect of a scan's measurements on vertical surfaces.
 
-    1. A face that rises above what is known of it raises the cell at once. One that shows less says that the cell is right.
-    2. A face where flat ground was known disputes that, however wide its spread.
-    3. Where ground as high as the face is known beside it, it is not the face that holds the wall up: all is as anywhere.
-    4. Ground below a known face says nothing, unless it was seen on all eight sides, too, since the face last was: then the
-       face is none.
+    This precedes the filters.
 
-    Measurements that say nothing are taken out, in place; returns how many are left.
+    1. A face that rises above the known one raises the cell at once. A face that shows less confirms the cell.
+    2. A face where flat ground was known disputes it, even if its spread is wide.
+    3. If ground as high as the face is known next to it, the cell is treated as any other.
+    4. Ground below a known face is ignored until it was seen on all eight sides since the face was last seen. Then the face
+       is removed.
+
+    Ignored measurements are removed in place.
+
+    Returns the number of measurements left.
 
     Args:
-        cells: Of the map.
+        cells: Cells of the map.
         touched: (m,) flat indices of the cells that the scan measures, each once.
-        z: (m,) [m] their heights in it.
-        random: (m,) [m^2] variance that averages away.
-        systematic: (m,) [m^2] variance that does not average away, of which the spread is a part.
-        slot: Of every cell -1, before and after.
-        sigma: [m] of a height by the pose.
-        low: (2,) world index of the lowest cell of the map's window, beyond which nothing is known.
+        z: (m,) [m] heights of the scan there.
+        random: (m,) [m^2] variance that averages out.
+        systematic: (m,) [m^2] variance that does not average out, which includes the spread.
+        slot: -1 for every cell, before and after.
+        sigma: [m] one-sigma height error due to the pose.
+        low: (2,) world index of the lowest cell of the map's window; cells outside are unknown.
     """
     rows, columns = cells.height.shape
     wrap = int(low[0] % rows), int(low[1] % columns)
@@ -130,7 +134,7 @@ def _held(
     face: NDArray[np.uint8],
     wrap: tuple[int, int],
 ) -> bool:
-    """Whether ground as high as that [m] is known well beside a cell; beyond the window nothing is."""
+    """Return whether well-known ground above a height [m] is next to a cell."""
     rows, columns = grid.shape
     i, j = (cell // columns - wrap[0]) % rows, (cell % columns - wrap[1]) % columns
     for a in range(max(i - 1, 0), min(i + 2, rows)):
@@ -154,17 +158,18 @@ def _sides_below(
     shape: tuple[int, int],
     wrap: tuple[int, int],
 ) -> np.uint8:
-    """On which sides of a cell a scan, or before it others, saw ground below a height [m]: a bit for each of eight.
+    """Return one bit for each side of a cell on which ground below a height was seen.
 
-    Of a side the nearest cell tells that the scan measures, one cell farther at most than on the opposite side, or next to the
-    cell where nothing is measured there: as far as the scan's rows lie apart, but not behind what hides the ground. A side
-    loses its bit where something higher is measured, or a face. Beyond the window nothing is seen.
+    The height `top` is in metres. `before` holds the sides of earlier scans. A side is represented by the nearest cell that
+    the scan measures there. It may be one cell farther than that of the opposite side, or next to the cell if nothing is
+    measured on the opposite side. This allows for the distance of the scan's rows, but not for cells behind an object that
+    hides the ground. A side loses its bit if a greater height or a face is measured. Nothing is seen outside the window.
     """
     rows, columns = shape
     i, j = (cell // columns - wrap[0]) % rows, (cell % columns - wrap[1]) % columns
     far, entry = np.zeros(8, dtype=np.int64), np.full(8, -1, dtype=np.int64)
     for side in range(8):
-        p, q = (side + side // 4) // 3 - 1, (side + side // 4) % 3 - 1  # in pairs: the opposite of side is 7 - side
+        p, q = (side + side // 4) // 3 - 1, (side + side // 4) % 3 - 1  # numbered in pairs: the opposite of side is 7 - side
         for step in range(1, REACH + 1):
             a, b = i + step * p, j + step * q
             if not (0 <= a < rows and 0 <= b < columns):

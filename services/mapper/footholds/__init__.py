@@ -1,1 +1,1 @@
-"""Score how well each cell of the elevation map carries a foot."""
+"""Score each cell of the elevation map as a foothold."""

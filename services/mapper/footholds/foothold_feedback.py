@@ -1,4 +1,7 @@
-"""What feet find: each stance of each leg, judged once, after the other legs have swung and this one had to carry."""
+"""Touchdown feedback from the first stance of each foot after a swing.
+
+A stance is evaluated once, after the other legs have swung and the foot had to carry load.
+"""
 
 from dataclasses import dataclass
 
@@ -7,31 +10,31 @@ import numpy as np
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import ActuatorState, BodyPose
 
-_FROM, _UNTIL = 0.2, 0.8  # phases of a step between which standing feet bear the whole robot
+_FROM, _UNTIL = 0.2, 0.8  # phases of a step between which the stance feet carry the whole robot
 
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """One foot in its stance."""
+    """Result of one stance of a foot."""
 
-    p_world: Array  # (3,) [m] underside of the foot, the lowest it came
-    carries: bool  # at any time: a foot that shares its load with others may bear too little to be noticed
+    p_world: Array  # (3,) [m] lowest position of the underside of the foot
+    carries: bool  # whether it carried load at any time; a foot that shares the load may carry too little to detect
 
 
 class TouchWatch:
-    """Tells new stances from old ones."""
+    """Detector of completed first stances of the feet."""
 
     def __init__(self, foot_radius: float):
-        """Take the radius [m] of the feet."""
+        """Create a detector for feet of a radius [m]."""
         self._radius = foot_radius
         self._step = -1
-        self._watched = np.zeros(6, dtype=bool)  # legs in their first stance after a swing, since the step began
-        self._swung = np.zeros(6, dtype=bool)  # legs that have swung since they were judged
+        self._watched = np.zeros(6, dtype=bool)  # legs in their first stance after a swing, in this step
+        self._swung = np.zeros(6, dtype=bool)  # legs that have swung since they were evaluated
         self._carried = np.zeros(6, dtype=bool)
         self._lowest = np.full((6, 3), np.inf)
 
     def update(self, state: ActuatorState, pose: BodyPose) -> list[Touch]:
-        """The feet whose first stance is over, by the newest word of the legs and of where the body is."""
+        """Return the feet whose first stance has ended, from the newest state and pose."""
         found = []
         if state.step != self._step or state.phase > _UNTIL:
             found = [Touch(self._lowest[leg].copy(), bool(self._carried[leg])) for leg in np.flatnonzero(self._watched)]

@@ -1,25 +1,27 @@
-"""Masri's foothold map and its evaluation function: where a foot may stand, and how far from the end of such ground.
+"""Masri's foothold map and its evaluation function.
+
+The map holds the cells where a foot may stand. The function is the distance from the border of this ground.
 
 1. Foothold map B (Masri 2016, section 4.5): a cell is accessible if it is known, on no edge between areas of different
-   height, at most 0.25 m below the body, and its normal within pi/4 of the vertical.
+   height, at most 0.25 m below the body, and its normal is within pi/4 of the vertical.
 2. Closing with a square of 5 cm (eq. 4.5-4.7) bridges vacant cells between accessible ones.
-3. Evaluation function F (section 4.6): the Manhattan distance (4.8) to the nearest cell that is not accessible, taken as
-   negative, and outside the distance to the nearest that is. Below -5 cm all is equally good.
+3. Evaluation function F (section 4.6): the Manhattan distance (4.8), negative on accessible ground to the nearest cell that
+   is not, and positive elsewhere to the nearest accessible one. Below -5 cm all cells are equally good.
 
-What is in cells there is in metres here, since a cell of the thesis is a centimetre: the square is the odd number of cells
-nearest to 5 cm, the bound the whole number nearest. F itself is counted in cells.
+Lengths that the thesis gives in cells are in metres here, because a cell of the thesis is one centimetre. The square is the odd
+number of cells nearest to 5 cm, the bound the nearest whole number. F itself is counted in cells.
 
-Readings and departures:
-- "Areas with the zero value represent the edges": no cell is at zero. Neighbours on the two sides of the border of B are
-  at -1 and 1, since (4.9) counts from the first cell that is not accessible; the zero lies between them.
-- The two passes of (4.9)-(4.10) are made along the columns and then along the rows: |dx| + |dy| is separable, and each pass
-  is then without a dependence inside a row.
-- The closing is meant for vacant cells, but it also brings back an edge that was removed: a step takes cells off both its
-  sides, fewer than five. Here what was refused stays refused, and nothing is bridged within the square around it.
-- It bridges a crack between two blocks, too, that the camera does not see into, and feet have slipped into such. Here only
-  holes are bridged: vacant cells with accessible ones all around that are narrower than the square both ways.
-- A vacant cell within accessible ones counts as accessible ground for its neighbours, but never is a foothold itself; and
-  next to what stays vacant, where an edge may be hidden, cells keep the clearance that the score keeps.
+Interpretations and deviations:
+- "Areas with the zero value represent the edges": no cell has the value zero. Neighbours on the two sides of the border of B
+  have -1 and 1, because (4.9) counts from the first cell that is not accessible; zero lies between them.
+- The two passes of (4.9)-(4.10) run along the columns and then along the rows. |dx| + |dy| is separable, and each pass then
+  has no dependence inside a row.
+- The closing is meant for vacant cells, but it also restores a removed edge, because a step removes fewer than five cells on
+  its two sides. Here refused cells stay refused, and nothing is bridged within the square around them.
+- It also bridges a crack between two blocks that the camera does not see into, and feet have slipped into such cracks. Here
+  only holes are bridged: vacant cells surrounded by accessible ones and narrower than the square in both directions.
+- A vacant cell within accessible ones counts as accessible ground for its neighbours, but is never a foothold itself. Next to
+  cells that stay vacant, where an edge may be hidden, cells keep the same clearance as in the score.
 `published_evaluation` is the form of the thesis.
 """
 
@@ -36,15 +38,15 @@ from sextant.shared.wire.messages import UNKNOWN
 
 @dataclass(frozen=True, slots=True)
 class FootholdRules:
-    """What carries a foot; the first two and the last three are Masri's."""
+    """Rules for a foothold; the first two and the last three are Masri's."""
 
     depth_limit: float = 0.25  # [m] below the body's centre
     slope_limit: float = math.pi / 4  # [rad] of a normal from the vertical, eq. 4.4
-    edge_deviation: float = 1.7e-3  # [m] from the local plane: what a step of 7 mm leaves. He gives no number for an edge
-    unknown_clearance: float = 0.02  # [m] cells this near to vacant ground are not accessible
+    edge_deviation: float = 1.7e-3  # [m] from the local plane: the effect of a 7 mm step. Masri gives no number for an edge
+    unknown_clearance: float = 0.02  # [m] cells this close to vacant ground are not accessible
     closing: float = 0.05  # [m] edge of the square
-    bound: float = 0.05  # [m] deeper inside accessible ground than this all is equal
-    reach: float = 0.15  # [m] further outside than this all is equal; he has no such bound, but a byte has
+    bound: float = 0.05  # [m] distance inside accessible ground, beyond which all cells are equal
+    reach: float = 0.15  # [m] distance outside, beyond which all cells are equal; not in the thesis, but needed for one byte
 
     def __post_init__(self) -> None:
         for name in ("depth_limit", "edge_deviation", "bound", "reach"):
@@ -58,13 +60,13 @@ class FootholdRules:
 
 
 class EvaluationFunction:
-    """Makes the evaluation function of foothold maps; holds only what the rules come to in cells."""
+    """Evaluation function of foothold maps; it holds only the rules in cells."""
 
     def __init__(self, resolution: float, rules: FootholdRules | None = None) -> None:
-        """Take the cells' edge [m] and the rules.
+        """Create the function for a cell edge [m] and rules.
 
         Raises:
-            ValueError: The resolution is not positive, or the bound is more than 126 cells; the reach ends there.
+            ValueError: The resolution is not positive, or the bound exceeds 126 cells. A larger reach is limited to that.
         """
         if not 0 < resolution < math.inf:
             raise ValueError(f"positive resolution expected, found {resolution}")
@@ -76,7 +78,7 @@ class EvaluationFunction:
         self._half = max(0, round((self.rules.closing / resolution - 1) / 2))
         self._square = np.ones((2 * self._half + 1, 2 * self._half + 1), dtype=np.uint8)
         self._vacant_disc = disc(self.rules.unknown_clearance / resolution, least=0)  # one cell for no clearance
-        # How far a cell of the result looks: to its nearest border, and what makes the border there.
+        # Range of a cell of the result: to its nearest border, and to the cells that make the border there.
         self.halo = max(self.bound, self.reach) + 2 * self._half + 1 + self._vacant_disc.shape[0] // 2
 
     def evaluate(
@@ -86,18 +88,18 @@ class EvaluationFunction:
         known: NDArray[np.uint8],
         level: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.int8]:
-        """The evaluation function of a map, or of a part of one; what lies beyond counts as vacant.
+        """Compute the evaluation function of a map or a part of it; the outside is vacant.
 
-        1. Close holes of B, but not beside what was refused, and take off it what lies near to ground that is still vacant.
-        2. Of cells with a wider margin keep those in whose margin all is ground.
-        3. The signed Manhattan distance within its bounds.
-        4. Cells never seen are marked.
+        1. Close holes of B, except next to refused cells, and remove cells near ground that is still vacant.
+        2. Of cells with a wider margin, keep those whose margin is all ground.
+        3. Compute the signed Manhattan distance within its bounds.
+        4. Mark cells that were never seen.
 
         Args:
-            accessible: (nx, ny) 1 where the map carries a foot, else 0: B.
-            refused: (nx, ny) 1 where it was found not to, else 0.
+            accessible: (nx, ny) 1 where the map is a foothold (B), else 0.
+            refused: (nx, ny) 1 where it is known not to be, else 0.
             known: (nx, ny) 1 where there is a height, else 0.
-            level: (nx, ny) [cells] of margin that a cell is to keep, `TOO_WIDE` for more than any; None for none at all.
+            level: (nx, ny) [cells] margin of each cell, `TOO_WIDE` for more than any; None for no margins.
 
         Returns:
             (nx, ny) [cells] negative on accessible ground, at least -bound; positive elsewhere, at most reach; UNKNOWN where
@@ -106,7 +108,7 @@ class EvaluationFunction:
         clear = _eroded(np.asarray(refused ^ 1, dtype=np.uint8), self._square)
         bridged = closed(accessible, self._half) & clear & holes(accessible, 2 * self._half)
         ground = np.asarray(accessible | bridged, dtype=np.uint8)
-        # Whatever is known or bridged keeps nothing away; beyond the border all is vacant.
+        # Known or bridged cells need no clearance; everything outside the border is vacant.
         filled = ground | known
         ground &= _eroded(filled, self._vacant_disc)
         if level is not None:
@@ -120,22 +122,25 @@ class EvaluationFunction:
 
 
 def closed(accessible: NDArray[np.uint8], half: int) -> NDArray[np.uint8]:
-    """Binary closing (nx, ny) with a square of 2 * half + 1 cells, nothing being accessible beyond the border.
+    """Close a map (nx, ny) with a square of 2 * half + 1 cells.
+
+    The outside is not accessible.
 
     Source: Masri 2016, eq. (4.5)-(4.7).
     """
     if half == 0:
         return accessible.copy()
-    # The dilated image reaches beyond the map; cut off there, its border would erode wrongly.
+    # The dilated image extends beyond the map; if it were cut, its border would erode wrongly.
     framed = _framed(accessible, 2 * half, 0)
     square = np.ones((2 * half + 1, 2 * half + 1), dtype=np.uint8)
     return np.ascontiguousarray(cv2.morphologyEx(framed, cv2.MORPH_CLOSE, square)[2 * half : -2 * half, 2 * half : -2 * half])
 
 
 def holes(accessible: NDArray[np.uint8], widest: int) -> NDArray[np.uint8]:
-    """Cells (nx, ny) of 0 with 1 all around, of which a hole is at most so many [cells] wide along both axes.
+    """Return the cells (nx, ny) of holes of at most `widest` [cells] in both axes.
 
-    Cells of 0 that touch each other, be it by their corners, are one; what reaches to the border is no hole.
+    A hole is a group of zeros surrounded by ones. Zeros that touch, even at corners, are one group. A group that reaches the
+    border is no hole.
     """
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(accessible ^ 1, dtype=np.uint8))
     first = stats[:, [cv2.CC_STAT_TOP, cv2.CC_STAT_LEFT]]
@@ -147,9 +152,10 @@ def holes(accessible: NDArray[np.uint8], widest: int) -> NDArray[np.uint8]:
 
 
 def signed_manhattan(ground: NDArray[np.uint8], bound: int, reach: int) -> NDArray[np.int8]:
-    """Distance (nx, ny) [cells] by eq. (4.8): on 1 to the next 0, negative, at least -bound; on 0 to the next 1, at most reach.
+    """Compute the signed Manhattan distance (nx, ny) [cells] by eq. (4.8).
 
-    Beyond the border all is 0. The bounds are from 1 to 126.
+    On a 1 it is the negative distance to the nearest 0, at least -bound. On a 0 it is the distance to the nearest 1, at most
+    reach. Everything outside the border is 0. The bounds are from 1 to 126.
 
     Source: Masri 2016, eq. (4.8)-(4.10) and the threshold of section 4.6.
     """
@@ -160,24 +166,30 @@ def signed_manhattan(ground: NDArray[np.uint8], bound: int, reach: int) -> NDArr
 
 
 def published_evaluation(accessible: NDArray[np.uint8], half: int, bound: int, reach: int) -> NDArray[np.int8]:
-    """The evaluation function as the thesis has it, for comparison: closed and measured, whatever was refused or never seen."""
+    """Compute the evaluation function as in the thesis, for comparison.
+
+    It is closed and measured without regard to refused or unseen cells.
+    """
     return signed_manhattan(closed(accessible, half), bound, reach)
 
 
 def disc(radius: float, least: int = 1) -> NDArray[np.uint8]:
-    """Cells within a radius [cells], and always all whose row and column are `least` off at most."""
+    """Return the cells within a radius [cells], and at least a square.
+
+    The square contains the cells whose row and column differ by at most `least`.
+    """
     half = max(least, math.floor(radius + 1e-6))
     i, j = np.mgrid[-half : half + 1, -half : half + 1]
     near = (i**2 + j**2 <= (radius + 1e-6) ** 2) | (np.maximum(abs(i), abs(j)) <= least)
     return np.asarray(near, dtype=np.uint8)
 
 
-TOO_WIDE = 15  # [cells] of margin, which no cell keeps
-DISCS = tuple(disc(k, least=0) for k in range(TOO_WIDE))  # by the cells of margin that are kept
+TOO_WIDE = 15  # [cells] margin that no cell can keep
+DISCS = tuple(disc(k, least=0) for k in range(TOO_WIDE))  # indexed by the margin in cells
 
 
 def _eroded(layer: NDArray[np.uint8], room: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Least of the cells (nx, ny) within a room around each, 0 beyond the border."""
+    """Return the minimum (nx, ny) over a neighbourhood, with 0 outside the border."""
     return np.asarray(cv2.erode(layer, room, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0]), dtype=np.uint8)
 
 
@@ -186,7 +198,7 @@ def _framed(layer: NDArray[np.uint8], width: int, value: int) -> NDArray[np.uint
 
 
 def _manhattan(start: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Distance to the next 0 from cells that start with the greatest distance told."""
+    """Return the distance to the nearest 0, limited by the start value of each cell."""
     d = np.array(start, dtype=np.uint8, order="C")
     _along_columns(d)
     turned = np.asarray(cv2.transpose(d), dtype=np.uint8)
@@ -196,7 +208,7 @@ def _manhattan(start: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @compiled
 def _along_columns(d: NDArray[np.uint8]) -> None:
-    """Each cell at most one more than the cell above and below it, in place."""
+    """Limit each cell to one more than the cells above and below it, in place."""
     rows, columns = d.shape
     one = np.uint8(1)
     for i in range(1, rows):

@@ -1,4 +1,4 @@
-"""Small holes of a height map, bridged for those who read it; the map itself keeps unknown unknown."""
+"""Filling of small holes in an elevation map for its readers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,12 +7,13 @@ from sextant.shared.runtime.compiled import compiled
 
 
 def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.015) -> NDArray[np.float32]:
-    """Copy of a map with its small holes bridged, for the scorer; the map itself keeps unknown unknown.
+    """Return a copy of a map with its small holes filled, as the scorer needs it.
 
-    An unseen cell with at least seven seen ones among its eight neighbours, all within max_relief of each other, gets
-    the mean over the opposite pairs both seen: it is interpolated, exact on a plane, never extrapolated. So single cells
-    and pairs are bridged. Lines stay NaN, however narrow: a trench between two blocks, into which the camera does not
-    see, looks the same. So do wider holes, the frontier and holes across an edge.
+    The map itself keeps unknown cells unknown. An unseen cell is filled if at least seven of its eight neighbours are seen
+    and all are within max_relief of each other. It gets the mean over the opposite pairs of which both are seen. This is an
+    interpolation, exact on a plane, and never an extrapolation. Single cells and pairs are filled. Lines stay NaN, however
+    narrow, because a trench between two blocks that the camera does not see into looks the same. Wider holes, the frontier
+    and holes across an edge also stay NaN.
 
     Args:
         elevation: (nx, ny) [m], NaN where unseen.
@@ -40,7 +41,7 @@ def _bridge_holes(elevation: NDArray[np.float32], max_relief: float, filled: NDA
                 continue
             row_unseen = np.isnan(elevation[i, j - 1]) and np.isnan(elevation[i, j + 1])
             if row_unseen and np.isnan(elevation[i - 1, j]) and np.isnan(elevation[i + 1, j]):
-                continue  # at most the four diagonal neighbours are left
+                continue  # only the four diagonal neighbours may be seen
             seen, pairs = 0, 0
             total, lowest, highest = 0.0, np.inf, -np.inf
             for di, dj in ((0, 1), (1, -1), (1, 0), (1, 1)):

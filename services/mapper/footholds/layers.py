@@ -1,15 +1,15 @@
-"""The two foothold layers of a map that moves and grows, made anew only where something changed.
+"""The two foothold layers of a moving map, recomputed only where it changed.
 
-What changed is told from the map itself, cell by cell against the one before: whatever wrote to it cannot forget to say so.
-A cell of a layer looks no further than its halo, so the changed cells' rectangle and its halo are scored, on a part of the
-map that is a halo wider still. Where the window has left ground behind, the new border is scored as well. The evaluation
-function is made anew around cells of the foothold map that changed, few as a rule, and throughout when the window moved.
+Changes are found by comparing the map cell by cell with the previous one, so no writer has to report them. A cell of a layer
+depends only on the cells within its halo. The rectangle of the changed cells and its halo are therefore scored, from a part of
+the map that is one halo wider. If the window moved, its border is scored as well. The evaluation function is recomputed around
+the changed cells of the foothold map, which are few as a rule, and everywhere if the window moved.
 
-**Margin.** A foot that is aimed at a cell stands within `margin` of it: the foot's radius, and `sigmas` times the error of
-its place, which is that of the body's and that of the ground's. The ground's is taken as large along the floor as it is in
-height: both come from a depth along a ray that looks down at 30 to 45 degrees. The score already looks `flat_radius` around;
-what the margin asks beyond that is added by taking the worst score, and the ground of Masri's map by taking only what is all
-accessible, within so many cells more.
+**Margin.** A foot that is aimed at a cell stands within `margin` of it. The margin is the foot's radius plus `sigmas` times the
+position error, which combines those of the body and of the ground. The ground's error along the floor is taken to be as large
+as in height, because both come from a depth along a ray that looks down at 30 to 45 degrees. The score already covers
+`flat_radius`. The rest of the margin is added in cells: the worst score within that distance is used, and in Masri's map only
+cells whose surroundings within it are all accessible.
 """
 
 import math
@@ -26,19 +26,19 @@ from sextant.services.mapper.footholds.score import Scalar, ScoreWeights, Walkab
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.wire.messages import UNKNOWN
 
-_WIDEST = 0.05  # [m] that a margin may ask for beyond the score's own: a cell that asks for more carries no foot
-_WHOLE = 0.8  # share of the map from which all of it is made anew
-_BAND = 65536  # cells scored at a time
+_WIDEST = 0.05  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
+_WHOLE = 0.8  # share of the map, above which all of it is recomputed
+_BAND = 65536  # cells scored per pass
 
 Rectangle = tuple[int, int, int, int]  # first row, end of rows, first column, end of columns
 
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """How far from a cell a foot may come to stand."""
+    """Distance from a cell within which an aimed foot may stand."""
 
     foot_radius: float = 0.01  # [m]
-    sigmas: float = 2.0  # standard deviations of the place that are kept free
+    sigmas: float = 2.0  # standard deviations of the position that are kept clear
 
     def __post_init__(self) -> None:
         if not (0 < self.foot_radius < math.inf and 0 <= self.sigmas < math.inf):
@@ -47,15 +47,15 @@ class Margin:
 
 @dataclass(frozen=True, slots=True)
 class Layers:
-    """Where a foot may stand, by either thesis."""
+    """Foothold layers of a map, one according to each thesis."""
 
-    score: NDArray[np.float32]  # (nx, ny) Lotriet's walkability, NaN where not known well enough
+    score: NDArray[np.float32]  # (nx, ny) Lotriet's walkability, NaN if not known well enough
     evaluation: NDArray[np.int8]  # (nx, ny) [cells] Masri's evaluation function, see `EvaluationFunction.evaluate`
-    rescored: float  # share of the cells that were scored anew
+    rescored: float  # share of the cells that were scored again
 
 
 class FootholdLayers:
-    """Keeps both layers of one map from call to call."""
+    """Foothold layers of one map, kept from call to call."""
 
     def __init__(
         self,
@@ -66,26 +66,34 @@ class FootholdLayers:
         rules: FootholdRules | None = None,
         keep_terms: bool = False,
     ) -> None:
-        """Take the map's shape (nx, ny), its resolution [m], and what a foothold must be; `keep_terms` for who asks for them.
+        """Create the layers of a map.
+
+        Args:
+            shape: (nx, ny) cells of the map.
+            resolution: [m] cell edge.
+            margin: Distance to keep from unsuitable ground.
+            weights: Parameters of the score.
+            rules: Parameters of the foothold map.
+            keep_terms: Whether to keep the terms of the score for `terms`.
 
         Raises:
-            ValueError: What does not fit, from the scorer or the evaluation function.
+            ValueError: The scorer or the evaluation function refuses an argument.
         """
         self.shape = shape
         self._resolution = resolution
         self._margin = margin or Margin()
         self._scorer = WalkabilityScorer(shape, resolution, weights)
         self._evaluator = EvaluationFunction(resolution, rules)
-        self._most = min(max(1, math.ceil(_WIDEST / resolution)), TOO_WIDE - 1)  # [cells] of margin added
-        self._halo = self._scorer.halo + 1  # a bridged hole shows its neighbours' heights
-        self._first: NDArray[np.int64] | None = None  # cell of the world at (0, 0)
+        self._most = min(max(1, math.ceil(_WIDEST / resolution)), TOO_WIDE - 1)  # [cells] largest added margin
+        self._halo = self._scorer.halo + 1  # a filled hole shows its neighbours' heights
+        self._first: NDArray[np.int64] | None = None  # world cell at (0, 0)
         self._reference = math.nan
-        self._moved = True  # since the evaluation function was made
-        self._elevation = np.full(shape, np.nan, dtype=np.float32)  # as it was last time
+        self._moved = True  # since the evaluation function was computed
+        self._elevation = np.full(shape, np.nan, dtype=np.float32)  # of the previous call
         self._score = np.full(shape, np.nan, dtype=np.float32)
         self._terms = [np.full(shape, np.nan, dtype=np.float32) for _ in range(2 * keep_terms)]  # slope and roughness
-        self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible but for its depth, 2 refused
-        self._ground = np.full(shape, 0, dtype=np.uint8)  # what the evaluation function was made from
+        self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible except for its depth, 2 refused
+        self._ground = np.full(shape, 0, dtype=np.uint8)  # input of the evaluation function
         self._evaluation = np.full(shape, 0, dtype=np.int8)
 
     def update(
@@ -96,19 +104,19 @@ class FootholdLayers:
         body_height: float = math.inf,
         position_sigma: float = 0.0,
     ) -> Layers:
-        """Both layers of a map.
+        """Update both layers for a map.
 
-        1. What is still in the window moves with it.
-        2. Score the cells that changed, and tell even ground from edges and slopes.
+        1. Shift the layers with the window.
+        2. Score the changed cells, and separate even ground from edges and slopes.
         3. Widen by the margin.
-        4. Foothold map and evaluation function where the foothold map changed.
+        4. Recompute the evaluation function where the foothold map changed.
 
         Args:
             elevation: (nx, ny) [m] {world}, NaN where unseen.
             variance: (nx, ny) [m^2] of it; NaN counts as zero.
-            first: (2,) index of cell (0, 0) in the world: two maps that share ground differ by whole cells.
-            body_height: [m] {world} height of the body's centre, from which Masri's depth limit counts; infinite for none.
-            position_sigma: [m] standard deviation of the body's place along x and y.
+            first: (2,) world index of cell (0, 0): two maps of the same ground differ by whole cells.
+            body_height: [m] {world} height of the body's centre, to which Masri's depth limit refers; infinite for none.
+            position_sigma: [m] standard deviation of the body position along x and y.
 
         Raises:
             ValueError: A shape is not the map's, a height is infinite, or the sigma is not a number of at least 0.
@@ -133,10 +141,12 @@ class FootholdLayers:
         return Layers(score, self._evaluation.copy(), rescored / h.size)
 
     def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Slope [m/m] and roughness [m] (nx, ny) of the last map, NaN where the score is; not to be written to.
+        """Return slope [m/m] and roughness [m] (nx, ny) of the last map, read-only.
+
+        They are NaN where the score is NaN.
 
         Raises:
-            ValueError: They were not asked for from the beginning.
+            ValueError: The layers were created without keep_terms.
         """
         if not self._terms:
             raise ValueError("layers made with keep_terms=True expected, found some without")
@@ -147,7 +157,7 @@ class FootholdLayers:
         return 0, self.shape[0], 0, self.shape[1]
 
     def _move(self, first: NDArray[np.int64], reference: float, elevation: NDArray[np.float32]) -> list[Rectangle]:
-        """Shift what is kept to a window's new place; the parts that must be scored."""
+        """Shift the layers to the new window and return the parts to score."""
         before, self._first = self._first, first
         if before is None or reference != self._reference or (np.abs(first - before) >= self.shape).any():
             self._reference = reference
@@ -180,14 +190,14 @@ class FootholdLayers:
         return max(i0 - by, 0), min(i1 + by, self.shape[0]), max(j0 - by, 0), min(j1 + by, self.shape[1])
 
     def _clear(self, part: Rectangle) -> None:
-        """Begin a part as if nothing were known of it, which is so beyond the known cells' rectangle."""
+        """Reset a part to unknown, as it is outside the known cells' rectangle."""
         here = slice(*part[:2]), slice(*part[2:])
         self._even[here] = 0
         for layer in (self._score, *self._terms):
             layer[here] = np.nan
 
     def _rescore(self, elevation: NDArray[np.float32], part: Rectangle) -> int:
-        """Score a part of the map; the number of its cells."""
+        """Score a part of the map and return its number of cells."""
         i0, i1, j0, j1 = part
         a0, a1, b0, b1 = self._wider(part, self._halo)
         scored = self._scorer.evaluate(fill_small_holes(elevation[a0:a1, b0:b1]), self._reference)
@@ -210,16 +220,16 @@ class FootholdLayers:
         )
 
     def _level(self, variance: NDArray[np.float32], position_sigma: float) -> NDArray[np.uint8] | None:
-        """Cells (nx, ny) by which each cell's margin is wider than what the score looks at; None where none is."""
+        """Return the added margin (nx, ny) [cells] of each cell, or None if all are 0."""
         margin, weights, r = self._margin, self._scorer.weights, self._resolution
-        room = weights.flat_radius - margin.foot_radius + r / 2  # [m] of sigmas until a first cell is added
+        room = weights.flat_radius - margin.foot_radius + r / 2  # [m] of sigmas until the first cell is added
         steps = [room + k * r for k in range(self._most + 1)]
-        fixed = sum(step < 0 for step in steps)  # that the foot asks for by itself
+        fixed = sum(step < 0 for step in steps)  # cells that the foot radius alone requires
         levels = np.array([*range(self._most + 1), TOO_WIDE], dtype=np.uint8)
         if fixed == len(steps) or margin.sigmas == 0:
             return np.full(self.shape, levels[fixed], dtype=np.uint8) if fixed else None
         limits = [np.float32((step / margin.sigmas) ** 2 - position_sigma**2) for step in steps[fixed:]]
-        # By either layer: ground too steep for one of them may carry a foot by the other.
+        # A foothold of either layer: ground too steep for one may be a foothold for the other.
         foothold = (self._score <= np.float32(weights.limit)) | (self._even == 1)
         if limits[0] < 0 or fixed:
             added = np.where(foothold, np.uint8(fixed), np.uint8(0))
@@ -227,7 +237,7 @@ class FootholdLayers:
             for limit in limits:
                 added += foothold & (v > limit)
             return np.asarray(levels[added])
-        doubtful = np.flatnonzero(foothold & (variance > limits[0]))  # few as a rule, and most often none
+        doubtful = np.flatnonzero(foothold & (variance > limits[0]))  # usually few or none
         if not len(doubtful):
             return None
         level = np.zeros(self.shape, dtype=np.uint8)
@@ -235,7 +245,10 @@ class FootholdLayers:
         return level
 
     def _evaluate(self, elevation: NDArray[np.float32], lowest: np.float32, level: NDArray[np.uint8] | None) -> None:
-        """Bring the evaluation function up to date; it looks so far that a window that moved has a new one throughout."""
+        """Update the evaluation function.
+
+        Its range is long, and therefore a moved window needs a new one everywhere.
+        """
         ground = np.empty(self.shape, dtype=np.uint8)
         _tell_ground(elevation.ravel(), self._even.ravel(), lowest, ground.ravel())
         if level is not None:
@@ -247,7 +260,7 @@ class FootholdLayers:
         halo = self._evaluator.halo + self._most
         i0, i1, j0, j1 = part = self._wider(changed, halo)
         self._evaluation[i0:i1, j0:j1] = UNKNOWN
-        # Beyond what is known nothing is, and nothing is to be said.
+        # There is no ground outside the known cells' rectangle, so that part stays unknown.
         known = _rectangle_of(ground)
         i0, i1, j0, j1 = _common(part, known)
         a0, a1, b0, b1 = _common(self._wider(part, halo), known)
@@ -259,7 +272,7 @@ class FootholdLayers:
 
 
 def _rectangle_of(layer: NDArray[np.uint8] | NDArray[np.bool_]) -> Rectangle:
-    """The rectangle of the cells that are not 0; empty, (0, 0, 0, 0), where all are."""
+    """Return the bounding rectangle of nonzero cells, (0, 0, 0, 0) if there is none."""
     rows, columns = np.flatnonzero(layer.any(axis=1)), np.flatnonzero(layer.any(axis=0))
     if not len(rows):
         return 0, 0, 0, 0
@@ -271,7 +284,7 @@ def _common(a: Rectangle, b: Rectangle) -> Rectangle:
 
 
 def _bands(part: Rectangle) -> Iterator[Rectangle]:
-    """A part in bands of rows whose scratch layers stay in the processor's cache."""
+    """Split a part into bands of rows whose scratch layers fit into the cache."""
     i0, i1, j0, j1 = part
     if i1 <= i0 or j1 <= j0:
         return
@@ -281,7 +294,10 @@ def _bands(part: Rectangle) -> Iterator[Rectangle]:
 
 
 def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The highest score within so many cells of each; NaN for `TOO_WIDE`, and where one has none or is beyond the border."""
+    """Return the highest score within `level` cells of each cell.
+
+    It is NaN for `TOO_WIDE`, and if a cell within that distance has no score or is outside the map.
+    """
     worst = score.copy()
     worst[level == TOO_WIDE] = np.nan
     level = np.where(level == TOO_WIDE, np.uint8(0), level)
@@ -304,7 +320,7 @@ def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArr
 
 
 def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: Scalar) -> NDArray[Scalar]:
-    """A layer seen from a window that moved by (2,) cells."""
+    """Return a layer as seen from a window that moved by (2,) cells."""
     out = np.empty_like(layer)
     to, source = [], []
     for n, by in zip(layer.shape, shift.tolist(), strict=True):
@@ -318,7 +334,10 @@ def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: Scalar) -> 
 
 @compiled
 def _changed(new: NDArray[np.integer], old: NDArray[np.integer]) -> Rectangle:
-    """The rectangle of the entries of (nx, ny) that differ, bit for bit; empty, (0, 0, 0, 0), where none does."""
+    """Return the bounding rectangle of the entries (nx, ny) that differ in any bit.
+
+    It is (0, 0, 0, 0) if there is none.
+    """
     nx, ny = new.shape
     columns = np.zeros(ny, dtype=np.uint8)
     first, end = nx, 0
@@ -350,7 +369,7 @@ def _tell_even(
     edge: np.float32,
     even: NDArray[np.uint8],
 ) -> None:
-    """1 where a cell is neither on an edge nor steep, 2 where it is, 0 where that is not known. All arrays flat."""
+    """Write 1 for even cells, 2 for edges and slopes, 0 for unknown. All arrays flat."""
     for k in range(len(even)):
         good = (slope[k] <= steepest) & (roughness[k] <= edge)
         even[k] = complete[k] * (1 if good else 2)
@@ -360,7 +379,7 @@ def _tell_even(
 def _tell_ground(
     elevation: NDArray[np.float32], even: NDArray[np.uint8], lowest: np.float32, ground: NDArray[np.uint8]
 ) -> None:
-    """Bit 0 accessible, bit 1 refused, bit 2 known. All arrays flat."""
+    """Write bit 0 accessible, bit 1 refused, bit 2 known. All arrays flat."""
     for k in range(len(ground)):
         ground[k] = elevation[k] == elevation[k]
     for k in range(len(ground)):

@@ -1,17 +1,17 @@
-"""Walkability: how well each cell of the height map carries a foot, lower is better (Lotriet 2024, section 6.2).
+"""Walkability score of map cells, lower is better (Lotriet 2024, section 6.2).
 
 score = slope * |gradient| + proximity * |mean height difference| + roughness * deviation from the local plane.
 
-The first two terms are the thesis's, with two constants fixed. Its Sobel kernels (6.1)-(6.2) are divided by
-8 * resolution, so that the slope is the true gradient, 0.27 for 15 degrees. Its Gaussian kernel (6.4) sums to one over
-the known cells and the further division by n^2 is dropped, so that the proximity is in metres. (6.4) also sums what the
-Frobenius product has summed already, and its floors give an odd kernel one cell too many on one side. `published_score` is
-the thesis's form. Its constraints of reach and stability (6.2.3) are tests of the planner, not terms of the sum.
+The first two terms are those of the thesis, with two constants corrected. Its Sobel kernels (6.1)-(6.2) are divided by
+8 * resolution, so that the slope is the true gradient, 0.27 for 15 degrees. Its Gaussian kernel (6.4) sums to one over the
+known cells, and the further division by n^2 is omitted, so that the proximity is in metres. (6.4) also repeats a sum that the
+Frobenius product already contains, and its floors give an odd kernel one cell too many on one side. `published_score` is the
+form of the thesis. Its constraints of reach and stability (6.2.3) are tests of the planner, not terms of the sum.
 
-The third term is added. The signed differences of (6.4) are meant to cancel on a slope, but they also cancel halfway
-between a step up and a step down (a narrow tread) and on a saddle, where Sobel sees nothing either. The root mean
-square distance of the cells around from their own least-squares plane is zero on any slope and cancels nowhere. It
-also tells a low step two cells away from noise better than (6.4) can, whose noise is that of the centre cell alone.
+The third term is added here. The signed differences of (6.4) are meant to cancel on a slope. They also cancel halfway between a
+step up and a step down (a narrow tread) and on a saddle, where Sobel does not respond either. The root mean square distance of
+the surrounding cells from their least-squares plane is zero on any slope and cancels nowhere. It also separates a low step two
+cells away from noise better than (6.4), whose noise is that of the centre cell alone.
 """
 
 import math
@@ -32,20 +32,20 @@ _REFERENCE_STEP = 0.0625  # [m]
 
 @dataclass(frozen=True, slots=True)
 class ScoreWeights:
-    """What a foothold must be; the defaults suit a spherical foot of 1 cm radius on a map of 1 cm cells.
+    """Weights and limits of the score.
 
-    With them a cell within 2 cm of a 1 cm step and a slope of 35 degrees are refused, 15 degrees and steps of 5 mm are
-    accepted. The slope alone is at its limit at 31 degrees.
+    The defaults suit a spherical foot of 1 cm radius on a map of 1 cm cells. They refuse a cell within 2 cm of a 1 cm step and
+    a slope of 35 degrees. They accept 15 degrees and steps of 5 mm. The slope alone reaches the limit at 31 degrees.
     """
 
     slope: float = 1.0 / 0.6  # per unit gradient
     proximity: float = 100.0  # [1/m]
     roughness: float = 580.0  # [1/m]
-    limit: float = 1.0  # highest score that is acceptable
+    limit: float = 1.0  # highest acceptable score
     proximity_sigma: float = 0.015  # [m] standard deviation of the Gaussian kernel
-    flat_radius: float = 0.02  # [m] half width of the kernel and of the plane fit: the ground a foot needs around it
-    noise_sigma: float = 0.0015  # [m] deviation from the plane that is the map's noise, taken off in squares
-    unknown_clearance: float = 0.01  # [m] cells this near to an unknown one get no score (never less than one cell)
+    flat_radius: float = 0.02  # [m] half width of the kernel and of the plane fit: ground that a foot needs around it
+    noise_sigma: float = 0.0015  # [m] noise of the map in the plane deviation, subtracted in squares
+    unknown_clearance: float = 0.01  # [m] cells this close to an unknown one get no score (at least one cell)
 
     def __post_init__(self) -> None:
         for name in ("slope", "proximity", "roughness", "noise_sigma", "unknown_clearance"):
@@ -58,7 +58,10 @@ class ScoreWeights:
 
 @dataclass(frozen=True, slots=True)
 class Walkability:
-    """The score of each cell; NaN and not acceptable where the cell is unknown or too near to an unknown one."""
+    """Score of each cell.
+
+    It is NaN and not acceptable if the cell is unknown or too close to an unknown one.
+    """
 
     score: NDArray[np.float32]  # (nx, ny) weighted sum of the three terms
     acceptable: NDArray[np.bool_]  # (nx, ny) score at most the limit
@@ -66,21 +69,24 @@ class Walkability:
 
 @dataclass(frozen=True, slots=True)
 class ScoreTerms:
-    """What a score is made of; NaN where the score is."""
+    """Terms of a score, NaN where the score is NaN."""
 
-    slope: NDArray[np.float32]  # (nx, ny) [m/m] size of the gradient
-    proximity: NDArray[np.float32]  # (nx, ny) [m] size of the weighted mean height difference
+    slope: NDArray[np.float32]  # (nx, ny) [m/m] magnitude of the gradient
+    proximity: NDArray[np.float32]  # (nx, ny) [m] magnitude of the weighted mean height difference
     roughness: NDArray[np.float32]  # (nx, ny) [m] deviation from the local plane beyond the noise
 
 
 class WalkabilityScorer:
-    """Scores maps of one shape, or parts of them; keeps its scratch layers from call to call, the results are fresh."""
+    """Scorer of maps of one shape, or of their parts.
+
+    The scratch layers are reused; results of `score` are new arrays.
+    """
 
     def __init__(self, shape: tuple[int, int], resolution: float, weights: ScoreWeights | None = None) -> None:
-        """Take the map's shape (nx, ny), its resolution [m] and the weights.
+        """Create a scorer for maps of a shape (nx, ny) and a resolution [m].
 
         Raises:
-            ValueError: The map is smaller than 3x3, or flat_radius is beyond 25 cells; below one it counts as one.
+            ValueError: The map is smaller than 3x3, or flat_radius exceeds 25 cells; less than one counts as one.
         """
         self.weights = weights or ScoreWeights()
         if len(shape) != 2 or min(shape) < 3:
@@ -96,7 +102,7 @@ class WalkabilityScorer:
             )
         self._near_unknown = disc(self.weights.unknown_clearance / resolution)
         self._neighbours = disc(0.0)
-        # [cells] how far a score looks.
+        # [cells] range of the cells that a score depends on.
         self.halo = max(self._half, self._near_unknown.shape[0] // 2)
         self._floats = [np.full(shape, 0, dtype=np.float32) for _ in range(10)]
         self._bytes = [np.full(shape, 0, dtype=np.uint8) for _ in range(3)]
@@ -106,13 +112,13 @@ class WalkabilityScorer:
         self._scored = Scored(terms[0], terms[1], terms[2], terms[3], masks[0], masks[1], masks[2])
 
     def score(self, elevation: NDArray[np.float32]) -> Walkability:
-        """Score a map; whatever lies beyond its border counts as unknown.
+        """Score a map; everything outside its border is unknown.
 
         Args:
             elevation: (nx, ny) [m], NaN where unseen; any constant may be added without changing the result.
 
         Raises:
-            ValueError: The shape is not the scorer's or a height is infinite.
+            ValueError: The shape is not the scorer's, or a height is infinite.
         """
         h = np.ascontiguousarray(elevation, dtype=np.float32)
         if h.shape != self.shape:
@@ -121,24 +127,24 @@ class WalkabilityScorer:
         return Walkability(score, score <= np.float32(self.weights.limit))
 
     def evaluate(self, elevation: NDArray[np.float32], reference: float) -> "Scored":
-        """Score a map or a part of it, no larger than the scorer's shape; the result is overwritten by the next call.
+        """Score a map or a part of it; the next call overwrites the result.
 
-        1. Unknown cells are masked: height 0 and weight 0. A cell is evaluable if none of its eight neighbours nor
-           any cell within the clearance is unknown.
+        1. Mask unknown cells with height 0 and weight 0. A cell is evaluable if neither its neighbours nor any cell within
+           the clearance is unknown.
         2. Slope: Sobel over the 3x3 known cells (Lotriet 2024, eq. 6.1-6.3).
-        3. Proximity: Gaussian mean of the known cells less the cell (eq. 6.4), a normalised convolution.
+        3. Proximity: Gaussian mean of the known cells minus the cell (eq. 6.4), a normalised convolution.
         4. Roughness: deviation of the known cells from their least-squares plane.
         5. The weighted sum.
 
         Args:
-            elevation: (a, b) [m] without gaps in memory, NaN where unseen; what lies beyond counts as unknown.
-            reference: [m] near the heights, which are taken from it: it conditions sums in single precision.
+            elevation: (a, b) [m] contiguous, at most the scorer's shape, NaN where unseen; the outside is unknown.
+            reference: [m] near the heights. It is subtracted from them, for accurate sums in single precision.
         """
         shape = elevation.shape
         height, known, gx, gy, mean, weight, slope, proximity, roughness, score = (_part(f, shape) for f in self._floats)
         seen, complete, evaluable = (_part(b, shape) for b in self._bytes)
         _mask_unknown(elevation.ravel(), np.float32(reference), height.ravel(), known.ravel(), seen.ravel())
-        # Outside is unknown: the mask is eroded and blurred against zeros.
+        # The outside is unknown: the mask is eroded and blurred against zeros.
         for room, out in ((self._neighbours, complete), (self._near_unknown, evaluable)):
             cv2.erode(seen, room, dst=out, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
         scale = 1.0 / (8.0 * self.resolution)
@@ -160,26 +166,28 @@ class WalkabilityScorer:
         return self._scored
 
     def terms(self) -> ScoreTerms:
-        """Copy the terms of the last score, to show or explain it; all NaN before the first."""
+        """Copy the terms of the last score, for display; all NaN before the first."""
         s = self._scored
         return ScoreTerms(*(np.where(s.evaluable, term, np.float32(np.nan)) for term in (s.slope, s.proximity, s.roughness)))
 
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """A part of a map with its score and what it is made of."""
+    """Part of a map with its score and terms."""
 
     slope: NDArray[np.float32]  # (a, b) [m/m] as in `ScoreTerms`, where complete
     proximity: NDArray[np.float32]  # (a, b) [m] where complete
     roughness: NDArray[np.float32]  # (a, b) [m] where complete
     score: NDArray[np.float32]  # (a, b) where evaluable
     seen: NDArray[np.uint8]  # (a, b) 1 where there is a height
-    complete: NDArray[np.uint8]  # (a, b) 1 where the eight neighbours have one, too
+    complete: NDArray[np.uint8]  # (a, b) 1 where the eight neighbours also have one
     evaluable: NDArray[np.uint8]  # (a, b) 1 where all cells within the clearance have one
 
 
 def reference_height(elevation: NDArray[np.float32]) -> float:
-    """A height [m] near those of a map (nx, ny): their mean, rounded so that it seldom changes; 0 for an unknown map.
+    """Return a height [m] near the mean of a map (nx, ny), or 0 for an unknown map.
+
+    It is rounded so that it rarely changes.
 
     Raises:
         ValueError: A height is infinite.
@@ -196,17 +204,19 @@ def reference_height(elevation: NDArray[np.float32]) -> float:
 def published_score(
     elevation: NDArray[np.float32], slope: float, proximity: float, kernel: int = 5, sigma: float = 1.5
 ) -> NDArray[np.float32]:
-    """The score as the thesis has it, for comparison: the sum of (6.3) and (6.4), constants and all, without a roughness.
+    """Compute the score as in the thesis, for comparison.
+
+    It is the sum of (6.3) and (6.4) with all their constants, without the roughness.
 
     Args:
         elevation: (nx, ny) [m], NaN where unseen.
-        slope: [1/m] C_g, on the sum of Sobel's kernel, which is 8 cells' edges times the gradient.
-        proximity: [1/m] C_p, on the mean that is divided by n^2 once more.
+        slope: [1/m] C_g, factor of the sum of Sobel's kernel, which is 8 cell edges times the gradient.
+        proximity: [1/m] C_p, factor of the mean, which is divided by n^2 once more.
         kernel: [cells] n, odd.
         sigma: [cells] standard deviation of the Gaussian kernel K, which sums to one.
 
     Returns:
-        (nx, ny) score, NaN where a kernel meets an unknown cell or the border.
+        (nx, ny) score, NaN where a kernel reaches an unknown cell or the border.
 
     Raises:
         ValueError: The kernel is even or smaller than 3.
@@ -226,13 +236,13 @@ def published_score(
 
 
 def _part(layer: NDArray[Scalar], shape: tuple[int, ...]) -> NDArray[Scalar]:
-    """A scratch layer's memory as one of a smaller shape, without gaps."""
+    """Return the memory of a scratch layer as a contiguous one of a smaller shape."""
     return layer if layer.shape == shape else layer.reshape(-1)[: shape[0] * shape[1]].reshape(shape)
 
 
 @compiled
 def _add_known(elevation: NDArray[np.float32], total: NDArray[np.float32], number: NDArray[np.float32]) -> None:
-    """Add the known heights of a map (nx, ny) to column sums (ny,), and how many they are."""
+    """Add the known heights of a map (nx, ny), and their number, to column sums (ny,)."""
     zero, one = np.float32(0.0), np.float32(1.0)
     for i in range(len(elevation)):
         row = elevation[i]
@@ -250,7 +260,7 @@ def _mask_unknown(
     known: NDArray[np.float32],
     seen: NDArray[np.uint8],
 ) -> None:
-    """Heights about the reference with unknown ones zero, and the mask twice. All arrays flat."""
+    """Write heights relative to the reference, or 0, and the mask. Arrays flat."""
     zero, one = np.float32(0.0), np.float32(1.0)
     for k in range(len(elevation)):
         z = elevation[k]
@@ -268,7 +278,7 @@ def _add_moments(
     first: NDArray[np.float32],
     second: NDArray[np.float32],
 ) -> None:
-    """Add 1, x and x^2 times a row to three rows."""
+    """Add a row, multiplied by 1, x and x^2, to three rows."""
     x1, x2 = np.float32(x), np.float32(x * x)
     for j in range(len(source)):
         z = source[j]
@@ -279,7 +289,7 @@ def _add_moments(
 
 @compiled
 def _add_two_moments(source: NDArray[np.float32], x: float, zeroth: NDArray[np.float32], first: NDArray[np.float32]) -> None:
-    """Add 1 and x times a row to two rows."""
+    """Add a row, multiplied by 1 and x, to two rows."""
     x1 = np.float32(x)
     for j in range(len(source)):
         z = source[j]
@@ -289,7 +299,7 @@ def _add_two_moments(source: NDArray[np.float32], x: float, zeroth: NDArray[np.f
 
 @compiled
 def _add(source: NDArray[np.float32], total: NDArray[np.float32]) -> None:
-    """Add a row to a row."""
+    """Add a row to another row."""
     for j in range(len(source)):
         total[j] += source[j]
 
@@ -313,7 +323,7 @@ def _add_height_moments(
 
 @compiled
 def _divide_by_count(n: NDArray[np.float32], a: NDArray[np.float32], b: NDArray[np.float32], h: NDArray[np.float32]) -> None:
-    """Means of three sums, in place; the count becomes its inverse."""
+    """Convert three sums to means, in place; the count becomes its inverse."""
     for j in range(len(n)):
         w = np.float32(1.0) / max(n[j], np.float32(1.0))  # an empty window is masked later
         n[j] = w
@@ -326,7 +336,7 @@ def _divide_by_count(n: NDArray[np.float32], a: NDArray[np.float32], b: NDArray[
 def _central(
     moment: NDArray[np.float32], w: NDArray[np.float32], mean: NDArray[np.float32], other: NDArray[np.float32]
 ) -> None:
-    """Covariance from a sum of products, in place."""
+    """Convert a sum of products to a covariance, in place."""
     for j in range(len(moment)):
         moment[j] = moment[j] * w[j] - mean[j] * other[j]
 
@@ -342,10 +352,13 @@ def _residual(
     noise: float,
     out: NDArray[np.float32],
 ) -> None:
-    """Deviation of h from its regression on a and b, given their covariances, less the noise, in squares."""
+    """Compute the deviation of h from its regression on a and b, from covariances.
+
+    The noise is subtracted in squares.
+    """
     noise2, least, zero, two = np.float32(noise * noise), np.float32(1e-6), np.float32(0.0), np.float32(2.0)
     for j in range(len(out)):
-        # The determinant is positive where a cell is evaluable, since its 3x3 neighbourhood is known.
+        # The determinant is positive where a cell is evaluable, because its 3x3 neighbourhood is known.
         determinant = max(aa[j] * bb[j] - ab[j] * ab[j], least)
         explained = (bb[j] * ah[j] * ah[j] - two * ab[j] * ah[j] * bh[j] + aa[j] * bh[j] * bh[j]) / determinant
         out[j] = math.sqrt(max(hh[j] - explained - noise2, zero))
@@ -360,11 +373,12 @@ def _plane_deviation(
     noise: float,
     out: NDArray[np.float32],
 ) -> None:
-    """RMS distance [m] of the known cells of a square window from their least-squares plane, less the noise, in squares.
+    """Compute the RMS distance [m] of the known cells of a window from their plane.
 
-    Written from the first to the last evaluable cell of a row; the rest of `out` is left as it was. The ten masked
-    moments of a window (a along the first axis, b along the second, h the height) are separable:
-    summed over its rows first, then along the row. Each short loop has few arrays, so that it compiles to vector code.
+    The plane is the least-squares fit. The noise is subtracted in squares. `out` is written from the first to the last
+    evaluable cell of each row. The ten masked moments of a square window (a along the first axis, b along the second, h the
+    height) are separable. They are summed over its rows first, and then along the row. Each short loop uses few arrays, so
+    that the compiler vectorises it.
     """
     nx, ny = height.shape
     rows = np.zeros((6, ny + 2 * half), dtype=np.float32)  # sums over the window's rows of 1, a, aa, h, ah, hh
@@ -384,7 +398,7 @@ def _plane_deviation(
         width = last + 1 - first
         rows[:] = 0.0
         window[:] = 0.0
-        # Entry 0 of a row of `rows` belongs to the cell first - half, entry 0 of `window` to the cell first.
+        # Element 0 of a row of `rows` belongs to the cell first - half, element 0 of `window` to the cell first.
         low, high = max(first - half, 0), min(last + half + 1, ny)
         inner = slice(low - (first - half), high - (first - half))
         n, a, aa, h, ah, hh = (
@@ -421,7 +435,10 @@ def _slope_and_proximity(
     slope: NDArray[np.float32],
     proximity: NDArray[np.float32],
 ) -> None:
-    """Size of the gradient, and of the normalised mean less the cell; not yet masked. All arrays flat."""
+    """Compute the gradient's magnitude and the normalised mean minus the cell.
+
+    The results are not masked. All arrays are flat.
+    """
     least = np.float32(1e-6)
     for k in range(len(slope)):
         slope[k] = math.sqrt(gx[k] * gx[k] + gy[k] * gy[k])
@@ -431,7 +448,7 @@ def _slope_and_proximity(
 
 @compiled
 def _mask(evaluable: NDArray[np.uint8], layer: NDArray[np.float32]) -> None:
-    """NaN where not evaluable. All arrays flat."""
+    """Set a layer to NaN where it is not evaluable. All arrays flat."""
     nan = np.float32(np.nan)
     for k in range(len(layer)):
         layer[k] = layer[k] if evaluable[k] else nan
@@ -445,7 +462,7 @@ def _weighted_sum(
     weights: tuple[float, float, float],
     score: NDArray[np.float32],
 ) -> None:
-    """The score; NaN where a term is. All arrays flat."""
+    """Compute the score, NaN where a term is NaN. All arrays flat."""
     c_slope, c_proximity, c_roughness = np.float32(weights[0]), np.float32(weights[1]), np.float32(weights[2])
     for k in range(len(score)):
         score[k] = c_slope * slope[k] + c_proximity * proximity[k] + c_roughness * roughness[k]

@@ -1,22 +1,23 @@
-"""What the ground is made of: firm, water or loose, a probability per cell, from colour, shape and touch.
+"""Terrain type of the ground: probabilities of firm, water and loose per cell.
 
-Lotriet 2024, section 9.2, asks for a "terrain type" score for pools of water and loose earth, which no height map shows. The
-model is naive Bayes over what is known of a cell, with a prior that ground is firm:
+They are estimated from colour, shape and touch. Lotriet 2024, section 9.2, asks for a "terrain type" score for pools of water
+and loose earth, which an elevation map does not show. The model is naive Bayes over what is known of a cell, with a prior that
+ground is firm:
 
     P(type | cell)  ~  P(type) * p(colour | type) * p(shape | type) * product over touches of p(sink | type)
 
-- **Colour** c = (ln Y, Co / Y, Cg / Y): light that varies in strength moves the first alone. p(c | type) has a share of
-  Gaussians around colours on which a foot has found that type, and a share for colours not met yet. Those are spread widely
-  around what the robot stands on; for water they are shifted towards the sky that it mirrors. So colours are never good or bad
-  by themselves: what carried is known to carry, what gave way spreads its bad name to cells of like colour (kernel inference,
-  as in Shan et al. 2018, *Bayesian generalized kernel inference for terrain traversability mapping*), and only what has not
-  been met yet is judged by how it differs from the ground that the robot came from.
-- **Shape**: water lies level and smooth, so that slope or roughness speaks against it; that ground is flat says little.
-- **Touch**: how far below the mapped height a foot came to carry, or that it found nothing. It counts for the cells under the
-  foot and, through the colours, for all that look like them.
+- **Colour** c = (ln Y, Co / Y, Cg / Y): variations of the light's intensity change only the first component. p(c | type) is a
+  mixture. One part consists of Gaussians around colours on which a foot has found that type. The other part covers colours not
+  met yet. It is spread widely around the colour of the ground under the robot, and for water is shifted towards the reflected
+  sky. No colour is good or bad by itself. A colour that carried a foot is known to carry, and one that gave way makes similar
+  colours suspect (kernel inference, as in Shan et al. 2018, *Bayesian generalized kernel inference for terrain traversability
+  mapping*). Only a colour not met yet is judged by its difference from the ground where the robot started.
+- **Shape**: water is level and smooth, so slope or roughness is evidence against it. Flat ground is only weak evidence for it.
+- **Touch**: the depth below the mapped height at which a foot carried load, or that it found no ground. A touch counts for the
+  cells under the foot and, through their colours, for all cells that look the same.
 
-Touches add up in a cell, and feet that sank in the prior, each being a fact of its own. Colour and shape are the same fact from
-scan to scan: they are filtered (the colour by a running mean) and count once.
+Touches accumulate in a cell, and feet that sank accumulate in the prior, because each is independent evidence. Colour and shape
+are the same evidence from scan to scan. They are filtered (the colour by a running mean) and count once.
 """
 
 import math
@@ -36,7 +37,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Type(IntEnum):
-    """Kinds of ground, in the order of every array over them."""
+    """Ground types, in the order of all arrays over types."""
 
     FIRM = 0
     WATER = 1
@@ -45,48 +46,49 @@ class Type(IntEnum):
 
 _TYPES = len(Type)
 _FIRMLY = np.array([1.0, 0.0, 0.0])
-_SETTLED = 16  # colour pictures over which a cell's colour is averaged
-_DARKEST = 4.0  # [1/255] luma below which chroma means nothing
+_SETTLED = 16  # colour images that a cell's colour is averaged over
+_DARKEST = 4.0  # [1/255] luma below which chroma is meaningless
 _SMALLEST = 1e-12
-_LUMA_STEP, _LUMA_BINS = 4, 64  # [1/255] bins in which colours are judged together
+_LUMA_STEP, _LUMA_BINS = 4, 64  # [1/255] bins of colours that share one evaluation
 _CHROMA_STEP, _CHROMA_BINS = 0.025, 80  # [1] of Co / Y and Cg / Y, from -1 to 1
 
 
 @dataclass(frozen=True, slots=True)
 class TypeModel:
-    """The numbers of the model. Where none was measured, they are said to be assumed, and why."""
+    """Parameters of the model; those that were not measured are marked as assumed."""
 
-    prior: tuple[float, float, float] = (0.92, 0.04, 0.04)  # assumed: most ground on which a robot is sent is firm
-    # Feet that sank make such ground likelier everywhere. Feet that carried make it no rarer: they were put on chosen ground.
-    prior_touches: float = 15.0  # touches that the prior is worth; assumed
-    # Colours, as one sigma of (ln Y, Co / Y, Cg / Y). One material varies in light, not in hue; another is anything.
+    prior: tuple[float, float, float] = (0.92, 0.04, 0.04)  # assumed: most ground where a robot is sent is firm
+    # Feet that sank make water and loose ground more likely everywhere. Feet that carried load do not make them less likely,
+    # because the planner chose the ground for them.
+    prior_touches: float = 15.0  # number of touches that the prior equals; assumed
+    # Colours, as one sigma of (ln Y, Co / Y, Cg / Y). One material varies in brightness, not in hue; others vary in everything.
     same_sigma: tuple[float, float, float] = (0.22, 0.05, 0.04)
-    other_sigma: tuple[float, float, float] = (0.60, 0.16, 0.12)  # of firm or loose material about the known ground
-    # A clear sky has Co / Y of -0.4 to -0.5 (R, G, B about 135, 170, 215); water seen from a walking robot, 20 to 60 degrees
-    # from grazing, mirrors up to a third of it and is darker than the ground beside it for the rest.
-    water_shift: tuple[float, float, float] = (-0.20, -0.22, 0.0)  # of water about the known ground
+    other_sigma: tuple[float, float, float] = (0.60, 0.16, 0.12)  # of other firm or loose material, around the known ground
+    # A clear sky has Co / Y of -0.4 to -0.5 (R, G, B about 135, 170, 215). Water seen from a walking robot, 20 to 60 degrees
+    # from grazing, reflects up to a third of it, and is otherwise darker than the surrounding ground.
+    water_shift: tuple[float, float, float] = (-0.20, -0.22, 0.0)  # of water relative to the known ground
     water_sigma: tuple[float, float, float] = (0.45, 0.10, 0.06)
-    new_share: float = 0.3  # [1] of a type's ground that has a colour not met yet; assumed
+    new_share: float = 0.3  # [1] share of a type's ground with a colour not met yet; assumed
     # Shape.
-    flat_share: float = 0.5  # [1] of firm and loose ground that is as level and smooth as water; assumed
-    water_slope: float = 0.06  # [m/m] one sigma of what a map shows of level water
+    flat_share: float = 0.5  # [1] share of firm and loose ground that is as level and smooth as water; assumed
+    water_slope: float = 0.06  # [m/m] one sigma of the mapped slope of level water
     ground_slope: float = 0.30  # [m/m] of ground that is not flat
-    water_roughness: float = 0.0015  # [m] mean of what it shows beyond noise
+    water_roughness: float = 0.0015  # [m] mean mapped roughness of water beyond noise
     ground_roughness: float = 0.004  # [m] of ground that is not flat
-    # Touch: how far a foot sinks below the map.
-    firm_sink_sigma: float = 0.006  # [m] errors of map, pose and joints together, as walks on firm ground show them
-    firm_outlier: float = 0.05  # [1] of touches on firm ground that are wrong by anything
-    loose_sink: float = 0.015  # [m] mean: sand or earth under the 1 cm foot of a robot of 2.5 kg; assumed
+    # Touch: depth of a foot below the map.
+    firm_sink_sigma: float = 0.006  # [m] combined errors of map, pose and joints, measured in walks on firm ground
+    firm_outlier: float = 0.05  # [1] share of touches on firm ground with arbitrary errors
+    loose_sink: float = 0.015  # [m] mean: sand or earth under the 1 cm foot of a 2.5 kg robot; assumed
     water_sink: float = 0.05  # [m] mean depth of puddles; assumed
-    deepest: float = 0.10  # [m] further down no foot reaches
-    nothing_found: tuple[float, float, float] = (0.02, 0.30, 0.10)  # P(the foot carries nothing where it should | type)
-    sank_ratio: float = 3.0  # [1] of likelihoods from which on a foot tells against firm ground of that colour: 12 mm deep
-    touch_radius: float = 0.015  # [m] within which a touch tells about the ground: the foot and the error of its place
-    # What follows from it.
-    free_below: float = 0.20  # [1] probability of not being firm that costs nothing
-    refused_from: float = 0.50  # [1] from which on it is no foothold
-    clearance: float = 0.03  # [m] that a foot keeps from such ground: its radius and the error of its place
-    first_feet: float = 6.0  # touches that the first ground seen is worth: the robot stands on it, six feet strong
+    deepest: float = 0.10  # [m] largest depth that a foot reaches
+    nothing_found: tuple[float, float, float] = (0.02, 0.30, 0.10)  # P(the foot finds no ground where it should | type)
+    sank_ratio: float = 3.0  # [1] likelihood ratio from which a touch is evidence against firm ground: 12 mm deep
+    touch_radius: float = 0.015  # [m] radius in which a touch counts: the foot and its position error
+    # Effects.
+    free_below: float = 0.20  # [1] probability of ground that is not firm, up to which the cost is 0
+    refused_from: float = 0.50  # [1] probability from which a cell is no foothold
+    clearance: float = 0.03  # [m] clearance of a foot from such ground: its radius and position error
+    first_feet: float = 6.0  # number of touches that the first seen ground equals, because six feet stand on it
 
     def __post_init__(self) -> None:
         if len(self.prior) != _TYPES or min(self.prior) <= 0 or abs(sum(self.prior) - 1.0) > 1e-6:
@@ -99,16 +101,16 @@ class TypeModel:
 
 @dataclass(frozen=True, slots=True)
 class TypeMap:
-    """What is known of the ground's type, cell by cell in world order."""
+    """Ground type of each cell, in world order."""
 
     probability: Layer  # (nx, ny, 3) of firm, water, loose; they sum to one
-    cost: Layer  # (nx, ny) to be added to a score whose limit is 1: 0 for firm ground, above 1 for no foothold
-    hazard: NDArray[np.uint8]  # (nx, ny) the type for which a foot here is refused, 0 for none
-    confidence: NDArray[np.uint8]  # (nx, ny) [%] of the most probable type, 0 where neither seen in colour nor touched
+    cost: Layer  # (nx, ny) added to a score with limit 1: 0 for firm ground, above 1 for no foothold
+    hazard: NDArray[np.uint8]  # (nx, ny) type for which the cell is no foothold, 0 for none
+    confidence: NDArray[np.uint8]  # (nx, ny) [%] of the most probable type, 0 if the cell has neither colour nor touch
 
 
 class Palette:
-    """Colours that feet have found to be of a type: at most a few per type, each with the touches behind it."""
+    """Colours on which feet have found a type, a few per type, weighted by touches."""
 
     SIZE = 6
 
@@ -117,7 +119,10 @@ class Palette:
         self.weight = np.zeros((_TYPES, self.SIZE))
 
     def add(self, kind: int, color: Array, weight: float, sigma: Array) -> None:
-        """Let a colour (3,) count for a type: it joins the nearest known one within two sigma, or takes the weakest's place."""
+        """Add a colour (3,) to a type.
+
+        It is merged into the nearest known colour within two sigma, or replaces the one with the lowest weight.
+        """
         far = np.linalg.norm((self.mean[kind] - color) / sigma, axis=1)
         far[self.weight[kind] == 0.0] = np.inf
         k = int(np.argmin(far))
@@ -130,39 +135,39 @@ class Palette:
         self.mean[kind, k] += weight / self.weight[kind, k] * (color - self.mean[kind, k])
 
     def take_back(self, kind: int, color: Array, weight: float, sigma: Array) -> None:
-        """Let a colour (3,) count less for a type, where it is within two sigma of known ones."""
+        """Reduce the weight of known colours of a type within two sigma of a colour (3,)."""
         near = (np.linalg.norm((self.mean[kind] - color) / sigma, axis=1) <= 2.0) & (self.weight[kind] > 0.0)
         if near.any():
             self.weight[kind, near] = np.maximum(self.weight[kind, near] - weight / near.sum(), 0.0)
 
 
 class TerrainType:
-    """Colours and touches of the cells around the robot, and what they say together."""
+    """Colours and touches of the cells around the robot, and the types that follow."""
 
     def __init__(self, shape: tuple[int, int], resolution: float, low: NDArray[np.int64], model: TypeModel | None = None):
-        """Know nothing of any cell.
+        """Create a map with every cell unknown.
 
         Args:
             shape: Cells along x and y.
             resolution: [m] cell edge.
             low: (2,) world index of the lowest cell: the cell whose edges begin at low * resolution.
-            model: The numbers.
+            model: Parameters of the model.
         """
         self.model = model or TypeModel()
         self.palette = Palette()
         self._resolution = resolution
         self._low = low.copy()
         self._color = np.full((*shape, 3), np.nan, dtype=np.float32)  # mean Y, Co, Cg
-        self._pictures = np.full(shape, 0, dtype=np.uint8)  # behind it
+        self._pictures = np.full(shape, 0, dtype=np.uint8)  # number of colour images averaged
         self._touch = np.full((*shape, _TYPES), 0.0, dtype=np.float32)  # log likelihood of all touches
-        self._reference: Array | None = None  # colour of the ground that carried, of all touches
-        self._carried = 0.0  # touches behind it
+        self._reference: Array | None = None  # mean colour of the ground that carried, over all touches
+        self._carried = 0.0  # number of touches averaged
         self._falsely = self._sinks_on_firm_ground()
         self._bin_of = np.full(_LUMA_BINS * _CHROMA_BINS**2, -1, dtype=np.int32)
         self._near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, [2 * round(self.model.clearance / resolution) + 1] * 2)
 
     def move_to(self, low: NDArray[np.int64]) -> None:
-        """Move the window; what leaves it is forgotten."""
+        """Move the window and clear the cells that leave it."""
         shift = low - self._low
         if not shift.any():
             return
@@ -172,7 +177,10 @@ class TerrainType:
         self._low = low.copy()
 
     def see(self, p_world_xy: Array, color: Layer) -> None:
-        """Take in colours Y, Co, Cg (n, 3), NaN for none, of the cells at (n, 2) [m] {world}, at most one per cell."""
+        """Add colours Y, Co, Cg (n, 3) to the cells at (n, 2) [m] {world}.
+
+        A colour is NaN if there is none. Each cell occurs at most once.
+        """
         if len(p_world_xy) != len(color) or not np.isfinite(p_world_xy).all():
             raise ValueError(f"a colour for each of {len(p_world_xy)} finite places expected, found {len(color)}")
         _take_in(
@@ -180,7 +188,10 @@ class TerrainType:
         )
 
     def stand_on(self, cells: NDArray[np.bool_]) -> bool:
-        """Take the commonest colour of cells (nx, ny) for that of the ground under the robot; False while too few have one."""
+        """Learn the median colour of cells (nx, ny) as that of the ground under the robot.
+
+        Returns False while too few cells have a colour.
+        """
         known = self._color[cells & (self._pictures > 0)]
         if len(known) < 100:
             return False
@@ -188,11 +199,11 @@ class TerrainType:
         return True
 
     def touch(self, p_world_xy: Array, sink: float | None) -> None:
-        """Take in what a foot found.
+        """Add the touch of a foot.
 
         Args:
-            p_world_xy: (2,) [m] {world} where it stood.
-            sink: [m] from the mapped height down to where it carried, None where it carried nothing.
+            p_world_xy: (2,) [m] {world} position of the foot.
+            sink: [m] depth below the mapped height where it carried load, None if it found no ground.
         """
         said = self.sink_log_likelihood(sink)
         centre = p_world_xy / self._resolution - self._low - 0.5
@@ -209,20 +220,21 @@ class TerrainType:
         under = self._color[here][(off2 <= self.model.touch_radius**2) & (self._pictures[here] > 0)]
         if len(under):
             color = features(under).mean(axis=0)
-            # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a
-            # colour on which nothing but firm ground has been found would still get a bad name, since it is new.
+            # A foot that did not clearly sink has found firm ground. If every doubt counted as a share of loose ground, a new
+            # colour on which only firm ground was found would still become suspect.
             sank = self._sank(said)
             likely = np.exp(said - said.max()) * self._density(color) * self._prior() if sank else _FIRMLY
             self._teach(color, likely / likely.sum(), 1.0)
             if not sank:
-                # Now and then a foot seems to sink on firm ground, too: those that do not take back what that has taught.
+                # On firm ground, a foot occasionally seems to sink. Feet that do not sink undo the effect of these errors.
                 for kind in (Type.WATER, Type.LOOSE):
                     self.palette.take_back(kind, color, self._falsely, np.array(self.model.same_sigma))
 
     def sink_log_likelihood(self, sink: float | None) -> Array:
-        """Log likelihood (3,) of firm, water and loose ground, given how far a foot sank [m], None where it found nothing.
+        """Return the log likelihood (3,) of firm, water and loose ground for a sink depth.
 
-        Firm ground: Gaussian errors and a few outliers; loose ground and water: an exponential depth, blurred by those errors.
+        The depth is in metres, None if the foot found no ground. Firm ground has Gaussian errors and a few outliers. Loose
+        ground and water have an exponential depth, blurred by those errors.
         """
         m = self.model
         if sink is None:
@@ -234,11 +246,11 @@ class TerrainType:
         return np.asarray(np.log([firm, max(water, floor), max(loose, floor)]))
 
     def _sank(self, said: Array) -> bool:
-        """Whether log likelihoods (3,) tell against firm ground."""
+        """Return whether log likelihoods (3,) are evidence against firm ground."""
         return bool(said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio))
 
     def _sinks_on_firm_ground(self) -> float:
-        """How often feet seem to sink on firm ground, per foot that does not."""
+        """Return the rate of apparent sinking on firm ground, per foot that does not sink."""
         m = self.model
         sinks = np.linspace(0.0, m.deepest, 201)[1:]
         told = np.array([self._sank(self.sink_log_likelihood(float(sink))) for sink in sinks])
@@ -249,7 +261,7 @@ class TerrainType:
         return falsely / (1.0 - falsely)
 
     def classify(self, slope: Layer, roughness: Layer) -> TypeMap:
-        """What every cell is.
+        """Classify every cell.
 
         Args:
             slope: (nx, ny) [m/m] of the map, NaN where unknown.
@@ -268,29 +280,35 @@ class TerrainType:
         return self._judged(p, doubt, confidence)
 
     def rgb(self) -> NDArray[np.uint8]:
-        """Colours R, G, B (nx, ny, 3) of the cells, 0 for none; black ground is 1."""
+        """Return colours R, G, B (nx, ny, 3) of the cells, 0 for none; black ground is 1."""
         out = np.empty(self._color.shape, dtype=np.uint8)
         _to_rgb(self._color, self._pictures, out)
         return out
 
     def _prior(self) -> Array:
-        """How common (3,) each type is, by what is assumed and by the feet that sank."""
+        """Return the frequency (3,) of each type, as assumed and from the feet that sank."""
         count = self.model.prior_touches * np.array(self.model.prior)
         count[Type.WATER] += self.palette.weight[Type.WATER].sum()
         count[Type.LOOSE] += self.palette.weight[Type.LOOSE].sum()
         return np.asarray(count / count.sum())
 
     def _known_colors(self) -> tuple[Array, Array, Array]:
-        """Shares (types, k) of the palette's colours, and mean and sigma (types, 3) of those not met yet."""
+        """Return the shares (types, k) of known colours, and the model of new ones.
+
+        The model is the mean and sigma (types, 3) of colours not met yet.
+        """
         m = self.model
-        if self._reference is None:  # there is nothing to compare with: colours say nothing
+        if self._reference is None:  # without a reference, colours are no evidence
             return np.zeros_like(self.palette.weight), np.zeros((_TYPES, 3)), np.full((_TYPES, 3), 1e3)
         share = self.palette.weight / np.maximum(self.palette.weight.sum(axis=1, keepdims=True), _SMALLEST)
         base_mean = np.stack([self._reference, self._reference + m.water_shift, self._reference])
         return share, base_mean, np.array([m.other_sigma, m.water_sigma, m.other_sigma])
 
     def _density(self, color: Array) -> Array:
-        """How likely (3,) a colour (3,) is on each type of ground, but for a common factor; `_posterior` has it for many."""
+        """Return the likelihood (3,) of a colour (3,) on each type, up to a common factor.
+
+        `_posterior` computes it for many colours.
+        """
         share, base_mean, base_sigma = self._known_colors()
         new = np.exp(-0.5 * (((color - base_mean) / base_sigma) ** 2).sum(axis=1)) / base_sigma.prod(axis=1)
         same = np.array(self.model.same_sigma)
@@ -299,7 +317,7 @@ class TerrainType:
         return np.asarray(np.maximum(np.where(share.sum(axis=1) > 0.0, mixed, new), _SMALLEST))
 
     def _teach(self, color: Array, share: Array, weight: float) -> None:
-        """Let a colour (3,) count for the types by their shares (3,) of a touch, or more touches."""
+        """Add a colour (3,) to the types by their shares (3,) of one or more touches."""
         for kind in Type:
             if share[kind] > 0.05:
                 self.palette.add(kind, color, weight * float(share[kind]), np.array(self.model.same_sigma))
@@ -310,7 +328,7 @@ class TerrainType:
             self._reference = before + weight / self._carried * (color - before)
 
     def _judged(self, p: Layer, doubt: Layer, confidence: NDArray[np.uint8]) -> TypeMap:
-        """What follows for feet, which reach further than the cell they stand on."""
+        """Compute cost and hazard, which a foot's extent spreads beyond its cell."""
         m = self.model
         cost, hazard = np.zeros_like(doubt), np.zeros_like(confidence)
         if doubt.max() > m.free_below:
@@ -324,13 +342,16 @@ class TerrainType:
 
 
 def features(color: Layer) -> Array:
-    """(n, 3) ln Y, Co / Y, Cg / Y of colours Y, Co, Cg (n, 3)."""
+    """Return ln Y, Co / Y, Cg / Y (n, 3) of colours Y, Co, Cg (n, 3)."""
     y = np.maximum(color[:, 0].astype(np.float64), _DARKEST)
     return np.column_stack([np.log(y), color[:, 1] / y, color[:, 2] / y])
 
 
 def _blurred_exponential(x: float, mean: float, sigma: float) -> float:
-    """Density [1/m] at x of an exponential variable with a Gaussian error added (an exponentially modified Gaussian)."""
+    """Return the density [1/m] at x of an exponentially modified Gaussian.
+
+    It is the distribution of an exponential variable with a Gaussian error.
+    """
     rate = 1.0 / mean
     return (
         0.5
@@ -341,7 +362,7 @@ def _blurred_exponential(x: float, mean: float, sigma: float) -> float:
 
 
 def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: float) -> NDArray[Scalar]:
-    """A layer whose cell (i, j) is the old (i, j) + shift, and `fill` where there was none."""
+    """Return a layer whose cell (i, j) is the old (i, j) + shift, or `fill`."""
     out = np.full_like(layer, fill)
     to, of = [], []
     for n, by in zip(layer.shape, shift.tolist(), strict=False):
@@ -355,7 +376,7 @@ def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: float) -> N
 def _take_in(
     p_world_xy: Array, color: Layer, resolution: float, low: NDArray[np.int64], mean: Layer, pictures: NDArray[np.uint8]
 ) -> None:
-    """Running means of the colours of cells; points with NaN or outside are left out."""
+    """Update the running mean colours of cells; skip points with NaN or outside."""
     nx, ny = pictures.shape
     for n in range(len(color)):
         i = math.floor(p_world_xy[n, 0] / resolution) - low[0]
@@ -386,11 +407,11 @@ def _posterior(
     doubt: Layer,
     confidence: NDArray[np.uint8],
 ) -> None:
-    """Probabilities (nx, ny, types) of each cell.
+    """Compute the type probabilities (nx, ny, types) of each cell.
 
-    doubt is that of not being firm, confidence [%] the highest of a known cell. palette: mean (types, k, 3) and shares (types,
-    k) of known colours, mean and sigma (types, 3) of those not met yet. Colours fall into bins, each worked out once; bin_of is
-    -1 everywhere, before and after.
+    doubt is the probability of not being firm, confidence [%] the highest probability of a known cell. palette: mean (types,
+    k, 3) and shares (types, k) of known colours, mean and sigma (types, 3) of those not met yet. Colours are evaluated once
+    per bin; bin_of is -1 everywhere, before and after.
     """
     mean, share, base_mean, base_sigma = palette
     types, colors = share.shape
@@ -442,7 +463,7 @@ def _posterior(
             if slope[i, j] >= 0.0 and roughness[i, j] >= 0.0:  # and not NaN
                 steep = min(by_slope * slope[i, j] ** 2 + by_roughness * roughness[i, j], 30.0)
                 water /= flat_share + volume * math.exp(steep)
-            if touched:  # by the likeliest of them: touches add up, and their likelihoods would leave the range of numbers
+            if touched:  # relative to the largest one: touches add up, and their likelihoods would underflow
                 likeliest = max(touch[i, j, 0], touch[i, j, 1], touch[i, j, 2])
                 firm, water, loose = (
                     firm * math.exp(touch[i, j, 0] - likeliest),
@@ -459,7 +480,7 @@ def _posterior(
 
 @compiled
 def _to_rgb(color: Layer, pictures: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
-    """Colours R, G, B (nx, ny, 3), at least 1, of Y, Co, Cg (nx, ny, 3); 0 where there is none."""
+    """Convert Y, Co, Cg (nx, ny, 3) to R, G, B, at least 1, or 0 where there is none."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             if pictures[i, j] == 0:

@@ -1,1 +1,1 @@
-"""Map a passage from a merged point cloud, and choose the next best view of it."""
+"""Map a passage from a merged point cloud, and choose its next best view."""

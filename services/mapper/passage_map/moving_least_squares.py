@@ -1,8 +1,8 @@
-"""Moving least squares: every point onto the plane that fits its neighbours best, which also gives its normal.
+"""Moving least squares: project each point onto the plane of its neighbours.
 
-Masri 2016 (section 4.3) runs it over the voxels of the merged cloud against the camera's noise. A plane, not a paraboloid,
-since a foot stands on a patch no wider than the neighbourhood; the neighbours lie within a ball, so a surface that is
-further away than its radius, as the ground below a pillar, does not pull.
+The plane also gives the normal. Masri 2016 (section 4.3) applies it to the voxels of the merged cloud, against camera noise.
+A plane is enough instead of a paraboloid, because a foot stands on a patch no wider than the neighbourhood. The neighbours lie
+within a ball, so a surface that is farther away than its radius, such as the ground below a pillar, has no effect.
 """
 
 import math
@@ -14,43 +14,43 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] coordinates beyond this are refused
-_FEWEST = 5  # neighbours, itself included, that make a plane
-_FLAT = 1e-3  # [1] of the largest spread: what is narrower in its second direction is a line
-_EVEN = 0.2  # of `edge`: where points lie off their plane by less than this, all are of one surface
-_ROOT, _ROOT_STEPS = 1e-15, 40  # how exactly the least spread is found
+FAR = 1e6  # [m] larger coordinates are refused
+_FEWEST = 5  # minimum number of neighbours for a plane, including the point
+_FLAT = 1e-3  # [1] of the largest spread; points whose second spread is smaller form a line
+_EVEN = 0.2  # times `edge`; if points deviate less than this from their plane, all belong to one surface
+_ROOT, _ROOT_STEPS = 1e-15, 40  # tolerance and maximum steps of the search for the least spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Points on the surface that they sample."""
+    """Points projected onto the surface that they sample."""
 
-    points: Array  # (n, 3) [m] where the surface is; unchanged where it has no normal
-    normals: Array  # (n, 3) unit, upward; NaN where too few neighbours, or neighbours in a line, leave it open
+    points: Array  # (n, 3) [m] on the surface; unchanged where there is no normal
+    normals: Array  # (n, 3) unit, upward; NaN if there are too few neighbours, or all are on a line
     roughness: Array  # (n,) [m] root mean square distance of the neighbours from the plane, NaN without a normal
 
 
 def smooth(points: ArrayLike, weight: ArrayLike, radius: float = 0.025, *, edge: float = 0.006, passes: int = 2) -> Surface:
     """Fit a plane around every point and project the point onto it.
 
-    1. Neighbours are the points within `radius`; a neighbour at distance d has the weight exp(-(2 d / radius)^2), times
-       its own.
-    2. The plane goes through their weighted mean, normal to the direction in which they spread least.
-    3. Unless they are even, once more with neighbours that lie off that plane by e weighted less, by
-       1 / (1 + (e / edge)^2)^2 (Geman and McClure): where two surfaces meet, the one that the point belongs to prevails.
+    1. Neighbours are the points within `radius`. A neighbour at distance d has its own weight times
+       exp(-(2 d / radius)^2).
+    2. The plane contains their weighted mean, and its normal is the direction of their least spread.
+    3. Unless the neighbours are even, the fit is repeated. A neighbour at distance e from the plane then has its weight
+       multiplied by 1 / (1 + (e / edge)^2)^2 (Geman and McClure). At the border of two surfaces, the point's own one prevails.
 
     Args:
         points: (n, 3) [m].
-        weight: (n,) positive: how much each says.
+        weight: (n,) weights of the points, positive.
         radius: [m] of the neighbourhood.
-        edge: [m] off the plane from which on a neighbour is one of another surface.
-        passes: Fits, the first of them not robust.
+        edge: [m] distance from the plane, from which a neighbour belongs to another surface.
+        passes: Number of fits, of which the first is not robust.
 
     Raises:
         ValueError: A shape is wrong, or a value is not finite or out of its range.
 
-    Source: Masri 2016, section 4.3; Alexa et al. 2003, "Computing and rendering point set surfaces", with the plane of the
-    neighbours' principal axes as the Point Cloud Library has it.
+    Source: Masri 2016, section 4.3; Alexa et al. 2003, "Computing and rendering point set surfaces". The plane is given by
+    the neighbours' principal axes, as in the Point Cloud Library.
     """
     p = np.ascontiguousarray(points, dtype=np.float64)
     w = np.ascontiguousarray(weight, dtype=np.float64)
@@ -64,7 +64,7 @@ def smooth(points: ArrayLike, weight: ArrayLike, radius: float = 0.025, *, edge:
         )
     if not len(p):
         return Surface(p.copy(), np.empty((0, 3)), np.empty(0))
-    # Sorted by column of one radius, the nine columns around a point are three runs of the list.
+    # With points sorted by columns of one radius, the nine columns around a point are three runs of the list.
     cell = np.floor(p[:, :2] / radius).astype(np.int64)
     cell -= cell.min(axis=0) - 1
     across = int(cell[:, 1].max()) + 2
@@ -99,14 +99,17 @@ def _fit(
     normals: Array,
     roughness: Array,
 ) -> None:
-    """Planes around points that are sorted by column; column c holds points first[c] to first[c + 1]."""
+    """Fit planes around points sorted by column.
+
+    Column c contains points first[c] to first[c + 1].
+    """
     near, share = np.empty(len(p), dtype=np.int64), np.empty(len(p))
     gauss = 4.0 / (radius * radius)
     for column in range(len(first) - 1):
         for q in range(first[column], first[column + 1]):
             out[q, 0], out[q, 1], out[q, 2] = p[q, 0], p[q, 1], p[q, 2]
             normals[q, 0] = normals[q, 1] = normals[q, 2] = roughness[q] = np.nan
-            # 1. The neighbours and their weights by distance; mean and spread, from the point so that nothing cancels.
+            # 1. Neighbours with weights by distance; mean and spread relative to the point, to avoid cancellation.
             m = 0
             total = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
             for run in range(3):
@@ -132,7 +135,7 @@ def _fit(
             )  # fmt: skip
             if math.isnan(nx):
                 continue
-            # 3. Once more, where points lie off it.
+            # 3. Repeat the fit if points deviate from the plane.
             if off2 > _EVEN * _EVEN * edge * edge:
                 for _ in range(1, passes):
                     total = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
@@ -173,13 +176,16 @@ def _fit(
 
 @compiled
 def _least_spread(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> tuple[float, float, float, float]:
-    """Unit eigenvector of a covariance's least eigenvalue, and that; NaN where its points make a line, or a single place."""
+    """Return the least eigenvalue's unit eigenvector of a covariance, and the value.
+
+    They are NaN if the points form a line or a single place.
+    """
     trace = xx + yy + zz
     minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
     determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     if not minors > _FLAT * trace * trace:
         return np.nan, np.nan, np.nan, np.nan
-    # Newton's method from below the least root of the characteristic polynomial, which is convex there: no overshoot.
+    # Newton's method from below the least root of the characteristic polynomial. It is convex there, so there is no overshoot.
     least = 0.0
     for _ in range(_ROOT_STEPS):
         value = determinant - least * (minors - least * (trace - least))
@@ -187,7 +193,7 @@ def _least_spread(xx: float, xy: float, xz: float, yy: float, yz: float, zz: flo
         if not (value > _ROOT * trace * minors and slope > 0.0):
             break
         least += value / slope
-    # What is left of the matrix has the plane's directions as its rows: their cross products are normal to it.
+    # The rows of the remaining matrix are directions in the plane: their cross products are normal to it.
     a, d, f = xx - least, yy - least, zz - least
     px, py, pz = xy * yz - xz * d, xz * xy - a * yz, a * d - xy * xy
     qx, qy, qz = xy * f - xz * yz, xz * xz - a * f, a * yz - xy * xz

@@ -1,8 +1,8 @@
-"""Which cells a camera sees from where, and how the body has to stand to see those that are still unknown.
+"""Visibility of cells from a camera pose, and the next best view of unknown cells.
 
-Masri 2016, section 4.7, always raises the body by some 7 cm for the look. Here the heights and attitudes that the standing
-legs allow are compared by what each would show: what lies in the picture, in range, not too flat to return light, and not
-behind what is known.
+Masri 2016, section 4.7, always raises the body by about 7 cm for a view. Here the heights and attitudes that the standing legs
+allow are compared by the cells that each would show. A cell is visible if it is inside the image and in range, at an angle
+that returns light, and not hidden by known ground.
 """
 
 import math
@@ -29,52 +29,55 @@ WHY: Mapping[int, str] = {
     HIDDEN: "hidden behind what stands before",
     SEEN: "in view, without a return",
 }
-_GRAZING = 0.12  # [1] sine of the angle between ground and line of sight below which light does not come back for certain
-_BORDER_PX = 2.5  # [px] of the picture's border, and beside an edge, that the filter against flying pixels takes
-_CLEAR = 0.005  # [m] by which known ground must stand into the line of sight to hide what is behind
-_JUMP = 0.02  # [m] by which what hides stands above what it hides
-_LOWER = 0.03  # [m] below what was expected: another ground
-_AROUND = 3  # cells beside those that were not seen where they were expected, to which the same applies
-_WORTH = 20  # cells that a look must show
-_AS_GOOD = 0.98  # of the best look's cells, with less effort
-_PITCHES = np.radians([0.0, -8.0, 8.0])  # [rad] nose down positive
+_GRAZING = 0.12  # [1] sine of the angle between ground and ray, below which a return is uncertain
+_BORDER_PX = 2.5  # [px] removed by the flying-pixel filter at the image border and at edges
+_CLEAR = 0.005  # [m] by which known ground must exceed the ray to hide cells behind it
+_JUMP = 0.02  # [m] height of an occluder above the cell that it hides
+_LOWER = 0.03  # [m] below the expected height: different ground
+_AROUND = 3  # [cells] around cells that were not seen at their expected height, treated the same way
+_WORTH = 20  # minimum number of cells that a view must show
+_AS_GOOD = 0.98  # times the cells of the best view: sufficient for a view with less effort
+_PITCHES = np.radians([0.0, -8.0, 8.0])  # [rad] positive is nose down
 _YAWS = np.radians([0.0, -12.0, 12.0])
 _HEIGHTS = 5
-_SAMPLES = 1500  # cells at most by which poses are compared
+_SAMPLES = 1500  # maximum number of cells used to compare poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A body pose to look from."""
+    """Body pose for a view."""
 
     T_world_body: Array  # (4, 4)
-    sees: Cells  # (nx, ny) unseen cells that the picture from there will show
+    sees: Cells  # (nx, ny) unseen cells that the view will show
 
 
 def sights(
     grid: PassageGrid, heights: Array, wanted: Cells, T_world_camera: Array, camera: Camera, reach: float
 ) -> NDArray[np.uint8]:
-    """What hinders a camera from seeing cells, were their ground at given heights.
+    """Determine whether a camera sees cells with given heights, or why not.
 
-    A cell is seen (0) if its centre projects into the picture at a depth in range, not at a grazing angle, and no ground
-    stands into the straight line from the camera.
+    A cell is seen (0) if its centre projects into the image at a depth in range and not at a grazing angle, and no ground
+    intersects the ray from the camera.
 
     Args:
-        grid: Where the cells lie.
+        grid: Map with the cells.
         heights: (nx, ny) [m] {world} of the ground; NaN hides nothing.
-        wanted: (nx, ny) those cells.
+        wanted: (nx, ny) mask of the cells.
         T_world_camera: (4, 4) optical pose.
-        camera: Its intrinsics and range.
-        reach: [m] horizontally from the camera beyond which scans hold nothing.
+        camera: Intrinsics and range.
+        reach: [m] maximum horizontal distance of scan points from the camera.
 
     Returns:
-        (n,) uint8 of SEEN, NEAR, FAR, BESIDE, HIDDEN for the n wanted cells, row by row.
+        (n,) uint8, one of SEEN, NEAR, FAR, BESIDE and HIDDEN per wanted cell, row by row.
     """
     return _Ground(grid, heights, wanted).sights(T_world_camera, camera, reach)
 
 
 class _Ground:
-    """Cells and what may hide them in the strip's frame: x along it, y to the left of its right side, z up."""
+    """Cells and their possible occluders in the frame of the strip.
+
+    The x axis points along the strip, y to the left of its right side, z up.
+    """
 
     def __init__(self, grid: PassageGrid, heights: Array, wanted: Cells):
         strip = grid.strip
@@ -98,18 +101,19 @@ class _Ground:
 
 
 def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reach: float, level: float) -> Array:
-    """Heights (nx, ny) [m] {world} to expect of the ground, the known ones where there are any.
+    """Estimate the heights (nx, ny) [m] {world} of the ground; known heights are kept.
 
-    1. What is hidden goes on as what is seen beyond it: behind a block lies the floor that shows past its shadow.
-    2. Ground that would be in view at that height, and yet was not seen, lies lower: as low as the lowest ground known. So
-       it is before a pillar in a gap.
-    3. What has nothing known beyond it is as the nearest cell that has; `level` [m] where nothing is known at all.
+    1. A hidden cell has the height of the ground seen beyond it: the floor behind a block continues the floor beyond its
+       shadow.
+    2. Ground that would be in view at that height, and yet was not seen, is lower. It gets the lowest known height. This
+       occurs in front of a pillar in a gap.
+    3. A cell without known ground beyond it has the height of the nearest cell with one, or `level` [m] if none is known.
 
     Args:
-        grid: What is known.
-        looked_from: (k, 4, 4) optical poses from which the strip was looked at, the present one last.
-        camera: Its intrinsics and range.
-        reach: [m] horizontally from the camera beyond which scans hold nothing.
+        grid: Map of the strip.
+        looked_from: (k, 4, 4) optical poses of the views so far, with the present one last.
+        camera: Intrinsics and range.
+        reach: [m] maximum horizontal distance of scan points from the camera.
         level: [m] {world} height of the ground under the robot.
     """
     towards = local_centres(grid.strip, grid.resolution) - grid.strip.local(looked_from[-1, :2, 3])
@@ -137,13 +141,15 @@ def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reac
 
 
 def candidates(profile: RobotProfile, T_world_body: Array, feet_world: Array, ground: float) -> Array:
-    """Body poses (k, 4, 4) for a look that the legs allow without moving a foot, the least effort first.
+    """Return the feasible body poses (k, 4, 4) of a view, least effort first.
+
+    The feet stay in place.
 
     Args:
-        profile: Its height range bounds the body's height.
-        T_world_body: (4, 4) where the body is; it keeps its place and turns about it.
+        profile: Profile of the robot, with the range of the body height.
+        T_world_body: (4, 4) body pose; its x and y are kept.
         feet_world: (6, 3) [m] {world} foot centres.
-        ground: [m] {world} height of the ground under the body, from which its height counts.
+        ground: [m] {world} height of the ground under the body, the zero of the body height.
     """
     low, high = profile.stance.body_height_range
     yaw, place = yaw_of(T_world_body), T_world_body[:3, 3]
@@ -168,18 +174,18 @@ def best_view(
     camera: Camera,
     reach: float,
 ) -> View | None:
-    """The pose that shows most of the wanted cells; None if none shows enough to be worth it.
+    """Return the pose that shows the most wanted cells, or None if it shows too few.
 
-    What was in view before and is still unknown gives no return, and would give none from there.
+    Cells that were in view before and are still unknown give no return, and are not counted.
 
     Args:
-        grid: What is known.
-        heights: (nx, ny) [m] {world} expected, of the wanted cells.
-        wanted: (nx, ny) cells to be seen.
-        looked_from: (k, 4, 4) optical poses from which the strip was looked at.
-        poses: (m, 4, 4) where the body could be, in the order of preference among those that show as much.
-        camera: The camera and how it is mounted.
-        reach: [m] horizontally from the camera beyond which scans hold nothing.
+        grid: Map of the strip.
+        heights: (nx, ny) [m] {world} expected heights of the wanted cells.
+        wanted: (nx, ny) mask of the cells to be seen.
+        looked_from: (k, 4, 4) optical poses of the views so far.
+        poses: (m, 4, 4) feasible body poses, in order of preference among equally good ones.
+        camera: Camera with its mounting pose.
+        reach: [m] maximum horizontal distance of scan points from the camera.
     """
     if not wanted.any():
         return None
@@ -203,17 +209,17 @@ def best_view(
 
 
 def _in_view(grid: PassageGrid, heights: Array, wanted: Cells, looked_from: Array, camera: Camera, reach: float) -> Cells:
-    """Which (n,) of the wanted cells are seen from any of some optical poses (k, 4, 4)."""
+    """Return which wanted cells (n,) are seen from any of optical poses (k, 4, 4)."""
     ground = _Ground(grid, heights, wanted)
     return np.asarray(np.any([ground.sights(T, camera, reach) == SEEN for T in looked_from], axis=0))
 
 
 def unseen_in_words(grid: PassageGrid, why: NDArray[np.uint8]) -> str:
-    """What of a strip has not been seen and why, for the operator.
+    """Describe the unseen cells of a strip and the reasons to the operator.
 
     Args:
-        grid: What is known.
-        why: (n,) of SEEN, NEAR, FAR, BESIDE, HIDDEN for its n unseen cells, row by row.
+        grid: Map of the strip.
+        why: (n,) one of SEEN, NEAR, FAR, BESIDE and HIDDEN per unseen cell, row by row.
     """
     unseen = grid.unseen
     if not unseen.any():
@@ -265,7 +271,7 @@ def _sights(
         if depth > max_range or flat > reach or -dz < _GRAZING * distance:
             out[k] = FAR
             continue
-        # From the cell towards the camera, until the line is above all that is ground.
+        # From the cell towards the camera, until the ray is above all ground.
         out[k] = SEEN
         steps = int(flat / resolution)
         for n in range(1, steps):
@@ -277,7 +283,7 @@ def _sights(
             j = math.floor((targets[k, 1] - share * dy) / resolution)
             if not (0 <= i < rows and 0 <= j < columns):
                 continue
-            beside = _BORDER_PX / fy * (1.0 - share) * distance  # [m] beside an edge there
+            beside = _BORDER_PX / fy * (1.0 - share) * distance  # [m] height removed by the filter at an edge there
             over = ground[i, j] - above
             if over > _CLEAR or (over > -beside and ground[i, j] > targets[k, 2] + _JUMP):
                 out[k] = HIDDEN
@@ -286,9 +292,9 @@ def _sights(
 
 @compiled
 def _beyond(known: NDArray[np.float32], towards: Array) -> Array:
-    """First known heights along unit vectors `towards` (nx, ny, 2) from each cell, NaN where there are none.
+    """Return the first known height beyond each cell, NaN if there is none.
 
-    A cell in the middle of which one stands has no beyond; its vector is shorter.
+    The search runs along unit vectors `towards` (nx, ny, 2). Cells with a shorter vector, right at the camera, are omitted.
     """
     rows, columns = known.shape
     out = np.full((rows, columns), np.nan)

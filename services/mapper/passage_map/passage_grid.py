@@ -1,7 +1,7 @@
-"""The map of a passage: 2.7 x 1.0 m in 1 cm cells, each with height, normal and roughness, from the merged cloud.
+"""Passage map with height, normal and roughness per cell, from the merged cloud.
 
-Masri 2016, sections 4.3, 4.4 and 4.7. Cell (i, j) of a strip is centred (i + 1/2) cells along it and (j + 1/2) cells to the
-left of its right side.
+It has 2.7 x 1.0 m in 1 cm cells by default. See Masri 2016, sections 4.3, 4.4 and 4.7. The centre of cell (i, j) of a strip is
+(i + 1/2) cells along it and (j + 1/2) cells to the left of its right side.
 """
 
 from dataclasses import dataclass
@@ -13,35 +13,35 @@ from sextant.services.mapper.passage_map.moving_least_squares import smooth
 from sextant.services.mapper.passage_map.voxel_cloud import CloudSnapshot, Strip
 from sextant.shared.geometry import Array
 
-_ONE_SURFACE = 0.02  # [m] below the highest point of a column within which points are of its surface
-_CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the column beside it
-_FEW, _MANY = 0.4, 30.0  # share of the pixels on both sides of a column, at least so many, below which it is a crack
-_BESIDE = (1, 2, 3)  # columns that make a side
-_STEEP = 0.5  # [1] upward part of a normal below which a plane says nothing about the height beside its point
+_ONE_SURFACE = 0.02  # [m] points this close below the top of a column belong to its surface
+_CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the adjacent column
+_FEW, _MANY = 0.4, 30.0  # a crack: less than this share of the pixels on both sides, which have at least this many
+_BESIDE = (1, 2, 3)  # columns that form a side
+_STEEP = 0.5  # [1] upward part of a normal, below which a plane does not give the height next to its point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassageGrid:
-    """What is known of a strip."""
+    """Map of a strip."""
 
     strip: Strip
     resolution: float  # [m] edge of a cell
     elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where unknown
-    normals: NDArray[np.float32]  # (nx, ny, 3) unit, upward, {world}; NaN where unknown or left open
-    roughness: NDArray[np.float32]  # (nx, ny) [m] rms distance of the points around from their plane, NaN without a normal
-    assumed: NDArray[np.bool_]  # (nx, ny) the height is that of a plane that was assumed, not measured
+    normals: NDArray[np.float32]  # (nx, ny, 3) unit, upward, {world}; NaN where unknown or undefined
+    roughness: NDArray[np.float32]  # (nx, ny) [m] rms distance of neighbouring points from their plane, NaN without a normal
+    assumed: NDArray[np.bool_]  # (nx, ny) whether the height is from an assumed plane
 
     @property
     def unseen(self) -> NDArray[np.bool_]:
-        """(nx, ny) cells of which nothing is known, not even by assumption."""
+        """(nx, ny) cells without a height, not even an assumed one."""
         return np.asarray(np.isnan(self.elevation))
 
 
 def cells_of(strip: Strip, resolution: float) -> tuple[int, int]:
-    """Cells of a strip along it and across.
+    """Return the number of cells along and across a strip.
 
     Raises:
-        ValueError: It is no whole number of cells long and wide.
+        ValueError: Length or width is not a whole number of cells.
     """
     size = np.array([strip.length, strip.width]) / resolution
     nx, ny = np.rint(size).astype(int).tolist()
@@ -53,12 +53,18 @@ def cells_of(strip: Strip, resolution: float) -> tuple[int, int]:
 
 
 def cell_centres(strip: Strip, resolution: float) -> Array:
-    """Centres (nx, ny, 2) [m] {world} of a strip's cells; `cells_of` says what it raises."""
+    """Return the centres (nx, ny, 2) [m] {world} of a strip's cells.
+
+    It raises the errors of `cells_of`.
+    """
     return strip.world(local_centres(strip, resolution))
 
 
 def local_centres(strip: Strip, resolution: float) -> Array:
-    """Centres (nx, ny, 2) [m] of a strip's cells, along it and to the left of its middle line."""
+    """Return the centres (nx, ny, 2) [m] of a strip's cells in the strip's frame.
+
+    The axes point along the strip and to the left of its middle line.
+    """
     nx, ny = cells_of(strip, resolution)
     x = (np.arange(nx) + 0.5) * resolution
     y = (np.arange(ny) + 0.5) * resolution - strip.width / 2
@@ -68,23 +74,24 @@ def local_centres(strip: Strip, resolution: float) -> Array:
 def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: float = 0.025) -> PassageGrid:
     """Build the map of a strip from the cloud over it.
 
-    1. Moving least squares: points onto their surface, with normals and roughness.
-    2. The highest point of each column stands for it: the robot walks on top of things. What hangs above it by less than
-       30 % of the column's pixels is noise, or the edge of the column beside it. The normal is the mean over the points of
-       that surface; the thesis takes all of the column, but those on the floor below do not bear the foot.
-    3. Few pixels between many on both sides are astray over a crack, into which a camera that looks along the ground hardly
-       sees: what is there is unknown.
-    4. A cell lies in the column that its centre falls into, and takes its height there by the plane of that column's
-       point. A column without a point leaves its cell unknown.
+    1. Project points onto their surface by moving least squares, which also gives normals and roughness.
+    2. Represent each column by its highest point, because the robot walks on top of objects. Higher points with less than
+       30 % of the column's pixels are ignored, as noise or as the edge of the adjacent column. The normal is the mean over
+       the points of the upper surface. The thesis uses all points of the column, but those on the floor below do not support
+       the foot.
+    3. Mark a column with few pixels between columns with many as unknown. Such pixels are stray ones over a crack, into which
+       a camera that looks along the ground hardly sees.
+    4. Assign each cell the column that contains its centre, and evaluate the plane of the column's point there. A column
+       without a point leaves its cell unknown.
 
     Args:
-        cloud: Voxels of the edge `resolution`, reaching `radius` beyond the strip.
-        strip: Of a whole number of cells.
+        cloud: Voxels with the edge `resolution`, which extend `radius` beyond the strip.
+        strip: Strip with a whole number of cells.
         resolution: [m] edge of a cell.
         radius: [m] of the neighbourhoods of moving least squares.
 
     Raises:
-        ValueError: The strip is no whole number of cells long and wide.
+        ValueError: Length or width of the strip is not a whole number of cells.
 
     Source: Masri 2016, sections 4.3 and 4.4.
     """
@@ -104,7 +111,7 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     known = found >= 0
     of, places = found[known], centres[known]
     points, n = surface.points[top][of], normals[of]
-    level = np.where(n[:, 2] > _STEEP, n[:, 2], np.inf)  # NaN compares false: without a normal the height stays as it is
+    level = np.where(n[:, 2] > _STEEP, n[:, 2], np.inf)  # the comparison is False for NaN: without a normal the height is kept
     slope = -np.nan_to_num(n[:, :2]) / level[:, None]
     elevation = np.full(shape, np.nan, dtype=np.float32)
     elevation[known] = points[:, 2] + ((places - points[:, :2]) * slope).sum(axis=1)
@@ -116,9 +123,10 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
 
 
 def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:
-    """A map whose unknown cells take assumed heights (nx, ny) [m] {world}, where there are any: NaN leaves a cell unknown.
+    """Return a map with its unknown cells filled with assumed heights (nx, ny) [m].
 
-    Their normals are those of the assumed surface; what is measured stays (Masri 2016, section 4.7).
+    The heights are in {world}. NaN leaves a cell unknown. The normals are those of the assumed surface. Measured cells are
+    not changed (Masri 2016, section 4.7).
 
     Raises:
         ValueError: The shapes differ.
@@ -138,10 +146,12 @@ def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:
 
 
 def feet_plane(feet: Array) -> Array:
-    """Coefficients (3,) of the plane z = a + b x + c y through (n, 3) [m] soles, n >= 3, in the least squares sense.
+    """Fit a plane z = a + b x + c y to soles (n, 3) [m] and return (a, b, c).
+
+    The fit is by least squares, with n >= 3.
 
     Raises:
-        ValueError: Fewer than three feet.
+        ValueError: There are fewer than three feet.
 
     Source: Masri 2016, section 4.7.
     """
@@ -152,7 +162,10 @@ def feet_plane(feet: Array) -> Array:
 
 
 def _slope(heights: Array, axis: int, resolution: float) -> Array:
-    """Differences (nx, ny) [1] of neighbours along an axis, one-sided at a border and zero where no neighbour is known."""
+    """Return the mean differences (nx, ny) [1] to the neighbours along an axis.
+
+    They are one-sided at a border, and zero without a known neighbour.
+    """
     step = np.diff(heights, axis=axis) / resolution
     pad = [(1, 1) if k == axis else (0, 0) for k in range(2)]
     padded = np.pad(step, pad, constant_values=np.nan)
@@ -162,7 +175,10 @@ def _slope(heights: Array, axis: int, resolution: float) -> Array:
 
 
 def _cracks(pixels: Array) -> NDArray[np.bool_]:
-    """Columns (nx, ny) with few of the pixels (nx, ny) that those on both of their sides have, along an axis or diagonal."""
+    """Return columns (nx, ny) with few pixels between columns with many.
+
+    This is tested along both axes and both diagonals.
+    """
     nx, ny = pixels.shape
     far = max(_BESIDE)
     padded, few = np.pad(pixels, far), np.zeros(pixels.shape, dtype=np.bool_)
@@ -179,9 +195,10 @@ def _cracks(pixels: Array) -> NDArray[np.bool_]:
 def _tops(
     column: NDArray[np.int64], weight: Array, points: Array, normals: Array, roughness: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """The top of each column: its index (m,) among the points (n, 3), its normal (m, 3) and roughness (m,).
+    """Find the top of each column: index (m,), normal (m, 3) and roughness (m,).
 
-    Points lie column by column (n,) and upward in each, with the pixels (n,) behind them as their weight.
+    The index refers to the points (n, 3), which are sorted by column (n,) and upward in each. Their weight is their number of
+    pixels (n,).
     """
     if not len(column):
         return np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
@@ -189,7 +206,7 @@ def _tops(
     of = np.repeat(np.arange(len(first)), np.diff(first, append=len(column)))
     total = np.add.reduceat(weight, first)
     upward = np.cumsum(weight)
-    above = (upward[first] - weight[first] + total)[of] - upward + weight  # of each point and those above it
+    above = (upward[first] - weight[first] + total)[of] - upward + weight  # pixels of each point and those above it
     carries = np.where(above >= _CARRYING * total[of], np.arange(len(column)), -1)
     top = np.maximum.reduceat(carries, first)
     below = points[top, 2][of] - points[:, 2]

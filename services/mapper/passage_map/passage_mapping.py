@@ -1,4 +1,4 @@
-"""The survey of a passage that is asked for: what is kept of the scans while somebody asks, and what is told of them."""
+"""Passage mapping on request: the merged cloud, its map and the next best view."""
 
 from dataclasses import dataclass, replace
 
@@ -28,25 +28,25 @@ from sextant.services.mapper.passage_map.voxel_cloud import Strip, VoxelCloud
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import RobotProfile
 
-_NEIGHBOURS = 0.025  # [m] radius of moving least squares, and at least
-_NEIGHBOURS_CELLS = 2.5  # so many cells
-_SAME_PLACE, _SAME_WAY = 0.01, 0.02  # [m] [rad] within which two looks are one
-_LOOKS = 8  # that are remembered
-_TAKEN_OVER = 8.0  # [pixels] behind a height that the elevation map had before the survey began
+_NEIGHBOURS = 0.025  # [m] radius of moving least squares, at least
+_NEIGHBOURS_CELLS = 2.5  # and at least this number of cells
+_SAME_PLACE, _SAME_WAY = 0.01, 0.02  # [m] [rad] within which two views count as one
+_LOOKS = 8  # number of stored views
+_TAKEN_OVER = 8.0  # [pixels] weight of a height taken from the elevation map at the start
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """What of a strip is not seen, and the pose that would show most of it."""
+    """Unseen cells of a strip, and the body pose that would show most of them."""
 
-    words: str  # what and why; empty when all is seen
-    view: View | None  # None: no pose that the legs allow shows enough to be worth it
+    words: str  # description of the unseen cells and why; empty if all are seen
+    view: View | None  # None: no feasible pose shows enough cells
 
 
 class Survey:
-    """A merged cloud over one strip, begun with what the walk has measured there.
+    """Merged cloud over one strip, initialised from the elevation map.
 
-    Like the elevation map it keeps heights as they were first seen, and tells them as the newest pose sees them.
+    Like the elevation map, it stores heights as first seen, and returns them as the newest pose sees them.
     """
 
     def __init__(
@@ -57,36 +57,36 @@ class Survey:
         reach: float,
         weights: ScoreWeights | None = None,
     ):
-        """Begin a survey.
+        """Start the mapping of a strip.
 
         Args:
-            profile: The robot, for the look.
-            strip: Of a whole number of cells of the elevation map's resolution.
-            known: The elevation map.
-            reach: [m] horizontally from the camera, as far as scans go.
-            weights: What ground must be for a foothold.
+            profile: Profile of the robot with its camera and legs.
+            strip: Strip with a whole number of cells of the elevation map's resolution.
+            known: Elevation map.
+            reach: [m] maximum horizontal distance of scan points from the camera.
+            weights: Parameters of the score.
 
         Raises:
-            ValueError: The strip is no whole number of cells long and wide.
+            ValueError: Length or width of the strip is not a whole number of cells.
         """
         self._centres, self._resolution = cell_centres(strip, known.resolution), known.resolution
         self._profile, self._reach, self._weights = profile, reach, weights
         self._radius = max(_NEIGHBOURS, _NEIGHBOURS_CELLS * known.resolution)  # [m]
         self._cloud = VoxelCloud(strip, known.resolution, margin=2.0 * self._radius)
         self._layers = self._fresh_layers(known.resolution)
-        self._looked_from: list[Array] = []  # (4, 4) optical poses, the newest last
+        self._looked_from: list[Array] = []  # (4, 4) optical poses, newest last
         self._take_over(known)
 
     @property
     def strip(self) -> Strip:
-        """What is surveyed."""
+        """Strip that is mapped."""
         return self._cloud.strip
 
     def move_to(self, strip: Strip, known: ElevationSnapshot) -> None:
-        """Survey another strip, keeping what of the cloud lies on it.
+        """Map another strip, and keep the part of the cloud that lies on it.
 
         Raises:
-            ValueError: The strip is no whole number of cells long and wide; the survey goes on as it was.
+            ValueError: Length or width is not a whole number of cells; the mapping then continues unchanged.
         """
         self._centres = cell_centres(strip, known.resolution)
         self._cloud.move_to(strip)
@@ -94,11 +94,16 @@ class Survey:
         self._take_over(known)
 
     def add(self, points: Array, count: NDArray[np.uint8], height_drift: float = 0.0) -> None:
-        """Merge a scan: points (n, 3) [m] {world}, the pixels (n,) behind them, and by how much it lies too high [m]."""
+        """Merge a scan with points (n, 3) [m] {world} and their pixels (n,).
+
+        height_drift [m] is the height of the scan above the first seen ground.
+        """
         self._cloud.insert(points - np.array([0.0, 0.0, height_drift]) if height_drift else points, count)
 
     def grid(self, known: ElevationSnapshot) -> PassageGrid:
-        """The map of the strip; where nothing is measured and the elevation map assumes a plane, so does this one.
+        """Compute the map of the strip, with the plane that the elevation map assumes.
+
+        The assumed plane only fills cells without a measurement.
 
         Source: Masri 2016, sections 4.4 and 4.7.
         """
@@ -110,19 +115,24 @@ class Survey:
         return with_assumed(measured, self.of_map(assumed, known.origin, np.nan))
 
     def of_map(self, layer: NDArray[Scalar], origin: Array, beyond: float) -> NDArray[Scalar]:
-        """A layer of the elevation map, its cell (0, 0) centred at an origin (2,) [m], in the strip's cells."""
+        """Resample a layer of the elevation map to the strip's cells.
+
+        The origin (2,) [m] is the centre of the layer's cell (0, 0).
+        """
         cell = np.rint((self._centres - origin) / self._resolution).astype(np.int64)
         inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < layer.shape), axis=-1)
         i, j = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
         return np.where(inside, layer[i, j], layer.dtype.type(beyond))
 
     def evaluation(self, grid: PassageGrid, body_height: float, position_sigma: float) -> NDArray[np.int8]:
-        """Masri's evaluation function (nx, ny) [cells] of the map of the strip, beside which all counts as vacant.
+        """Compute Masri's evaluation function (nx, ny) [cells] of the strip's map.
+
+        Everything outside the strip is vacant.
 
         Args:
-            grid: The map of the strip.
-            body_height: [m] {world} of the body's centre, from which the depth limit counts.
-            position_sigma: [m] standard deviation of the body's place.
+            grid: Map of the strip.
+            body_height: [m] {world} height of the body's centre, to which the depth limit refers.
+            position_sigma: [m] standard deviation of the body position.
 
         Source: Masri 2016, sections 4.5 and 4.6.
         """
@@ -130,11 +140,11 @@ class Survey:
         return self._layers.update(grid.elevation, sure, np.zeros(2, dtype=np.int64), body_height, position_sigma).evaluation
 
     def outlook(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> Outlook:
-        """What of a map is not seen, and how the body had better stand to see it.
+        """Find the unseen cells of a map, and the body pose that would show most of them.
 
         Args:
-            grid: The map of the strip.
-            T_world_body: (4, 4) where the body is.
+            grid: Map of the strip.
+            T_world_body: (4, 4) body pose.
             feet: (6, 3) [m] {body} foot centres, all on the ground.
 
         Source: Masri 2016, section 4.7.
@@ -152,7 +162,7 @@ class Survey:
         return Outlook(unseen_in_words(grid, why), view)
 
     def _looks(self, T_world_camera: Array) -> Array:
-        """Optical poses (k, 4, 4) from which the strip was looked at, this one the last of them."""
+        """Return the optical poses (k, 4, 4) of the views so far, with this one last."""
         self._looked_from = [T for T in self._looked_from if not _same_look(T, T_world_camera)][1 - _LOOKS :]
         self._looked_from.append(T_world_camera)
         return np.array(self._looked_from)
@@ -161,7 +171,7 @@ class Survey:
         return FootholdLayers(cells_of(self.strip, resolution), resolution, Margin(self._profile.foot.radius), self._weights)
 
     def _take_over(self, known: ElevationSnapshot) -> None:
-        """What the elevation map has measured, into the columns of which the cloud holds nothing."""
+        """Copy measured heights of the elevation map into the cloud's empty columns."""
         i, j = np.nonzero(np.isfinite(known.elevation) & (known.assumed == 0))
         places = known.origin + known.resolution * np.column_stack([i, j])
         new = ~self._cloud.holds(places)

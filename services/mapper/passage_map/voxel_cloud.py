@@ -1,7 +1,7 @@
-"""The merged cloud: all scans over a strip of ground, one centroid per voxel.
+"""Merged point cloud over a strip of ground, with one centroid per voxel.
 
-Masri 2016 keeps what the camera has seen as one cloud and merges each scan into it; points of one voxel are taken for the
-same point and become their centroid (sections 4 and 4.3). The strip bounds the memory: what lies outside is dropped.
+Masri 2016 keeps all camera data in one cloud and merges each scan into it. Points of one voxel count as the same point and are
+replaced by their centroid (sections 4 and 4.3). The strip limits the memory: points outside are dropped.
 """
 
 import math
@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] coordinates beyond this are refused: a voxel's index must stay exact
+FAR = 1e6  # [m] larger coordinates are refused, so that voxel indices stay exact
 _NONE = -1  # end of a column's list
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A rectangle of ground, from the middle of its near side along a heading."""
+    """Rectangle of ground, defined by the middle of its near side and a heading."""
 
     origin: tuple[float, float]  # [m] {world} middle of the near side
-    heading: float  # [rad] of its length, from the world's x
+    heading: float  # [rad] direction of its length, from the world's x axis
     length: float = 2.7  # [m]; Masri 2016, section 4.4
     width: float = 1.0  # [m]
 
@@ -36,19 +36,22 @@ class Strip:
             raise ValueError(f"a length and width of up to 100 m expected, found {self.length} m and {self.width} m")
 
     def local(self, p_world_xy: ArrayLike) -> Array:
-        """Places (..., 2) [m] {world} as distance along the strip and to the left of its middle line."""
+        """Convert places (..., 2) [m] {world} to the strip's frame.
+
+        The axes point along the strip and to the left of its middle line.
+        """
         p = np.asarray(p_world_xy, dtype=np.float64) - self.origin
         c, s = math.cos(self.heading), math.sin(self.heading)
         return np.stack([c * p[..., 0] + s * p[..., 1], c * p[..., 1] - s * p[..., 0]], axis=-1)
 
     def world(self, p_strip: ArrayLike) -> Array:
-        """Places (..., 2) [m] {world} of distances along the strip and to the left; the inverse of `local`."""
+        """Convert places (..., 2) [m] in the strip's frame to {world}; inverse of `local`."""
         p = np.asarray(p_strip, dtype=np.float64)
         c, s = math.cos(self.heading), math.sin(self.heading)
         return np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1]], axis=-1) + self.origin
 
     def contains(self, p_world_xy: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether places (..., 2) [m] {world} lie on the strip, or no further than a margin [m] beside it."""
+        """Return whether places (..., 2) [m] {world} are within a margin [m] of the strip."""
         p = self.local(p_world_xy)
         along = (p[..., 0] >= -margin) & (p[..., 0] <= self.length + margin)
         return np.asarray(along & (np.abs(p[..., 1]) <= self.width / 2 + margin))
@@ -59,7 +62,10 @@ class Strip:
         return self.world([[-margin, -y], [x, -y], [x, y], [-margin, y]])
 
     def box(self, resolution: float, margin: float = 0.0) -> tuple[NDArray[np.int64], tuple[int, int]]:
-        """World index (2,) of the lowest cell, of an edge [m], of the box around the strip along the world's axes; its size."""
+        """Return the axis-aligned box around the strip, in cells of an edge [m].
+
+        The result is the world index (2,) of its lowest cell, and its size.
+        """
         corners = self.corners(margin) / resolution
         low: NDArray[np.int64] = np.floor(corners.min(axis=0)).astype(np.int64)
         nx, ny = (np.floor(corners.max(axis=0)).astype(np.int64) - low + 1).tolist()
@@ -68,31 +74,31 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class MergeCount:
-    """What became of the points of one scan."""
+    """Counts of the points and voxels of one merged scan."""
 
-    merged: int  # points that went into a voxel that was there
-    added: int  # points that made a new one
-    removed: int  # voxels that were looked through too often
-    outside: int  # points beside the strip
-    refused: int  # points for which there was no room
+    merged: int  # points merged into an existing voxel
+    added: int  # points that created a voxel
+    removed: int  # voxels removed after too many scans saw through them
+    outside: int  # points outside the strip
+    refused: int  # points refused because the cloud is full
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudSnapshot:
-    """The voxels, detached from the cloud, column by column and upward in each."""
+    """Copy of the voxels, sorted by column and upward in each."""
 
     points: Array  # (n, 3) [m] {world} centroids
-    weight: Array  # (n,) pixels behind each
-    column: NDArray[np.int64]  # (n,) index of the column of each, row by row over `shape`
+    weight: Array  # (n,) number of pixels
+    column: NDArray[np.int64]  # (n,) column index, row by row over `shape`
     origin: Array  # (2,) [m] {world} centre of column (0, 0)
     shape: tuple[int, int]  # columns in x and y
 
 
 class VoxelCloud:
-    """Voxels aligned with the world, in columns over the strip; each column is a list of the few that it holds.
+    """Voxels aligned with the world, stored as a short list per column of the strip.
 
-    A voxel that lies well above what a scan shows in its column was looked through. Two looks in a row may be noise at
-    an edge; `patience` of them, without a hit in between, and it is gone: so what gave way leaves the cloud.
+    A voxel well above the ground that a scan shows in its column was seen through. Two such scans in a row may be noise at an
+    edge. After `patience` of them without a hit in between, the voxel is removed. Ground that gave way thus leaves the cloud.
     """
 
     def __init__(
@@ -105,15 +111,15 @@ class VoxelCloud:
         see_through: float = 0.03,
         patience: int = 5,
     ):
-        """Begin empty.
+        """Create an empty cloud.
 
         Args:
-            strip: What is kept.
+            strip: Area that is kept.
             resolution: [m] edge of a voxel.
-            margin: [m] around the strip that is kept as well, for the neighbourhoods of its border.
-            max_voxels: At most so many; what would make more is refused.
-            see_through: [m] by which a voxel lies above the ground seen in its column to count as looked through.
-            patience: [scans] of looks through a voxel until it is removed.
+            margin: [m] around the strip that is also kept, because neighbourhoods extend beyond its border.
+            max_voxels: Maximum number of voxels; points that need more are refused.
+            see_through: [m] height of a voxel above the ground seen in its column, from which it was seen through.
+            patience: [scans] that see through a voxel until it is removed.
         """
         if not 0.001 <= resolution <= 1.0:
             raise ValueError(f"a resolution from 1 mm to 1 m expected, found {resolution} m")
@@ -129,34 +135,34 @@ class VoxelCloud:
         self._centroid = np.full((max_voxels, 3), 0.0)
         self._weight = np.full(max_voxels, 0.0)
         self._missed = np.full(max_voxels, 0, dtype=np.uint8)
-        self._judged = np.full(max_voxels, 0, dtype=np.int64)  # the newest scan that met a voxel or looked through it
+        self._judged = np.full(max_voxels, 0, dtype=np.int64)  # newest scan that hit a voxel or saw through it
         self._scans = 0
         self._lay(strip)
 
     def __len__(self) -> int:
-        """Voxels held."""
+        """Return the number of voxels."""
         return int(self._used[2])
 
     @property
     def strip(self) -> Strip:
-        """What is kept."""
+        """Strip that is kept."""
         return self._strip
 
     def move_to(self, strip: Strip) -> None:
-        """Keep another strip from now on; voxels that do not lie on it are dropped, only those."""
+        """Keep another strip; only voxels outside it are dropped."""
         kept = self.snapshot()
         self._lay(strip)
         self.insert(kept.points, kept.weight)
 
     def insert(self, points: ArrayLike, count: ArrayLike) -> MergeCount:
-        """Merge one scan: a voxel becomes the centroid of all that fell into it, weighted by pixels.
+        """Merge a scan; a voxel is the centroid of its points, weighted by pixels.
 
         Args:
             points: (n, 3) [m] {world}.
-            count: (n,) pixels behind each point, positive.
+            count: (n,) number of pixels of each point, positive.
 
         Raises:
-            ValueError: A shape is wrong, or a value is not finite or out of its range; the cloud is then unchanged.
+            ValueError: A shape is wrong, or a value is not finite or out of range; the cloud is then unchanged.
 
         Source: Masri 2016, section 4.3.
         """
@@ -180,13 +186,13 @@ class VoxelCloud:
         return MergeCount(merged, added, removed, outside, refused)
 
     def holds(self, p_world_xy: Array) -> NDArray[np.bool_]:
-        """Whether there is a voxel in the columns of places (n, 2) [m] {world}."""
+        """Return whether the columns of places (n, 2) [m] {world} contain a voxel."""
         i, j = (np.floor(p_world_xy / self.resolution).astype(np.int64) - self._low).T
         inside = (i >= 0) & (i < self._head.shape[0]) & (j >= 0) & (j < self._head.shape[1])
         return np.asarray(inside & (self._head[np.where(inside, i, 0), np.where(inside, j, 0)] != _NONE))
 
     def snapshot(self) -> CloudSnapshot:
-        """Copy the voxels out."""
+        """Return a copy of the voxels."""
         slots, column = _listed(self._head.reshape(-1), self._next, self._level, len(self))
         return CloudSnapshot(
             points=self._centroid[slots],
@@ -197,11 +203,11 @@ class VoxelCloud:
         )
 
     def _lay(self, strip: Strip) -> None:
-        """Empty columns over a strip."""
+        """Create empty columns over a strip."""
         self._strip = strip
         self._low, shape = strip.box(self.resolution, self.margin)
         self._head = np.full(shape, _NONE, dtype=np.int32)
-        self._used = np.array([0, _NONE, 0], dtype=np.int64)  # slots ever used, first free one among them, voxels
+        self._used = np.array([0, _NONE, 0], dtype=np.int64)  # slots ever used, first free slot among them, voxels
 
 
 @compiled
@@ -223,7 +229,10 @@ def _merge(
     see_through: float,
     patience: int,
 ) -> tuple[int, int, int, int, int]:
-    """Points into their columns; counts of points merged, added, voxels removed, points outside and refused."""
+    """Merge points into their columns.
+
+    Returns the numbers of points merged and added, voxels removed, points outside and refused.
+    """
     x0, y0, c, s, length, half, margin = frame
     merged = added = removed = outside = refused = 0
     for k in range(len(points)):
@@ -284,7 +293,7 @@ def _merge(
 def _listed(
     head: NDArray[np.int32], next_: NDArray[np.int32], level: NDArray[np.int64], n: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Slots (n,) of all voxels and their columns (n,), column by column and upward in each."""
+    """Return slots (n,) and columns (n,) of all voxels, sorted by column and upward."""
     slots, column = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     m = 0
     for c in range(len(head)):

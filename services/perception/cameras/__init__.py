@@ -1,1 +1,1 @@
-"""Depth cameras behind one interface, each opened by the name that the robot's profile gives it."""
+"""Depth cameras behind one interface, selected by name in the robot's profile."""

@@ -1,4 +1,4 @@
-"""What every depth camera looks like from here: opened by being made, asked for its newest picture, closed."""
+"""Interface of all depth cameras: constructed open, polled for the newest image."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from sextant.shared.robot.camera import Intrinsics
 
-FOCAL_TOLERANCE = 0.02  # [1] by which a device's focal lengths may differ from the profile's
-CENTRE_TOLERANCE = 0.02  # [1] of the picture's size, by which its principal point may
+FOCAL_TOLERANCE = 0.02  # [1] relative tolerance between the device's focal lengths and the profile's
+CENTRE_TOLERANCE = 0.02  # [1] tolerance of the principal point, relative to the image size
 
 
 class CameraError(Exception):
-    """A camera that cannot be opened, or has gone: what happened, and what to do about it, in words."""
+    """Failure to open a camera, or its loss, with cause and remedy as text."""
 
     def __init__(self, cause: str, remedy: str):
         self.cause, self.remedy = cause, remedy
@@ -23,37 +23,37 @@ class CameraError(Exception):
 
 
 class RecordingOverError(CameraError):
-    """The last picture of a recorded sequence has been handed out; there is nothing to try again."""
+    """End of a recorded sequence; a retry cannot help."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture."""
+    """One depth image, with colour if requested."""
 
-    stamp_ns: int  # [ns] when it was taken, on the clock that the camera was given
-    depth: NDArray[np.uint16]  # (h, w) raw units, 0 for no return
-    rgb: NDArray[np.uint8] | None  # (h, w, 3), pixel for pixel over the depth; None where there is none, or none was wanted
+    stamp_ns: int  # [ns] exposure time, on the clock given to the camera
+    depth: NDArray[np.uint16]  # (h, w) raw units, 0 = no return
+    rgb: NDArray[np.uint8] | None  # (h, w, 3) aligned to the depth pixel by pixel; None if absent or not requested
 
 
 class Camera(Protocol):
-    """A camera that is open; a context manager. Whoever made it closes it."""
+    """Open camera, a context manager; the code that creates it also closes it."""
 
-    about: str  # what it is, in words
-    recorded: bool  # no device: to open it anew begins it anew, and mends nothing
+    about: str  # description for the operator
+    recorded: bool  # True for a recording: reopening starts it from the beginning and repairs nothing
 
     def read(self, color: bool) -> Frame | None:
-        """The newest picture that has not been handed out, or None while there is none; never waits.
+        """Return the newest unread image, or None if there is none; never waits.
 
         Args:
-            color: Whether a colour picture is wanted beside the depth, where there is one.
+            color: Whether to return a colour image with the depth, if available.
 
         Raises:
-            CameraError: The device is gone.
+            CameraError: The device was disconnected.
         """
         ...
 
     def close(self) -> None:
-        """Let the device go; safe to call twice."""
+        """Release the device; safe to call twice."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -62,26 +62,26 @@ class Camera(Protocol):
 
 
 class DeviceClock:
-    """Turns the stamps that a device counts by itself into times of this machine's clock.
+    """Conversion of device timestamps to this machine's clock.
 
-    Pictures come late by a varying delay. The one that came with the least of it among the newest is taken to have come at
-    once; the others lie as far behind or before it as the device says.
+    Images arrive with a varying delay. Among the newest images, the one with the smallest delay is assumed to arrive
+    immediately. The others are placed relative to it by their device stamps.
     """
 
     def __init__(self, window: int = 300, delay_ns: int = 0):
-        """Begin.
+        """Create an empty conversion.
 
         Args:
-            window: Pictures among which the least delay is looked for; short enough that the clocks do not drift apart.
-            delay_ns: [ns] from exposure to arrival at the least.
+            window: Number of images searched for the smallest delay; short enough that clock drift is negligible.
+            delay_ns: [ns] minimum time from exposure to arrival.
         """
         self._offsets: deque[int] = deque(maxlen=window)
         self._delay_ns = delay_ns
         self._last_ns = 0
 
     def host_ns(self, device_ns: int, arrived_ns: int) -> int:
-        """When a picture was taken [ns], by the device's stamp [ns] and when it came [ns]."""
-        if device_ns < self._last_ns:  # it counts from zero again
+        """Return the exposure time [ns] for a device stamp [ns] and arrival time [ns]."""
+        if device_ns < self._last_ns:  # the device counts from zero again
             self._offsets.clear()
         self._last_ns = device_ns
         self._offsets.append(arrived_ns - device_ns)
@@ -89,10 +89,10 @@ class DeviceClock:
 
 
 def check_intrinsics(device: str, expected: Intrinsics, found: Intrinsics, tolerance: float = FOCAL_TOLERANCE) -> None:
-    """Compare what a device says of its lens with the robot's profile.
+    """Compare the intrinsics reported by a device with the robot's profile.
 
     Raises:
-        CameraError: They are so far apart that the map would be bent.
+        CameraError: They differ so much that the map would be distorted.
     """
     size_fits = (found.width, found.height) == (expected.width, expected.height)
     focal = max(abs(found.fx / expected.fx - 1), abs(found.fy / expected.fy - 1))
@@ -119,5 +119,5 @@ def check_depth_scale(device: str, expected: float, found: float) -> None:
 
 
 def in_words(i: Intrinsics) -> str:
-    """Intrinsics for a reader."""
+    """Format intrinsics for display."""
     return f"{i.width}x{i.height}, fx {i.fx:.1f}, fy {i.fy:.1f}, cx {i.cx:.1f}, cy {i.cy:.1f}"

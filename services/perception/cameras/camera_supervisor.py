@@ -1,29 +1,30 @@
-"""Keeps one camera going: opens it, holds back what is of no use, lets it go when it fails, and tries again ever later."""
+"""Supervision of one camera: opening, withholding unusable images, and retries."""
 
 from collections.abc import Callable
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
 from sextant.services.perception.cameras.image_quality import Watch
 
-FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] between two attempts at the beginning, and at most
-_FIRST_PICTURE_S = 4.0  # [s] that a device may take to send its first picture
-_SETTLE_S = 2.0  # [s] after opening for which bad pictures are held back only: exposure and projector find their way
-_SILENT_S = 1.0  # [s] without a picture after which a device is gone
-_BLIND_S = 20.0  # [s] without a picture that shows anything after which a device that works by its looks is opened anew
-_RELIABLE_S = 10.0  # [s] of good pictures after which a failure counts as the first
+FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] shortest and longest interval between two attempts
+_FIRST_PICTURE_S = 4.0  # [s] allowed for a device to send its first image
+_SETTLE_S = 2.0  # [s] after opening in which bad images are only withheld, while exposure and projector settle
+_SILENT_S = 1.0  # [s] without an image after which a device is considered lost
+_BLIND_S = 20.0  # [s] without a useful image after which a seemingly working device is reopened
+_RELIABLE_S = 10.0  # [s] of good images after which the retry interval is reset
 
 
 class Keeper:
-    """A camera and what stands against it, in words; `ok` only while good pictures come."""
+    """Camera with its fault as text; `ok` is True only while good images arrive."""
 
     def __init__(self, device: str, opener: Callable[[], Camera], watch: Watch, clock: Callable[[], int]):
-        """Begin without a camera; the first `read` opens it.
+        """Create a supervisor; the first `read` opens the camera.
 
         Args:
-            device: Its name, for words.
-            opener: Opens it.
-            watch: Looks at its pictures. It remembers those before a failure: a device that comes back has to do better.
-            clock: [ns] that `read` and the pictures go by.
+            device: Name for messages.
+            opener: Function that opens the camera.
+            watch: Image quality check. It keeps its state over a failure, so that a reopened device must deliver better
+                images.
+            clock: [ns] clock of the images.
         """
         self.about = device
         self.ok = False
@@ -32,17 +33,17 @@ class Keeper:
         self._opener, self._watch, self._clock = opener, watch, clock
         self._camera: Camera | None = None
         self._retry_s = FIRST_RETRY_S
-        self._retry_ns = clock()  # when it is opened next
+        self._retry_ns = clock()  # time of the next attempt to open
         self._opened_ns = 0
-        self._useful_ns = 0  # when the last picture of use came, or the device was opened
-        self._heard_ns = 0  # when the last new picture came
+        self._useful_ns = 0  # time of the last useful image, or of opening
+        self._heard_ns = 0  # time of the last new image
         self._patience_s = _FIRST_PICTURE_S
         self._good_since_ns = -1
         self._stamp_ns = -1
         self._over = False
 
     def read(self, color: bool) -> Frame | None:
-        """The newest picture that is of use, or None; waits only for a device to open."""
+        """Return the newest useful image, or None; blocks only while a device opens."""
         if self._camera is None and not self._open():
             return None
         assert self._camera is not None
@@ -53,7 +54,7 @@ class Keeper:
             self._lose(str(error))
             return None
         now_ns = self._clock()
-        if frame is None or frame.stamp_ns <= self._stamp_ns:  # nothing, or one that was overtaken
+        if frame is None or frame.stamp_ns <= self._stamp_ns:  # no image, or one out of order
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
                 self._fail(
@@ -65,7 +66,7 @@ class Keeper:
         return self._judged(frame, now_ns)
 
     def close(self) -> None:
-        """Let the camera go; safe to call twice."""
+        """Close the camera; safe to call twice."""
         if self._camera is not None:
             self._camera.close()
             self._camera = None
@@ -85,7 +86,10 @@ class Keeper:
         return True
 
     def _judged(self, frame: Frame, now_ns: int) -> Frame | None:
-        """The picture, if nothing speaks against it; a device is opened anew if it is broken, or sees nothing for long."""
+        """Return the image if it is useful, else None.
+
+        A device is reopened if it is faulty, or if it shows nothing for long.
+        """
         wrong = self._watch.look(frame.depth, frame.stamp_ns)
         if wrong:
             remedy = "see that nothing covers it or stands right before it" if self._watch.sound else "plug it in again"
@@ -103,11 +107,11 @@ class Keeper:
         return frame
 
     def _hold_back(self, trouble: str) -> None:
-        """Say what is wrong, and go on."""
+        """Report a fault and keep the camera open."""
         self.ok, self.trouble, self._good_since_ns = False, trouble, -1
 
     def _fail(self, cause: str, remedy: str) -> None:
-        """Say what is wrong; a device is opened anew, a recording goes on."""
+        """Report a fault; reopen a device, but continue a recording."""
         assert self._camera is not None
         if self._camera.recorded:
             self._hold_back(f"{cause}; it was recorded so")
@@ -115,8 +119,8 @@ class Keeper:
             self._lose(f"{cause}; {remedy}")
 
     def _lose(self, trouble: str) -> None:
-        """Let the camera go, say why, and try again later."""
-        self._hold_back(trouble)  # before it closes, which may take a driver its time
+        """Close the camera, report the fault, and retry later."""
+        self._hold_back(trouble)  # first, because closing a driver may take long
         self.close()
         self._retry_ns = self._clock() + round(self._retry_s * 1e9)
         self._retry_s = min(2 * self._retry_s, LAST_RETRY_S)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Which device is read, and how."""
+    """Device and parameters of the camera service."""
 
-    device: str = ""  # "openni2", "realsense", or the path of a recorded folder; empty for what the robot's profile names
-    loop: bool = True  # a recorded folder begins anew when it is over
-    color_rate_hz: float = 5.0  # of colour pictures at most, and only where somebody wants them
-    delay_s: float = 0.0  # [s] from exposure to arrival at the least; stamps are set back by it
+    device: str = ""  # "openni2", "realsense", or the path of a recorded folder; empty for the device in the robot's profile
+    loop: bool = True  # whether a recorded folder restarts at its end
+    color_rate_hz: float = 5.0  # maximum rate of colour images, which are sent only with a subscriber
+    delay_s: float = 0.0  # [s] minimum time from exposure to arrival; subtracted from stamps
 
     def __post_init__(self) -> None:
         if self.color_rate_hz <= 0:

@@ -1,4 +1,7 @@
-"""A recorded folder in the TUM RGB-D layout as a camera: depth.txt, camera.toml, and rgb.txt where there is colour."""
+"""Recorded folder in the TUM RGB-D layout as a camera.
+
+It contains depth.txt, camera.toml and, with colour, rgb.txt.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +24,7 @@ _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --locks
 
 
 class FolderCamera:
-    """Hands out the pictures of a recording at the pace of their stamps; one that cannot be read is passed over."""
+    """Camera that replays a recording in real time; unreadable images are skipped."""
 
     recorded = True
 
@@ -29,13 +32,13 @@ class FolderCamera:
         """Open a recording.
 
         Args:
-            folder: Of the recording.
-            expected: What the robot's profile says of the camera.
-            clock: [ns] what pictures are stamped by.
-            loop: Begin anew when it is over.
+            folder: Folder of the recording.
+            expected: Camera of the robot's profile.
+            clock: [ns] clock that stamps the images.
+            loop: Whether to restart at the end.
 
         Raises:
-            CameraError: It cannot be read, or is of another camera.
+            CameraError: The recording cannot be read, or is from another camera.
         """
         name = f"recording {folder}"
         try:
@@ -49,7 +52,7 @@ class FolderCamera:
         self._clock, self._loop = clock, loop
         self._folder, self._unreadable = folder, 0
         self._next = 0
-        self._round_ns: int | None = None  # when the first picture of this round is due
+        self._round_ns: int | None = None  # time at which the first image of this round is due
 
     def __enter__(self) -> Self:
         return self
@@ -58,10 +61,10 @@ class FolderCamera:
         self.close()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing, because no file stays open."""
 
     def read(self, color: bool) -> Frame | None:
-        """The picture that is due; what should have come before is passed over, as a device would have dropped it."""
+        """Return the image that is due; skip earlier ones, as a device would drop them."""
         stamps = self._recording.stamps_ns - self._recording.stamps_ns[0]
         now_ns = self._clock()
         if self._round_ns is None:

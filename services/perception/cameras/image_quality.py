@@ -1,22 +1,22 @@
-"""What is wrong with a depth camera's pictures, as far as the pictures themselves tell."""
+"""Detection of faulty depth images from the images alone."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.robot.camera import DepthSensor
 
-EMPTY, POOR = 0.02, 0.25  # shares of the picture that are measured, below which it shows nothing, or hardly anything
-_STEADY = 0.1  # share of the newest picture in the mean by which it is told whether they show hardly anything
-_SAMPLED = 8  # every how many rows and columns are looked at
-_NOISE_SAMPLED = 16  # likewise for pairs of neighbours
-_NOISE_STEP = 10  # the share of the depth by which neighbouring pixels differ on no ground, save for few: a tenth
-_NOISE_SHARE = 0.5  # of the neighbours, from which a picture is noise
-_PATIENCE_S = 2.0  # [s] for which a camera may see next to nothing: a wall right before it, a hand
-_FROZEN_S = 1.0  # [s] after which a picture that does not change in a single pixel is an old one
+EMPTY, POOR = 0.02, 0.25  # shares of measured pixels below which an image shows nothing, or almost nothing
+_STEADY = 0.1  # weight of the newest image in the mean measured share
+_SAMPLED = 8  # every n-th row and column is checked
+_NOISE_SAMPLED = 16  # the same for pairs of neighbours
+_NOISE_STEP = 10  # neighbours that differ by more than 1/10 of their depth are rare on real ground
+_NOISE_SHARE = 0.5  # share of such neighbours, above which an image is noise
+_PATIENCE_S = 2.0  # [s] for which a camera may see almost nothing, e.g. because of a near wall or a hand
+_FROZEN_S = 1.0  # [s] without a changed pixel, after which an image is frozen
 
 
 def measured_share(depth: NDArray[np.uint16], sensor: DepthSensor) -> float:
-    """Share of a raw picture (h, w) that lies within the sensor's range, by a sample."""
+    """Estimate the share of a raw image (h, w) that is within the sensor's range."""
     sample = depth[::_SAMPLED, ::_SAMPLED]
     low: float = sensor.min_range * sensor.depth_scale
     high: float = sensor.max_range * sensor.depth_scale
@@ -24,7 +24,7 @@ def measured_share(depth: NDArray[np.uint16], sensor: DepthSensor) -> float:
 
 
 def is_noise(depth: NDArray[np.uint16]) -> bool:
-    """Whether most neighbouring pixels of a raw picture (h, w) have nothing to do with each other, by a sample."""
+    """Return whether most sampled neighbours in a raw image (h, w) differ widely."""
     left = depth[::_NOISE_SAMPLED, :-1:_NOISE_SAMPLED].astype(np.int32)
     right = depth[::_NOISE_SAMPLED, 1::_NOISE_SAMPLED].astype(np.int32)
     both = (left > 0) & (right > 0)
@@ -33,26 +33,26 @@ def is_noise(depth: NDArray[np.uint16]) -> bool:
 
 
 class Watch:
-    """Looks at every picture of a camera and says what is wrong with them, once it has been wrong for a while."""
+    """Check of a camera's images, which reports a fault after it has lasted a while."""
 
     def __init__(self, sensor: DepthSensor, size: tuple[int, int]):
-        """Begin.
+        """Create a check without images.
 
         Args:
-            sensor: The camera's range.
-            size: Height and width that its pictures have.
+            sensor: Range of the camera.
+            size: Expected height and width of the images.
         """
         self._sensor, self._size = sensor, size
         self._sample: NDArray[np.uint16] | None = None
-        self._since_ns = 0  # since when the sample has been the same
-        self._share = 1.0  # of a picture that is measured, in the mean
-        self._poor_since_ns = -1  # since when next to nothing is seen, -1 while all is well
-        self.sound = True  # whether the device works by its newest picture: one that sees next to nothing may work
+        self._since_ns = 0  # time since which the sample is unchanged
+        self._share = 1.0  # mean measured share of an image
+        self._poor_since_ns = -1  # time since which almost nothing is seen, or -1
+        self.sound = True  # whether the device works according to its newest image; it may see almost nothing and still work
 
     def look(self, depth: NDArray[np.uint16], stamp_ns: int) -> str:
-        """What is wrong with the camera, in words, by its newest raw picture (h, w); nothing while all is well.
+        """Return the fault of the camera after a new raw image (h, w), or an empty string.
 
-        A wall nearer than it measures and the open sky are no fault of the device: `sound` tells the two apart.
+        A wall nearer than the minimum range and the open sky are not device faults. `sound` is True in these cases.
         """
         self.sound = False
         if depth.shape != self._size or depth.dtype != np.uint16:
@@ -63,7 +63,7 @@ class Watch:
         self._share += _STEADY * (share - self._share)
         if share >= POOR and is_noise(depth):
             return "its pictures are noise: neighbouring pixels have nothing to do with each other"
-        if min(share, self._share) >= POOR or share >= 2.0 * POOR:  # a camera whose view is free again is so at once
+        if min(share, self._share) >= POOR or share >= 2.0 * POOR:  # a view that becomes free is accepted at once
             self._poor_since_ns = -1
         elif self._poor_since_ns < 0:
             self._poor_since_ns = stamp_ns

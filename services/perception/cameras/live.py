@@ -1,4 +1,4 @@
-"""The camera with the clock of the robot's computer."""
+"""Camera service that uses the clock of the robot's computer."""
 
 import time
 
@@ -8,5 +8,5 @@ from sextant.shared.robot.profile import RobotProfile
 
 
 def live_camera(profile: RobotProfile, settings: Settings) -> CameraService:
-    """Make the service of a real camera; a camera that is absent is reported, not raised."""
+    """Create the service of a real camera; a missing camera is only reported."""
     return CameraService(profile, settings, None, time.monotonic_ns)

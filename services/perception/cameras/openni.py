@@ -1,6 +1,6 @@
-"""PrimeSense Carmine, Asus Xtion and their like through OpenNI2 (the `openni` binding, 2.3).
+"""PrimeSense Carmine, Asus Xtion and similar cameras through OpenNI2.
 
-OpenNI2 itself is a library of the system: Debian and Ubuntu have it as libopenni2-dev.
+The Python binding is `openni` 2.3. OpenNI2 itself is a system library, libopenni2-dev in Debian and Ubuntu.
 """
 
 import math
@@ -20,12 +20,15 @@ from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "OpenNI2"
 _PLUG = "plug the camera into a USB 2 port with enough power, look for it with `lsusb`, and see that its device may be written"
-_NOMINAL = 0.04  # [1] OpenNI2 gives the field of view of the data sheet, not of the one device
-_PAIRED_US = 20_000  # [us] between a depth picture and the colour picture that belongs to it
+_NOMINAL = 0.04  # [1] OpenNI2 reports the nominal field of view, not that of the individual device
+_PAIRED_US = 20_000  # [us] largest difference between the stamps of a depth and a colour image that belong together
 
 
 class OpenNI:
-    """The first device found. Where the profile has colour, the device brings depth into the view of its colour lens."""
+    """First OpenNI2 device found.
+
+    If the profile has colour, the device aligns depth to its colour lens.
+    """
 
     recorded = False
 
@@ -33,12 +36,12 @@ class OpenNI:
         """Start the streams.
 
         Args:
-            expected: What the robot's profile says of the camera; with colour, intrinsics of the colour lens.
-            clock: [ns] what pictures are stamped by.
-            delay_s: [s] from exposure to arrival at the least.
+            expected: Camera of the robot's profile; with colour, the intrinsics are those of the colour lens.
+            clock: [ns] clock that stamps the images.
+            delay_s: [s] minimum time from exposure to arrival.
 
         Raises:
-            CameraError: No library, no device, or one of another kind than the profile's.
+            CameraError: The library or the device is missing, or the device does not match the profile.
         """
         self._ni, self._errors = _library()
         self._clock = clock
@@ -46,7 +49,7 @@ class OpenNI:
         self._device: Any = None
         self._depth: Any = None
         self._color: Any = None
-        self._rgb: tuple[int, NDArray[np.uint8]] | None = None  # the newest colour picture and its stamp [us]
+        self._rgb: tuple[int, NDArray[np.uint8]] | None = None  # newest colour image and its stamp [us]
         self.about = _NAME
         try:
             self._start(expected)
@@ -64,17 +67,20 @@ class OpenNI:
         self.close()
 
     def close(self) -> None:
-        """Stop the streams and close the device. The library stays: it hears by itself when a device is plugged in."""
+        """Stop the streams and close the device.
+
+        The library stays initialised, because it detects a device that is plugged in.
+        """
         handles = [handle for handle in (self._color, self._depth, self._device) if handle is not None]
         self._color = self._depth = self._device = None
         for handle in handles:
             try:
                 handle.close()
             except self._errors:
-                continue  # it went away by itself
+                continue  # already disconnected
 
     def read(self, color: bool) -> Frame | None:
-        """The newest picture; colour where one was taken at the same time."""
+        """Return the newest image, with colour if taken at the same time, or None."""
         try:
             if color and self._color is not None and self._ni.wait_for_any_stream([self._color], 0) is not None:
                 self._read_color()
@@ -112,10 +118,10 @@ class OpenNI:
         if depth is None:
             raise CameraError(f"{self.about}: a depth camera expected, found none in it", _PLUG)
         depth.configure_mode(i.width, i.height, rate, formats[expected.sensor.depth_scale])
-        depth.set_mirroring_enabled(False)  # the drivers mirror unless told not to
+        depth.set_mirroring_enabled(False)  # the drivers mirror by default
         if expected.color:
             self._color = self._start_color(device, i, rate)
-        lens = self._color or depth  # whose view the pictures are in
+        lens = self._color or depth  # lens whose view the images have
         fx = i.width / 2 / math.tan(lens.get_horizontal_fov() / 2)
         fy = i.height / 2 / math.tan(lens.get_vertical_fov() / 2)
         found = Intrinsics(i.width, i.height, fx, fy, (i.width - 1) / 2, (i.height - 1) / 2)
@@ -126,7 +132,7 @@ class OpenNI:
             self.about += ", with colour"
 
     def _start_color(self, device: Any, i: Intrinsics, rate: int) -> Any:
-        """The colour stream, and depth brought into its view."""
+        """Start the colour stream and align depth to it."""
         ni = self._ni
         color, mode = device.create_color_stream(), ni.IMAGE_REGISTRATION_DEPTH_TO_COLOR
         if color is None or not device.is_image_registration_mode_supported(mode):
@@ -142,7 +148,7 @@ class OpenNI:
 
 
 def find() -> list[str]:
-    """Devices of OpenNI2 that are plugged in, in words.
+    """List the OpenNI2 devices that are plugged in, as text.
 
     Raises:
         CameraError: The binding or the library is missing.
@@ -155,13 +161,13 @@ def find() -> list[str]:
 
 
 def _library() -> tuple[Any, tuple[type[Exception], ...]]:
-    """The binding, the system's library loaded, and what they raise."""
+    """Return the binding with the system library loaded, and its exception types."""
     try:
         from openni import openni2
         from openni.utils import ClosedHandleError, InitializationError, OpenNIError
     except ImportError as error:
         raise CameraError(f"{_NAME}: the openni binding cannot be imported ({error})", "pip install -e '.[openni]'") from error
-    # Where the binding looks, and where Debian puts the library.
+    # Search the folders of the binding's environment variables, then the system's.
     named = [os.environ[key] for key in ("OPENNI2_REDIST64", "OPENNI2_REDIST") if os.environ.get(key)]
     folders = [*named, f"/usr/lib/{sysconfig.get_config_var('MULTIARCH')}", "/usr/lib", "/usr/local/lib", "/usr/lib64"]
     try:
@@ -175,16 +181,16 @@ def _library() -> tuple[Any, tuple[type[Exception], ...]]:
             else "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or name its folder in OPENNI2_REDIST"
         )
         raise CameraError(f"{_NAME}: {cause} ({_words(error)})", remedy) from error
-    return openni2, (OpenNIError, ClosedHandleError, OSError, AssertionError)  # the binding asserts that handles are there
+    return openni2, (OpenNIError, ClosedHandleError, OSError, AssertionError)  # the binding asserts valid handles
 
 
 def _words(error: Exception) -> str:
-    """What OpenNI2 says of an error: its second argument, as bytes."""
+    """Return the message of an OpenNI2 error, its second argument, as text."""
     said = error.args[1] if len(error.args) > 1 else str(error)
     return (said.decode(errors="replace") if isinstance(said, bytes) else str(said)).strip() or type(error).__name__
 
 
 def _about(info: Any) -> str:
-    """Vendor and name of a device."""
+    """Return vendor and name of a device."""
     words = (part.decode(errors="replace") if isinstance(part, bytes) else str(part) for part in (info.vendor, info.name))
     return " ".join(" ".join(words).split()) or _NAME

@@ -15,7 +15,7 @@ _PLUG = "plug it into a USB 3 port with its own cable, and look for it with `rs-
 
 
 class RealSense:
-    """The first RealSense found: depth as the sensor measures it, colour brought into the view of the depth."""
+    """First RealSense device found, with depth as measured and colour aligned to it."""
 
     recorded = False
 
@@ -23,12 +23,12 @@ class RealSense:
         """Start the streams.
 
         Args:
-            expected: What the robot's profile says of the camera.
-            clock: [ns] what pictures are stamped by.
-            delay_s: [s] from exposure to arrival at the least.
+            expected: Camera of the robot's profile.
+            clock: [ns] clock that stamps the images.
+            delay_s: [s] minimum time from exposure to arrival.
 
         Raises:
-            CameraError: No library, no device, or one of another kind than the profile's.
+            CameraError: The library or the device is missing, or the device does not match the profile.
         """
         rs = _library()
         self._rs, self._clock = rs, clock
@@ -62,10 +62,10 @@ class RealSense:
         try:
             self._pipeline.stop()
         except RuntimeError:
-            return  # it was stopped before, or went away by itself
+            return  # already stopped, or unplugged
 
     def read(self, color: bool) -> Frame | None:
-        """The newest picture, depth and colour of one moment."""
+        """Return the newest image, with depth and colour of the same instant, if any."""
         try:
             frames = self._pipeline.poll_for_frames()
             if frames.size() == 0:
@@ -75,7 +75,7 @@ class RealSense:
                 return None
             self._number = taken.get_frame_number()
             stamp_ns = self._stamps.host_ns(round(taken.get_timestamp() * 1e6), self._clock())
-            depth = np.array(np.asanyarray(taken.get_data()), dtype=np.uint16)  # copied: the library takes its memory back
+            depth = np.array(np.asanyarray(taken.get_data()), dtype=np.uint16)  # copied because the library reuses its memory
             rgb = None
             if color and self._color:
                 aligned = self._align.process(frames).get_color_frame()
@@ -85,7 +85,7 @@ class RealSense:
         return Frame(stamp_ns, depth, rgb)
 
     def _start(self, expected: CameraProfile) -> Any:
-        """Start depth, and colour where it is wanted and the device has it; returns what was started."""
+        """Start depth, and colour if requested and available; return the stream profile."""
         rs, size = self._rs, (expected.intrinsics.width, expected.intrinsics.height)
         rate = round(expected.sensor.rate_hz)
         for with_color in (True, False) if expected.color else (False,):
@@ -110,7 +110,7 @@ class RealSense:
         raise AssertionError("unreachable: depth alone is always tried")
 
     def _check(self, profile: Any, expected: CameraProfile) -> None:
-        """Compare what was started with the robot's profile."""
+        """Compare the started streams with the robot's profile."""
         check_depth_scale(
             self.about, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
         )
@@ -119,7 +119,7 @@ class RealSense:
 
 
 def find() -> list[str]:
-    """RealSense devices that are plugged in, in words.
+    """List the RealSense devices that are plugged in, as text.
 
     Raises:
         CameraError: The library is missing.
@@ -147,6 +147,6 @@ def _devices(rs: Any) -> list[str]:
 
 
 def _about(rs: Any, device: Any) -> str:
-    """Name, serial number and kind of port, as far as the device tells them."""
+    """Return name, serial number and port type, as far as the device reports them."""
     kinds = ((rs.camera_info.name, ""), (rs.camera_info.serial_number, "no. "), (rs.camera_info.usb_type_descriptor, "USB "))
     return ", ".join(words + device.get_info(kind) for kind, words in kinds if device.supports(kind)) or _NAME

@@ -1,4 +1,4 @@
-"""The camera as a service: pictures of a device out, and how it fares; it never waits for the device."""
+"""Camera service: publish images and the camera's state without blocking."""
 
 import threading
 from collections import deque
@@ -15,15 +15,18 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Message, Tick
 
-_LOOKS = 4  # at the device in the time of one picture
-_STATE_NS = 250_000_000  # [ns] between two state messages while nothing changes
-_HUNG_NS = 5_000_000_000  # [ns] in one call of the driver, after which it hangs
-_GIVE_UP_NS = 20_000_000_000  # [ns] after which nothing but a new process helps
-_PAUSE_S = 0.002  # between two looks of the thread
+_LOOKS = 4  # polls of the device per image period
+_STATE_NS = 250_000_000  # [ns] between two state messages without a change
+_HUNG_NS = 5_000_000_000  # [ns] in one driver call, after which the driver is considered hung
+_GIVE_UP_NS = 20_000_000_000  # [ns] after which the process ends, because only a new one can recover
+_PAUSE_S = 0.002  # [s] between two polls of the thread
 
 
 class CameraService:
-    """Reads a device in a thread of its own, or, where nobody has entered it, in its own steps, for simulated time."""
+    """Camera service that reads a device in a separate thread.
+
+    Without `with`, no thread is started and the service reads in its own steps, for simulated time.
+    """
 
     name = "camera"
     reads: tuple[AnyTopic, ...] = ()
@@ -36,13 +39,13 @@ class CameraService:
         opener: Callable[[], Camera] | None,
         clock: Callable[[], int],
     ):
-        """Begin without a camera; that it is absent is said, not raised.
+        """Create the service without an open camera; a missing one is only reported.
 
         Args:
-            profile: The robot, for its camera.
-            settings: Of this service.
-            opener: Opens a camera in place of the one that the settings or the profile name.
-            clock: [ns] what pictures are stamped by.
+            profile: Profile of the robot with its camera.
+            settings: Settings of this service.
+            opener: Opens a camera instead of the one named by settings or profile.
+            clock: [ns] clock that stamps the images.
         """
         camera, device = profile.camera, settings.device or profile.camera.device
         i = camera.intrinsics
@@ -56,14 +59,14 @@ class CameraService:
         self._state_due_ns = clock()
         self._told: tuple[bool, str] | None = None
         self._pictures = 0
-        self._newest: deque[Frame] = deque(maxlen=1)  # from the thread, until it is published
-        self._called_ns = -1  # since when the thread has been in a call of the driver, -1 between two
+        self._newest: deque[Frame] = deque(maxlen=1)  # from the thread, until published
+        self._called_ns = -1  # start of the thread's current driver call, or -1
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: Exception | None = None
 
     def __enter__(self) -> Self:
-        """Begin to read the device in a thread, since drivers take their time to open."""
+        """Start reading in a thread, because opening a driver may take long."""
         self._thread = threading.Thread(target=self._read_on, name="camera", daemon=True)
         self._thread.start()
         return self
@@ -71,17 +74,17 @@ class CameraService:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(1.0)  # a driver that hangs is left behind
+            self._thread.join(1.0)  # a hung driver is not waited for
 
     def doing(self) -> str:
-        """What is read, or why nothing comes."""
+        """Return the status: the device and image count, or why no images arrive."""
         trouble = self._trouble()
         if trouble:
             return f"no pictures: {trouble}; opened {self._keeper.openings} times so far"
         return f"{self._keeper.about}, {self._pictures} pictures"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Publish what has come."""
+        """Publish the newest images, and the state when it changes or is due."""
         if self._error is not None:
             raise self._error
         if self._called_ns >= 0 and self._clock() - self._called_ns > _GIVE_UP_NS:
@@ -112,7 +115,7 @@ class CameraService:
         return self._keeper.trouble
 
     def _read_on(self) -> None:
-        """Look at the device again and again; runs in the thread."""
+        """Poll the device until stopped; runs in the thread."""
         try:
             while not self._stop.is_set():
                 self._called_ns = self._clock()
@@ -131,12 +134,12 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
 
     Args:
         device: "openni2", "realsense", or the path of a recorded folder.
-        profile: The robot, for its camera.
-        settings: How it is read.
-        clock: [ns] what pictures are stamped by.
+        profile: Profile of the robot with its camera.
+        settings: Settings of the camera service.
+        clock: [ns] clock that stamps the images.
 
     Raises:
-        CameraError: It cannot be opened, and why.
+        CameraError: It cannot be opened; the error gives the cause.
     """
     if device == "openni2":
         from sextant.services.perception.cameras.openni import OpenNI
@@ -157,10 +160,10 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
 
 
 def find(device: str, profile: RobotProfile) -> list[str]:
-    """What is there under a camera's name, in words; nothing where a device is not plugged in.
+    """List what a camera name refers to, as text; empty if no device is plugged in.
 
     Raises:
-        CameraError: It cannot be looked for, or a recording is not as the profile has it.
+        CameraError: The search failed, or a recording does not match the profile.
     """
     if device == "openni2":
         from sextant.services.perception.cameras import openni

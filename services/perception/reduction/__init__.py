@@ -1,1 +1,1 @@
-"""Reduce a depth frame to one point per map cell, with free-space rays and colors."""
+"""Reduction of a depth frame to one point per map cell, free rays and colours."""

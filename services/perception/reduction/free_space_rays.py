@@ -1,4 +1,4 @@
-"""Lines of sight that meet nothing within the map: by them things that stood there and are gone are cleared."""
+"""Free rays, by which the mapper clears objects that have gone."""
 
 import math
 
@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
-_MOST = 2000  # lines of a picture, which a message has room for beside the scan
-_APART = 16  # [px] between lines of sight in a picture; the next picture's lie between them
-_STRIDE = 7  # prime to it: by how much they move on, so that after a while every pixel has had its turn
-_BLOCK = 8  # [px] between the pixels by which a part of the picture is called empty
+_MOST = 2000  # rays of an image that a message has room for in addition to the scan
+_APART = 16  # [px] between rays of an image; the next image uses pixels between them
+_STRIDE = 7  # pixel offset per image, coprime to the spacing, so that every pixel is used after some time
+_BLOCK = 8  # [px] between the pixels that decide whether a block of the image is empty
 
 
 def free_sights(
@@ -24,19 +24,20 @@ def free_sights(
     turn: int = 0,
     believe_empty: bool = False,
 ) -> Array:
-    """Points up to which the camera sees nothing, though the reduced scan, which ends nearer, does not tell so.
+    """Compute the ends of rays that are free beyond the range of the reduced scan.
 
-    A pixel whose surface lies beyond the scan's range tells it for certain. One without a return may be too near, too dark
-    or grazed as well as too far: it counts only if all of the picture around it and above it is empty, too, as where the
-    ground ends or the sky begins; a reader should want more of these than of the others, so they are left out by default.
+    A pixel with a surface beyond the scan's range proves a free ray. A pixel without a return may be too near, too dark or
+    at a grazing angle, as well as too far. It counts only if the image around and above it is also empty, as beyond the end
+    of the ground or in the sky. The map should require more of these rays than of the others, so they are excluded by
+    default.
 
     Args:
         depth_raw: (h, w) raw depth, 0 = no return.
         intrinsics: Of that image.
         sensor: Range and raw unit of the camera.
         T_world_camera: (4, 4) pose of the camera.
-        max_range: [m] horizontal distance from the camera at which scans end, and these do.
-        turn: Number of the picture; each looks through other pixels.
+        max_range: [m] horizontal distance from the camera at which both scans and these rays end.
+        turn: Number of the image, which selects the pixels.
         believe_empty: Whether pixels without a return count.
 
     Returns:
@@ -47,7 +48,7 @@ def free_sights(
     columns = np.arange((5 * first + turn) % _APART, depth_raw.shape[1], _APART)
     z = depth_raw[first::_APART, columns[0] :: _APART] / sensor.depth_scale
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
-    ray = [R[0] * x + (R[1] * y + R[2])[:, None] for R in T_world_camera[:3, :3]]  # by its depth, {world}
+    ray = [R[0] * x + (R[1] * y + R[2])[:, None] for R in T_world_camera[:3, :3]]  # per unit depth, {world}
     flat = np.maximum(np.sqrt(ray[0] ** 2 + ray[1] ** 2), 1e-9)
     end = np.minimum(max_range / flat, sensor.max_range)  # depth
     free = (z >= sensor.min_range) & (z <= sensor.max_range) & (z > end)
@@ -58,7 +59,7 @@ def free_sights(
 
 
 def _empty(depth_raw: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Blocks of the picture that are empty with their neighbours, and with all that is above them."""
+    """Return the blocks that are empty together with their neighbours and all above."""
     nothing = depth_raw[::_BLOCK, ::_BLOCK] == 0
     aside = nothing.copy()
     aside[:, 1:] &= nothing[:, :-1]

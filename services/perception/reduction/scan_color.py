@@ -1,8 +1,8 @@
-"""Colours for the points of a scan, from the newest picture of a colour camera that looks along the depth camera.
+"""Colours of scan points from a colour camera aligned with the depth camera.
 
-A colour picture comes later than the depth frame of its stamp, and more seldom. So that frame and where its camera was are
-kept until the picture has come; then the next scan's points are looked up in it. A point takes the colour of the pixel that it
-falls on, unless the depth frame shows something else there: a leg in front of it, or what has moved since.
+A colour image arrives later than the depth frame with the same stamp, and at a lower rate. Depth frames and their poses are
+therefore kept until the image arrives, and then the points of the next scan are looked up in it. A point takes the colour of
+its pixel, unless the depth frame shows something else there, such as a leg in front of it or an object that has moved since.
 """
 
 from collections import deque
@@ -15,32 +15,34 @@ from sextant.shared.geometry import Array, inverse
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-KEPT = 8  # depth frames that wait for their picture: 0.27 s at 30 Hz
-_APART = 0.015  # [m] and
-_APART_SHARE = 0.02  # [1] of the depth, by which a point may be off the depth frame and still be what the pixel shows
+KEPT = 8  # depth frames kept for their colour image: 0.27 s at 30 Hz
+_APART = 0.015  # [m] largest depth difference between a point and its pixel, plus
+_APART_SHARE = 0.02  # [1] this share of the depth
 
 
 class Coloring:
-    """Pairs colour with depth by stamp and colours points in the world."""
+    """Colouring of points from colour images, paired with depth frames by stamp."""
 
     def __init__(self, intrinsics: Intrinsics, depth_scale: float):
-        """Take the camera's intrinsics and its raw units per metre."""
+        """Create a colouring for a camera with depth_scale raw units per metre."""
         self._intrinsics, self._unit = intrinsics, 1.0 / depth_scale
         self._frames: deque[tuple[int, NDArray[np.uint16], Array]] = deque(maxlen=KEPT)
         self._used_ns = -1
-        self.problem = ""  # why the newest picture was of no use, in words
+        self.problem = ""  # why the newest colour image was not used
 
     def keep(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: Array) -> None:
-        """Remember a depth frame (h, w) and where its camera was (4, 4), for the picture that may come."""
+        """Store a depth frame (h, w) with its camera pose (4, 4) for a later colour image."""
         self._frames.append((stamp_ns, depth_raw, T_world_camera))
 
     def colors(self, points: Array, stamp_ns: int, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Codes (n, 3) of the colours of points (n, 3) [m] {world}; none at all, (0, 3), from a picture that was used before.
+        """Return colour codes (n, 3) of points (n, 3) [m] {world}.
+
+        The result is empty, (0, 3), if the image was already used.
 
         Args:
-            points: What is to be coloured.
-            stamp_ns: Of the colour picture.
-            rgb: (h, w, 3) the picture, pixel for pixel over the depth frame of that stamp.
+            points: Points to colour.
+            stamp_ns: Stamp of the colour image.
+            rgb: (h, w, 3) colour image aligned with the depth frame of that stamp.
         """
         none = np.zeros((0, 3), dtype=np.uint8)
         if stamp_ns <= self._used_ns:
@@ -67,7 +69,10 @@ class Coloring:
 def _look_up(
     points: Array, T: Array, camera: Array, depth: NDArray[np.uint16], unit: float, rgb: NDArray[np.uint8]
 ) -> NDArray[np.float32]:
-    """Mean Y, Co, Cg (n, 3) of the 3x3 pixels around each point, NaN where it is out of the picture or hidden in it."""
+    """Compute the mean Y, Co, Cg (n, 3) of the 3x3 pixels around each point.
+
+    It is NaN where the point is outside the image or hidden in it.
+    """
     rows, columns = depth.shape
     fx, fy, cx, cy = camera
     out = np.full((len(points), 3), np.nan, dtype=np.float32)

@@ -1,7 +1,7 @@
-"""From a depth frame to one point per map cell seen: what crosses the radio instead of the image.
+"""Reduction of a depth frame to one point per visible map cell, for transmission.
 
-Masri 2016, section 4.1.1, cuts a box out of the cloud; here the cloud is never built. Pixels are binned straight into
-1 cm cells of the world, since by image block the floor 1.5 m ahead would be sampled every 6 cm.
+Masri 2016, section 4.1.1, crops a box from the point cloud; here the cloud is never built. Pixels are binned directly into
+1 cm cells of the world, because image blocks would sample the floor 1.5 m ahead only every 6 cm.
 """
 
 import math
@@ -16,23 +16,26 @@ from sextant.shared.runtime.compiled import compiled
 
 Array = NDArray[Any]
 
-JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that parts two surfaces
-SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the surface a foot would stand on
-NOISE = 3.0  # [sigma] of the depth noise on top of either
-CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
-FACE = 0.03  # [m] from the lowest pixel to the mean of a lower surface, from which that is the face of something tall
-RIM_PIXELS = 3.0  # that tell how high a face is
-_RECORD = 16  # numbers kept of a cell: a cache line
+JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that separates two surfaces
+SURFACE = 0.010  # [m] height, beyond noise, within which points belong to the same surface
+NOISE = 3.0  # [sigma] of the depth noise, added to both
+CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the adjacent cell
+FACE = 0.03  # [m] from the lowest pixel to the mean of a lower surface, above which it is the face of a tall object
+RIM_PIXELS = 3.0  # minimum pixels that show the height of a face
+_RECORD = 16  # values per cell: one cache line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedScan:
-    """One point per cell seen, row by row of the grid; where there were too many, of the nearest cells."""
+    """One point per visible cell, in the row order of the grid.
+
+    If there are too many, it holds the nearest cells.
+    """
 
     origin: NDArray[np.float64]  # (3,) [m] {world} on a cell corner next to the camera
-    points: NDArray[np.int16]  # (n, 3) [mm] {world} from origin, mean of a cell's surface, 1 mm inside its border
+    points: NDArray[np.int16]  # (n, 3) [mm] {world} from origin, mean of a cell's surface, at least 1 mm inside its border
     count: NDArray[np.uint8]  # (n,) pixels on that surface, 255 for more
-    spread: NDArray[np.uint8]  # (n,) [mm] from the lowest to the highest pixel of the cell on any surface, 255 for more
+    spread: NDArray[np.uint8]  # (n,) [mm] height range of all pixels of the cell, 255 for more
 
 
 def reduce_scan(
@@ -46,15 +49,15 @@ def reduce_scan(
     max_points: int = 20_000,
     ceiling: float = math.inf,
 ) -> ReducedScan:
-    """Bin the pixels of a frame by world x and y; each cell keeps the mean of one surface.
+    """Bin the pixels of a frame by world x and y, with one mean surface per cell.
 
-    That is the upper one if it holds 30 % of the cell's pixels: a block that reaches a little into a cell, or noise
-    that carries its edge there, does not fill it. Otherwise it is the lower one, unless that is a face, which rises to the
-    upper one with pixels all the way, and nothing beside it shows that to be its top: of a wall whose top is out of the
-    picture what is seen counts, and not the middle of that.
+    The upper surface is used if it holds 30 % of the cell's pixels. A block that only reaches slightly into a cell, or noise
+    at its edge, therefore does not fill the cell. Otherwise the lower surface is used, with one exception. If it is a face
+    that rises to the upper surface, and no adjacent cell shows level ground at that height, the upper surface is used. A
+    wall with its top out of view thus counts with its highest visible part, and not with its middle.
 
-    Pixels between two surfaces are dropped first: on both sides of such a pixel, along a row or a column, depth
-    jumps, one way in front and the other way behind, or there is no return.
+    Pixels between two surfaces are dropped first. On both sides of such a pixel, along a row or a column, the depth jumps,
+    to the front on one side and to the back on the other, or there is no return.
 
     Args:
         depth_raw: (h, w) raw depth, 0 = no return.
@@ -62,12 +65,12 @@ def reduce_scan(
         sensor: Range, noise and raw unit of the camera.
         T_world_camera: (4, 4) pose of the camera.
         resolution: [m] cell edge; cells are aligned with the world's origin.
-        max_range: [m] horizontal distance from the camera beyond which cells are left out; at most 30.
-        max_points: At most so many cells, the nearest to the camera.
-        ceiling: [m] above the camera beyond which points are no ground.
+        max_range: [m] horizontal distance from the camera beyond which cells are omitted; at most 30.
+        max_points: Maximum number of cells, the nearest to the camera.
+        ceiling: [m] above the camera beyond which points are not ground.
 
     Raises:
-        ValueError: A shape or type that differs, or a number out of range.
+        ValueError: A shape or type is wrong, or a number is out of range.
     """
     intrinsics.check_raw(depth_raw)
     if T_world_camera.shape != (4, 4) or not np.isfinite(T_world_camera).all():
@@ -84,7 +87,7 @@ def reduce_scan(
     cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
     cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
     bounds = sensor.raw_bounds
-    noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] of a depth, over its square
+    noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] depth noise over squared depth
     n = _bin(
         depth_raw,
         bounds,
@@ -129,14 +132,14 @@ def _bin(
     cell_of: Array,
     cells: Array,
 ) -> int:
-    """Sum the pixels of each cell's upper and lower surface; returns how many cells there are.
+    """Sum the pixels of each cell's upper and lower surface; return the cell count.
 
     cells (n, 16): pixels and sums of x, y, z of the upper surface and of the lower one, highest, lowest, pixels of any
-    surface, and the cell; lengths from the camera. A surface is what lies within noise of the highest, or the lowest,
-    pixel. Nearer than `dense`, four pixels or more fall side by side into a cell, and every second is read; where on level
-    ground as many rows do, too, so is every second row, whose pixels count twice.
+    surface, and the cell indices; lengths are relative to the camera. A surface contains the pixels within noise of the
+    highest, or the lowest, pixel. Nearer than `dense`, at least four adjacent pixels fall into a cell, and every second
+    pixel is read. If on level ground at least four rows do so too, every second row is read, and its pixels count twice.
 
-    What a pixel says by itself is worked out in loops over a row without branches, which run in vectors.
+    Per-pixel values are computed in loops over a row without branches, which the compiler can vectorise.
     """
     rows, columns = raw.shape
     side = 2 * half
@@ -145,11 +148,11 @@ def _bin(
     range2, ceiling32, dense32 = np.float32(max_range * max_range), np.float32(ceiling), np.float32(dense)
     first, last = np.int32(bounds[0]), np.int32(bounds[1])
     lowest, highest = np.float32(first), np.float32(last)
-    jump, jump2 = np.float32(JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in those
+    jump, jump2 = np.float32(JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in raw units
     surface, noise32 = np.float32(SURFACE), np.float32(noise)
     Txx, Tyx, Tzx = np.float32(T[0, 0]), np.float32(T[1, 0]), np.float32(T[2, 0])
     px, py, pz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    # Depths as numbers of 32 bits that stay so: the difference of two int32 is an int64.
+    # Depths as 32-bit floats: the difference of two int32 is an int64.
     line, above, below = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     band, key = np.empty(columns, np.float32), np.empty(columns, np.int32)
     limits = np.empty(columns, np.float32)
@@ -158,8 +161,8 @@ def _bin(
     zero, one = np.float32(0.0), np.float32(1.0)
     n = 0
     for i in range(rows):
-        # 1. How much of the row is read, by its farthest pixel. Half of a walking robot's picture is ground below the range:
-        # rows without a return.
+        # 1. Choose the pixels of the row by its farthest one. For a walking robot, half of the image is ground nearer than the
+        # minimum range: rows without a return.
         farthest = np.int32(0)
         here = raw[i]
         for j in range(columns):
@@ -174,7 +177,7 @@ def _bin(
         hop, begin, weight = 1, 0, one
         if farthest * unit < dense:
             hop, begin = 2, i & 1
-            drop = -max(az + Tzx * x[0], az + Tzx * x[-1])  # of the row's shallowest ray, over its depth
+            drop = -max(az + Tzx * x[0], az + Tzx * x[-1])  # of the row's shallowest ray, relative to its depth
             if farthest * unit < dense * drop:
                 if i & 1:
                     continue
@@ -189,7 +192,7 @@ def _bin(
                 c = np.uint64(begin + 2 * j)
                 line[j], above[j], below[j] = np.float32(here[c]), np.float32(over[c]), np.float32(under[c])
         left, along = np.float32(x[begin]), np.float32(hop * (x[1] - x[0]))
-        # 2. Which pixels are read, where they lie, and in which cell.
+        # 2. Compute which pixels are read, their positions and their cells.
         odd, whole = np.int32(i & 1), np.int32(hop == 1)
         for j in range(width):
             r = line[j]
@@ -203,11 +206,11 @@ def _bin(
             every = (z >= dense32) | (((np.int32(j) ^ odd) & whole) == np.int32(0))
             read[j] = np.int32((r >= lowest) & (r <= highest) & near & every)
         for j in range(width):
-            # Positive, so that int() rounds down; of pixels that are read, inside.
+            # Positive, so that int() rounds down; pixels that are read are inside the grid.
             a, b = np.int32(px[j] * per_cell + offset_x), np.int32(py[j] * per_cell + offset_y)
             key[j] = (a * np.int32(side) + b) * read[j]
-        # 3. Which of them go on, within noise, to one side along the column and along the row; beyond the image's
-        # border nothing speaks against them.
+        # 3. Find the pixels that continue, within noise, to one side along the column and along the row. The image border
+        # counts as a continuation.
         for j in range(width):
             r, a, b = line[j], above[j], below[j]
             limit = limits[j]
@@ -222,7 +225,7 @@ def _bin(
         for j in range(width):
             if read[j] > steady[j]:
                 steady[j] = np.int32(not _is_flying(raw, i, begin + hop * j, jump, jump2))
-        # 4. Into the cells. Sums are kept, begun anew or left alone by factors: branches would be guessed wrong.
+        # 4. Sum into the cells. Factors keep, reset or leave the sums: branches would be mispredicted.
         m = 0
         for j in range(width):
             taken[m] = np.uint32(j)
@@ -262,7 +265,7 @@ def _bin(
 
 @compiled
 def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
-    """Whether what a cell holds is a face, and no cell beside it level ground on top of that."""
+    """Return whether a cell holds a face without level ground beside its top."""
     cell = cells[k]
     if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM_PIXELS):
         return False
@@ -281,13 +284,13 @@ def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
 
 @compiled
 def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) -> bool:
-    """Whether a pixel hangs between two surfaces, along its row or its column."""
+    """Return whether a pixel lies between two surfaces along its row or column."""
     rows, columns = raw.shape
     r = np.int32(raw[i, j])
     limit = jump + jump2 * (np.float32(r) * np.float32(r))
     for along in range(2):
         di, dj = (0, 2) if along == 0 else (2, 0)
-        # Beyond the image's border nothing speaks against the pixel.
+        # The image border counts as a continuation of the surface.
         before = np.int32(raw[i - di, j - dj]) if i >= di and j >= dj else r
         if before != 0 and abs(r - before) <= limit:
             continue
@@ -295,9 +298,9 @@ def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) 
         if after != 0 and abs(after - r) <= limit:
             continue
         if before != 0 and after != 0:
-            if (r > before) != (after > r):  # nearer, or farther, than both sides: thin, but there
+            if (r > before) != (after > r):  # nearer or farther than both sides: a thin object
                 continue
-            # A slope seen at a grazing angle goes on beyond; a pixel in the air lies between two that do not.
+            # A slope at a grazing angle continues on both sides; a flying pixel lies between two surfaces that do not.
             slope = np.int32(0)
             if i >= 2 * di and j >= 2 * dj and raw[i - 2 * di, j - 2 * dj] != 0:
                 slope = abs(before - np.int32(raw[i - 2 * di, j - 2 * dj]))
@@ -313,7 +316,7 @@ def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) 
 
 @compiled
 def _row_by_row(cell_of: Array, n: int) -> Array:
-    """The cells (n,) in the order of the grid: neighbours, which are alike, follow each other on the wire."""
+    """Return the cells (n,) in grid order, so that similar neighbours are consecutive."""
     out = np.empty(n + 1, dtype=np.int32)
     m = 0
     for key in range(len(cell_of)):
@@ -324,7 +327,7 @@ def _row_by_row(cell_of: Array, n: int) -> Array:
 
 @compiled
 def _squares(cells: Array) -> Array:
-    """Squared horizontal distance (n,) [m^2] of the cells' surfaces from the camera."""
+    """Return the squared horizontal distance (n,) [m^2] of the cells from the camera."""
     out = np.empty(len(cells), dtype=np.float32)
     for k in range(len(cells)):
         x, y = cells[k, 1] / cells[k, 0], cells[k, 2] / cells[k, 0]
@@ -336,13 +339,13 @@ def _squares(cells: Array) -> Array:
 def _write(
     cells: Array, chosen: Array, p: Array, resolution: float, half: int, points: Array, count: Array, spread: Array
 ) -> None:
-    """The chosen cells as they cross the wire; p (3,) [m] is the camera."""
+    """Write the chosen cells in the format of the message; p (3,) [m] is the camera."""
     edge = 1000.0 * resolution
     x0, y0, z0 = 1000.0 * p[0], 1000.0 * p[1], 1000.0 * p[2]
     for m in range(len(chosen)):
         cell = cells[np.uint32(chosen[m])]
         mm = 1000.0 / cell[0]
-        # Rounding must not carry a point across, or onto, the border of its cell.
+        # Rounding must not move a point onto or across the border of its cell.
         corner_x, corner_y = edge * (cell[11] - half), edge * (cell[12] - half)
         x = min(max(np.rint(mm * cell[1] + x0), np.floor(corner_x + 1.0)), np.ceil(corner_x + edge - 1.0))
         y = min(max(np.rint(mm * cell[2] + y0), np.floor(corner_y + 1.0)), np.ceil(corner_y + edge - 1.0))

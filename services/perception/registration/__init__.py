@@ -1,1 +1,1 @@
-"""Register depth frames: keyframes, projective ICP, relocalization and the motion prior."""
+"""Depth registration: keyframes, projective ICP, relocalization and motion prior."""

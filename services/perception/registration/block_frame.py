@@ -1,10 +1,10 @@
-"""A depth frame as an image of planes.
+"""Depth frame as an image of planes.
 
-Everything is done on inverse depth, which is linear over the image of a plane: the mean over a block of pixels lies on
-the plane, its gradient is the plane, and a triangulating camera errs by the same amount everywhere. A pixel's plane is
-pi = (A, B, C), the normal over the distance, and a point p [m] of the camera frame lies on it when pi . p = 1.
+All computations use inverse depth, which is linear over the image of a plane. The mean over a block of pixels therefore lies
+on the plane, its gradient gives the plane, and the noise of a triangulating camera is the same everywhere. The plane of a
+pixel is pi = (A, B, C), its normal divided by its distance. A point p [m] in the camera frame lies on it if pi . p = 1.
 
-A grid of blocks replaces the voxel grid of Masri 2016, section 4.3, and organised normals those of his eq. (4.3).
+A grid of blocks replaces the voxel grid of Masri 2016, section 4.3, and organised normals replace those of his eq. (4.3).
 """
 
 import math
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-Array = NDArray[Any]  # what compiled functions take: numbers of any width
+Array = NDArray[Any]  # argument of compiled functions, any numeric type
 
-_CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many of a block count as one
-_MIN_FILLED = 0.5  # share of a block's pixels that must be measured, or
-_USUAL_EVERY = 4  # rows and columns of blocks, of which one tells of the usual share
-_MIN_OF_USUAL = 0.6  # of the share that usually is of this frame's blocks, where pixels are missing everywhere
+_CORRELATION = 4.0  # pixels of a block that count as one, because neighbours share their disparity error
+_MIN_FILLED = 0.5  # minimum share of measured pixels in a block
+_USUAL_EVERY = 4  # every n-th row and column of blocks is sampled for the usual share
+_MIN_OF_USUAL = 0.6  # of the usual share: the minimum where pixels are missing all over the frame
 
 
 class BlockFrame:
     """One depth frame reduced to block means of inverse depth."""
 
     def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, across: int = 160) -> None:
-        """Take a camera, and about how many blocks there shall be along a row.
+        """Create the frame of a camera with about `across` blocks per row.
 
         Raises:
             ValueError: There would be fewer than 8x8 blocks.
@@ -49,15 +49,15 @@ class BlockFrame:
         self.inverse_depth = np.zeros(self.shape)
         self._points = np.zeros((self.shape[0] * self.shape[1], 3))
         self.valid = 0
-        self.usual_share = 1.0  # of the pixels of a block in which any is measured
+        self.usual_share = 1.0  # of measured pixels, in blocks that have any
 
     def load(self, depth_raw: NDArray[np.uint16]) -> None:
-        """Reduce a frame (h, w); a block that straddles an edge, or is measured far less than others, is left out.
+        """Reduce a frame (h, w) to blocks without edges and with enough pixels.
 
-        That is less than half, or where pixels are missing all over the frame, less than 60 % of the usual share.
+        A block needs at least half of its pixels. If pixels are missing all over the frame, 60 % of the usual share is enough.
 
         Raises:
-            ValueError: Another shape or type than (h, w) uint16.
+            ValueError: The shape or type is not (h, w) uint16.
         """
         self._intrinsics.check_raw(depth_raw)
         max_variance = (3.0 * self.pixel_sigma) ** 2
@@ -76,20 +76,21 @@ class BlockFrame:
         )
 
     def fit_planes(self, planes: NDArray[np.float32]) -> None:
-        """Write the planes (rows, columns, 4) of the frame as last loaded: A, B, C and the variance of the gradient.
+        """Write the planes (rows, columns, 4) of the loaded frame.
 
-        Zero with a variance of -1 where there is no plane, of 0 where nothing was measured.
+        The elements are A, B, C and the variance of the gradient. A, B and C are zero where there is no plane; the variance is
+        then -1 at a measured block and 0 elsewhere.
         """
         _fit_planes(self.inverse_depth, self.x, self.y, self.sigma, 1.5 * self.pixel_sigma, planes)
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Block means as points (n, 3) [m] {camera}, row by row; overwritten by the next frame."""
+        """Block means (n, 3) [m] {camera}, row by row; overwritten by the next frame."""
         return self._points[: self.valid]
 
 
 def inverse_depth_sigma(intrinsics: Intrinsics, sensor: DepthSensor) -> float:
-    """One-sigma noise [1/m] of a pixel's inverse depth."""
+    """Return the one-sigma noise [1/m] of a pixel's inverse depth."""
     disparity_sigma = float(sensor.sigma(np.array(1.0), intrinsics.fx))
     rounding = 1.0 / (sensor.depth_scale * math.sqrt(12.0))
     return math.hypot(disparity_sigma, rounding)
@@ -97,7 +98,7 @@ def inverse_depth_sigma(intrinsics: Intrinsics, sensor: DepthSensor) -> float:
 
 @compiled
 def _usual_share(raw: Array, bounds: tuple[int, int], block: int) -> float:
-    """Mean share of measured pixels of every few blocks that have any, 1 where none has."""
+    """Return the mean share of measured pixels in sampled blocks that have any, or 1."""
     first, last = bounds
     measured, blocks = 0, 0
     for i in range(0, raw.shape[0] - block + 1, _USUAL_EVERY * block):
@@ -124,10 +125,10 @@ def _reduce_blocks(
     out: Array,
     points: Array,
 ) -> int:
-    """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points.
+    """Compute the inverse depth at the centre of each block, and the points.
 
-    Sums are taken down the columns of a row of blocks first, in loops without branches and over few arrays each, which are
-    those that run in vectors.
+    The inverse depth comes from the plane through the block's pixels, or is 0. The sums are first taken down the columns of
+    a row of blocks. These loops have no branches and use few arrays each, so that the compiler can vectorise them.
     """
     rows, columns = out.shape
     width = columns * block
@@ -136,7 +137,7 @@ def _reduce_blocks(
     needed = max(1, math.ceil(min_filled * whole))
     first, last, scale32 = np.int32(bounds[0]), np.int32(bounds[1]), np.float32(scale)
     there, w = np.empty(width, np.float32), np.empty(width, np.float32)
-    # By column: pixels, the sums of v and v^2, and of w, w^2 and w v.
+    # Per column: pixels, and the sums of v, v^2, w, w^2 and w v.
     pixels, of_v, of_vv = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     of_w, of_ww, of_wv = np.empty(width), np.empty(width), np.empty(width)
     sums, means = np.empty((10, columns)), np.empty(columns)
@@ -169,7 +170,7 @@ def _reduce_blocks(
                 of_w[c] += x64
                 of_ww[c] += x64 * x64
                 of_wv[c] += x64 * v
-        # By block: its pixels, and the sums of u, v, u^2, v^2, uv, w, w^2, w u and w v over them.
+        # Per block: its pixels, and their sums of u, v, u^2, v^2, uv, w, w^2, w u and w v.
         for j in range(columns):
             n = su = suu = sv = svv = suv = s = ss = swu = swv = 0.0
             for b in range(block):
@@ -186,8 +187,8 @@ def _reduce_blocks(
                 swv += of_wv[at]
             sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j] = n, su, sv, suu, svv
             sums[5, j], sums[6, j], sums[7, j], sums[8, j], sums[9, j] = suv, s, ss, swu, swv
-        # The plane through them, and whether it leaves no more than noise: so many pixels are missing from here and there
-        # that no branch could be guessed.
+        # The plane through them, and whether its residual is only noise. Missing pixels are scattered, so a branch would often
+        # be mispredicted.
         for j in range(columns):
             n, su, sv, suu, svv = sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j]
             suv, s, ss, swu, swv = sums[5, j], sums[6, j], sums[7, j], sums[8, j], sums[9, j]
@@ -215,7 +216,7 @@ def _reduce_blocks(
 
 @compiled
 def _fit_planes(inverse_depth: Array, x: Array, y: Array, sigma: float, limit: float, out: Array) -> None:
-    """The planes of `BlockFrame.fit_planes`, from 5x5 blocks where flat, else from 3x3."""
+    """Fit the planes of `BlockFrame.fit_planes` to 5x5 blocks where flat, else 3x3."""
     rows, columns = inverse_depth.shape
     dx = x[1] - x[0]
     dy = y[1] - y[0]

@@ -1,4 +1,4 @@
-"""Frames kept with their poses, and how a new frame fits them."""
+"""Keyframes with fixed poses, and how well a new frame matches them."""
 
 import math
 from dataclasses import dataclass
@@ -10,44 +10,47 @@ from numpy.typing import NDArray
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.shared.runtime.compiled import compiled
 
-Array = NDArray[Any]  # what compiled functions take: numbers of any width
+Array = NDArray[Any]  # argument of compiled functions, any numeric type
 
-_MODEL_SIGMA = 0.0005  # [m] what a plane leaves unexplained of a real surface
-_OVERLAP_WANTED = 0.5  # share of points below which keyframes come sooner
-_NEAR = 0.05  # [m] from a plane within which a point counts as seen by a keyframe
-_AT_A_TIME = 256  # points whose sums are taken at a time, so that what is noted of each stays in the fastest memory
-_CAUCHY = 2.5  # [sigma] where the weight of a match has fallen to a half
+_MODEL_SIGMA = 0.0005  # [m] deviation of a real surface from its plane
+_OVERLAP_WANTED = 0.5  # share of points below which keyframes are stored at shorter distances
+_NEAR = 0.05  # [m] from a plane, within which a keyframe has seen a point
+_AT_A_TIME = 256  # points per pass; their intermediate values fit into the fastest cache
+_CAUCHY = 2.5  # [sigma] at which the weight of a match is one half
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """Normal equations of a frame against keyframes, by the error twist in world axes at the camera, and its quality."""
+    """Normal equations of a frame against keyframes, and the quality of the match.
+
+    H, g and N refer to the error twist in world axes at the camera.
+    """
 
     H: NDArray[np.float64]  # (6, 6) information
     g: NDArray[np.float64]  # (6,) gradient
-    N: NDArray[np.float64]  # (6, 6) what H would hold from the noise of the planes alone
-    keyframes: int  # how many were matched with
-    overlap: float  # 0..1 share of the frame's points that found a plane in the best keyframe, rough blocks aside
+    N: NDArray[np.float64]  # (6, 6) part of H that the noise of the planes alone would give
+    keyframes: int  # number of matched keyframes
+    overlap: float  # 0..1 share of the frame's points with a plane in the best keyframe, except on rough blocks
     agreement: float  # 0..1 share of the points facing a plane that lie on it, over all keyframes
     rmse: float  # [m] point-to-plane distance of the matches, NaN when there are none
-    misfit: float = 0.0  # mean over the points facing a plane of k^2 / (1 + scale k^2) where they are k sigma off it
+    misfit: float = 0.0  # mean of k^2 / (1 + scale k^2) over points facing a plane, k sigma off it
 
 
 class Keyframes:
-    """Images of planes at fixed poses; the farthest is forgotten when there are too many."""
+    """Plane images with fixed poses; a new one replaces the farthest of a full set."""
 
     def __init__(self, frame: BlockFrame, stored: int, active: int, distance: float, angle: float) -> None:
-        """Share a frame with its owner.
+        """Create empty storage that uses the frame of its owner.
 
         Args:
-            frame: What is matched and stored, as last loaded.
-            stored: How many are kept.
-            active: How many a frame is matched with.
-            distance: [m] from every keyframe after which a frame is news.
-            angle: [rad] likewise.
+            frame: The last loaded frame, which is matched and stored.
+            stored: Number of keyframes kept.
+            active: Number of keyframes that a frame is matched with.
+            distance: [m] from the nearest keyframe beyond which a new one is stored.
+            angle: [rad] the same for the rotation.
 
         Raises:
-            ValueError: Not 1 <= active <= stored, or a distance or angle that is not positive.
+            ValueError: The numbers do not satisfy 1 <= active <= stored, or a distance or angle is not positive.
         """
         if not 1 <= active <= stored:
             raise ValueError(f"1 <= active <= stored keyframes expected, found {active} and {stored}")
@@ -69,7 +72,10 @@ class Keyframes:
         return self._poses[: self._count].copy()
 
     def apart(self, distance: float, angle: float) -> NDArray[np.float64]:
-        """Poses (k, 4, 4) of keyframes, newest first, each farther [m] or turned more [rad] than that from those before it."""
+        """Return poses (k, 4, 4) of keyframes that are far apart, newest first.
+
+        Each differs from all earlier ones by more than `distance` [m] or `angle` [rad].
+        """
         chosen = np.empty((0, 4, 4))
         for n in np.argsort(-self._age[: self._count]):
             if not _is_near(chosen, self._poses[n], distance, math.cos(angle)):
@@ -77,11 +83,11 @@ class Keyframes:
         return chosen
 
     def clear(self) -> None:
-        """Forget all keyframes."""
+        """Delete all keyframes."""
         self._count = 0
 
     def add(self, T_world_camera: NDArray[np.float64]) -> None:
-        """Store the frame as last loaded at a pose."""
+        """Store the loaded frame as a keyframe at a pose."""
         if self._count < len(self._planes):
             slot = self._count
             self._count += 1
@@ -93,15 +99,19 @@ class Keyframes:
         self._age[slot] = self._stored
 
     def is_news(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
-        """Whether a pose is farther, or turned more, than allowed from every keyframe; a quarter if few points overlap."""
+        """Return whether a pose is far enough from every keyframe to store a new one.
+
+        The limits are a quarter as large if few points overlap.
+        """
         share = 1.0 if overlap >= _OVERLAP_WANTED else 0.25
         cosine = math.cos(share * self._angle)
         return not bool(_is_near(self._poses[: self._count], T_world_camera, share * self._distance, cosine))
 
     def select(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Keyframes to match a frame at a pose with: those that share most surface with it, and first an old one.
+        """Return the keyframes that a frame at a pose is matched with.
 
-        The oldest that shares half as much as the best holds the drift down.
+        They share the most surface with the frame. The first one is the oldest of those that share at least half as
+        much as the best, which reduces drift.
         """
         frame, n = self._frame, self._count
         shares = _shares_seen(frame.points, frame.x, frame.y, self._planes[:n], self._poses[:n], T_world_camera)
@@ -118,14 +128,14 @@ class Keyframes:
         stride: int = 1,
         robust: bool = True,
     ) -> Match:
-        """Match the frame as last loaded, at a pose, with some keyframes.
+        """Match the loaded frame at a pose with some keyframes.
 
         Args:
             T_world_camera: (4, 4) pose at which the normal equations are linearised.
             chosen: (k,) keyframes, of `select`.
-            gate: [m] farthest plane that a point is matched with.
-            stride: Every how many points.
-            robust: Whether matches weigh the less the further they are off.
+            gate: [m] largest point-to-plane distance of a match.
+            stride: Use every stride-th point.
+            robust: Whether the weight of a match falls with its distance.
         """
         frame = self._frame
         H, g, N, tally = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), np.zeros(5)
@@ -151,9 +161,9 @@ class Keyframes:
         return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse, off / max(facing, 1.0))
 
     def misfits(self, T_world_camera: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
-        """How ill each point (n,) of the frame as last loaded fits some keyframes: mean of k^2 / (1 + scale k^2) as in `Match`.
+        """Return the misfit of each point (n,) of the loaded frame with some keyframes.
 
-        NaN where a point faces no plane.
+        The misfit is the mean of k^2 / (1 + scale k^2), as in `Match`, or NaN for a point that faces no plane.
         """
         frame = self._frame
         out = np.empty(len(frame.points))
@@ -163,7 +173,7 @@ class Keyframes:
 
 @compiled
 def _relative(T_world_a: Array, T_world_b: Array, out: Array) -> None:
-    """T_a_b (4, 4) of two poses; the last row is left alone."""
+    """Compute T_a_b (4, 4) of two poses; the last row of `out` is not written."""
     for i in range(3):
         for j in range(4):
             out[i, j] = 0.0
@@ -173,7 +183,10 @@ def _relative(T_world_a: Array, T_world_b: Array, out: Array) -> None:
 
 @compiled
 def _is_near(poses: Array, T: Array, distance: float, cosine: float) -> bool:
-    """Whether a pose is within a distance [m], and turned by less than an angle of a cosine, of one of some poses."""
+    """Return whether a pose is near one of several poses.
+
+    It is near within the distance [m] and the angle with the given cosine.
+    """
     for n in range(len(poses)):
         square, trace = 0.0, 0.0
         for i in range(3):
@@ -187,7 +200,7 @@ def _is_near(poses: Array, T: Array, distance: float, cosine: float) -> bool:
 
 @compiled
 def _shares_seen(points: Array, x: Array, y: Array, planes: Array, poses: Array, T_world_camera: Array) -> Array:
-    """Share of some 200 points of a frame that lie near a plane of each keyframe."""
+    """Return the share of about 200 frame points near a plane of each keyframe."""
     shares = np.zeros(len(poses))
     T = np.empty((4, 4))
     step = max(1, len(points) // 200)
@@ -228,7 +241,7 @@ def _misfits(
     sigma: float,
     out: Array,
 ) -> None:
-    """Write the misfit of each point, averaged over the keyframes in which it faces a plane."""
+    """Write the misfit of each point, averaged over the keyframes it faces."""
     rows, columns = planes.shape[1], planes.shape[2]
     to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
     T, faced = np.empty((4, 4)), np.zeros(len(points))
@@ -271,12 +284,13 @@ def _accumulate(
     scale: float,
     sums: Array,
 ) -> None:
-    """Match a frame with one keyframe by projection and sum, by the twist at the keyframe, the Jacobian [pi, p x pi].
+    """Match a frame with one keyframe by projection and sum the normal equations.
 
-    A match that is off by k sigma weighs 1 / (1 + scale k^2), Cauchy's weight.
+    The Jacobian with respect to the twist at the keyframe is [pi, p x pi]. A match that is off by k sigma has Cauchy's
+    weight 1 / (1 + scale k^2).
 
-    sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points that
-    might have matched: all but those that face a block without a plane, and at least a half; and how ill they fit.
+    sums: H (36), N (36), g (6), matched points, points facing a plane, squared distances, points that could match, and
+    misfit. All points but those facing a block without a plane could match, and at least half of the points count.
     """
     rows, columns = planes.shape[0], planes.shape[1]
     to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
@@ -315,12 +329,12 @@ def _accumulate(
             inside = (pz[k] >= 0.05) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
             u, v = u if inside else 0.0, v if inside else 0.0
             at[k] = np.int32(v) * np.int32(columns) + np.int32(u) if inside else np.int32(-1)
-        # 2. The plane there: nothing, and a spread of -1 where it is rough.
+        # 2. The plane there: zero where there is none, with a spread of -1 on a rough block.
         for k in range(some):
             plane = blocks[np.uint64(max(at[k], 0))]
             there = np.float64(at[k] >= 0)
             A[k], B[k], C[k], spread[k] = there * plane[0], there * plane[1], there * plane[2], there * plane[3]
-        # 3. How far from it the point is, and what that weighs.
+        # 3. The distance of the point from it, and the weight.
         for k in range(some):
             length2 = A[k] * A[k] + B[k] * B[k] + C[k] * C[k]
             f = A[k] * px[k] + B[k] * py[k] + C[k] * pz[k] - 1.0
@@ -329,7 +343,7 @@ def _accumulate(
             weight = 1.0 / (sigma2 * pz[k] * pz[k] + model2 * length2 + f2 * scale)  # Cauchy's
             weights[k], offs[k] = weight if near else 0.0, f
             misfits[k] = f2 * weight if length2 > 0.0 else 0.0
-        # 4. The sums.
+        # 4. Sum.
         for k in range(some):
             a, b, c, f, weight = A[k], B[k], C[k], offs[k], weights[k]
             length2 = a * a + b * b + c * c
@@ -372,7 +386,7 @@ def _accumulate(
             g4 += a4 * f
             g5 += a5 * f
             if matched % 16 == 0:
-                # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): what it adds to H, from every 16th match.
+                # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): add its part of H from every 16th match.
                 noise = 16.0 * weight * spread[k]
                 row, column = at[k] // columns, at[k] % columns
                 for axis in range(2):
@@ -421,12 +435,15 @@ def _match(
     N: Array,
     tally: Array,
 ) -> None:
-    """Add up the matches with some keyframes; tally: matched, facing, squares, best overlap, misfit, as in `Match`."""
+    """Sum the matches with some keyframes.
+
+    tally: matched, facing, squares, best overlap, misfit, as in `Match`.
+    """
     T, sums, M, half = np.empty((4, 4)), np.empty(83), np.zeros((6, 6)), np.empty((6, 6))
     for phase in range(len(chosen)):
         pose = poses[chosen[phase]]
         _relative(pose, T_world_camera, T)
-        # Each keyframe is matched with other points, so that together they use most of them.
+        # Each keyframe is matched with different points, so that together they use most of the points.
         _accumulate(points, phase % stride, stride, x, y, planes[chosen[phase]], T, sigma, gate, scale, sums)
         # From the keyframe's axes and origin to world axes at the camera: M = [[R, 0], [-skew(t) R, R]].
         tx, ty = T_world_camera[0, 3] - pose[0, 3], T_world_camera[1, 3] - pose[1, 3]

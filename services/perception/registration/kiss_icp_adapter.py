@@ -1,8 +1,8 @@
-"""KISS-ICP behind the interface of `registration`: point-to-point against a voxel map, for scanners with a wide field.
+"""KISS-ICP with the interface of `Registration`, for scanners with a wide field.
 
-Its cost holds no prior, so the prior starts the iteration only (as in Masri 2016, section 4.2.1). How well the pose
-fits and which directions the scene constrains is measured on keyframes afterwards; along the others KISS-ICP slides,
-and there the prior is put back.
+KISS-ICP registers point-to-point against a voxel map. Its cost has no prior, so the prior only starts the iteration (as in
+Masri 2016, section 4.2.1). Keyframes then measure the quality of fit and the directions that the scene constrains. KISS-ICP
+slides along the other directions, in which the result is set back to the prior.
 """
 
 import numpy as np
@@ -29,13 +29,16 @@ from sextant.shared.geometry import orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 _MAX_ITERATIONS = 50  # as Masri 2016, section 4.2.1
-_GATE = 0.02  # [m] farthest plane a point is matched with when the pose is judged
-_STRIDE = 4  # every how many points are judged
-_PATIENCE = 15  # failed frames in a row until the map starts anew: nothing is searched for, and the prior only gets worse
+_GATE = 0.02  # [m] largest point-to-plane distance of a match when the pose is evaluated
+_STRIDE = 4  # every n-th point is evaluated
+_PATIENCE = 15  # consecutive failed frames before a new map: there is no search, and the prior degrades
 
 
 class KissRegistration:
-    """Camera poses from depth frames by KISS-ICP 1.3 (Vizzo et al. 2023), one thread, deskew off."""
+    """Registration by KISS-ICP 1.3 (Vizzo et al. 2023), one thread, deskew off.
+
+    It estimates camera poses from depth frames.
+    """
 
     def __init__(
         self,
@@ -46,30 +49,30 @@ class KissRegistration:
         voxel_size: float = 0.01,
         threshold: float | None = 0.005,
     ) -> None:
-        """Set up for one camera.
+        """Create a registration for one camera.
 
         Args:
-            intrinsics: Of the full image; block means of it are registered.
+            intrinsics: Of the full image; its block means are registered.
             sensor: Range, noise and raw unit of the camera.
-            acceptance: When a pose is refused, and the map starts anew.
+            acceptance: Limits for refusing a pose and for starting a new map.
             voxel_size: [m] edge of the voxel map.
-            threshold: [m] fixed width of its robust kernel; None lets it adapt to the motion, as for a prior
+            threshold: [m] fixed width of the robust kernel. With None it adapts to the motion, which suits a prior
                 without odometry.
 
         Raises:
-            ValueError: A voxel size or threshold that is not positive.
+            ValueError: The voxel size or the threshold is not positive.
         """
         if not voxel_size > 0 or (threshold is not None and not threshold > 0):
             raise ValueError(f"positive voxel size and threshold expected, found {voxel_size} and {threshold} m")
         self._config = KISSConfig()
         self._config.data.deskew = False
-        self._config.data.min_range = 0.0  # the sensor's range has been applied to the depth already
-        # Range is along the ray, depth along the axis: keep what the image's corners can see.
+        self._config.data.min_range = 0.0  # the sensor's range is already applied to the depth
+        # Range is measured along the ray, depth along the axis: keep the corners of the image.
         corner = max(intrinsics.width / intrinsics.fx, intrinsics.height / intrinsics.fy)
         self._config.data.max_range = sensor.max_range * float(np.hypot(1.0, corner))
         self._config.mapping.voxel_size = voxel_size
         self._config.registration.max_num_iterations = _MAX_ITERATIONS
-        self._config.registration.max_num_threads = 1  # the order of sums, and so the result, is then fixed
+        self._config.registration.max_num_threads = 1  # fixes the order of sums, and so the result
         self._config.adaptive_threshold.fixed_threshold = threshold
         self._config.adaptive_threshold.initial_threshold = 5 * voxel_size
         self._config.adaptive_threshold.min_motion_th = voxel_size / 5
@@ -101,7 +104,7 @@ class KissRegistration:
 
         match = self._keyframes.match(T, self._keyframes.select(T), _GATE, _STRIDE)
         believed, degenerate = belief(match)
-        # The voxels blur its pose: (H^-1 + R)^-1, written so that H may be singular.
+        # The voxel size limits the accuracy of the pose: (H^-1 + R)^-1, in a form that allows a singular H.
         H = believed @ match.H
         H -= H @ np.linalg.solve(H + self._voxel_information, H)
         covariance = np.linalg.inv(H + information)
@@ -114,7 +117,10 @@ class KissRegistration:
         return Registered(stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, "")
 
     def _align(self, T_prior: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What `KissICP.register_frame` does up to its map update, but from our own prediction: pose and map points."""
+        """Align to the map from a given prior; return the pose and the map points.
+
+        This repeats `KissICP.register_frame` without its map update.
+        """
         source, downsampled = self._kiss.voxelize(self._frame.points)
         sigma = self._kiss.adaptive_threshold.get_threshold()
         T = np.asarray(

@@ -1,4 +1,4 @@
-"""What the legs say about the motion between two frames: the prior of the registration."""
+"""Motion prior of the registration, from leg odometry or the camera's velocity."""
 
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -9,42 +9,43 @@ from sextant.shared.geometry import Array, exp_so3, interpolate, log_so3, transf
 from sextant.shared.wire.messages import Odometry
 
 _KEPT = 100  # messages, two seconds
-_STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot
-_MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
-_OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a message may be late; further back it is of another clock
-# Limits of motion between two messages; a walking body and a falling one stay below them.
+_STILL = 1.5e-3  # [m] and [rad], three times the servo resolution's effect on a standing robot
+_MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] longest extrapolation; after that the body is assumed to stand still
+_OTHER_CLOCK_NS = 1_000_000_000  # [ns] a message may be late by this much; an older one comes from another clock
+# Limits of motion between two messages; both a walking and a falling body stay below them.
 _FASTEST, _FASTEST_TURN = 2.0, 6.0  # [m/s] and [rad/s]
-_JUMP, _JUMP_TURN = 0.1, 0.3  # [m] and [rad] beyond that, for messages that come close together
+_JUMP, _JUMP_TURN = 0.1, 0.3  # [m] and [rad] added to the limits, for messages at short intervals
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where the body is by the legs at one instant, and how far it has come."""
+    """Odometry pose of the body at one instant, and the distance travelled."""
 
     T_odom_body: Array  # (4, 4)
     travelled: float  # [m]
     turned: float  # [rad]
-    reliable: bool  # False where fewer than three legs carried, or nothing has been heard for long
-    silence_s: float = 0.0  # [s] for which nothing had been heard
+    reliable: bool  # False if fewer than three legs carried load, or the odometry is too old
+    silence_s: float = 0.0  # [s] since the newest odometry message
 
 
 class OdometryHistory:
-    """The last two seconds of odometry, looked up by time."""
+    """Odometry of the last two seconds, looked up by time."""
 
     def __init__(self) -> None:
-        """Begin empty."""
-        self.restarts = 0  # how often the odometry has begun anew
+        """Create an empty history."""
+        self.restarts = 0  # number of times the odometry started again
         self._messages: list[Odometry] = []
 
     def add(self, message: Odometry) -> None:
-        """Add a message; it restarts the history where it does not continue the previous one.
+        """Add a message, and restart the history if it does not continue the previous one.
 
-        That is where it has travelled less, is far older, or lies farther away than a body can have moved.
+        This is the case if its travelled distance is smaller, its stamp is far older, or its pose is farther away than a body
+        can have moved.
         """
         newest = self._messages[-1] if self._messages else None
         since_ns = 1 if newest is None else message.stamp_ns - newest.stamp_ns
         if -_OTHER_CLOCK_NS < since_ns <= 0:
-            return  # out of order: what came later stands
+            return  # out of order: keep the newer message
         if newest is not None and (message.travelled < newest.travelled or since_ns < 0 or _jumps(newest, message)):
             self.restarts += 1
             self._messages.clear()
@@ -52,7 +53,7 @@ class OdometryHistory:
         del self._messages[:-_KEPT]
 
     def settled(self, for_s: float) -> bool:
-        """Whether the body has stood still for a time, as far as the newest messages tell."""
+        """Return whether the body has stood still for the last `for_s` seconds."""
         newest = self._messages[-1] if self._messages else None
         if newest is None or newest.stamp_ns - self._messages[0].stamp_ns < for_s * 1e9:
             return False
@@ -60,7 +61,10 @@ class OdometryHistory:
         return max(float(np.abs(T - newest.T_odom_body).max()) for T in recent) < _STILL
 
     def at(self, stamp_ns: int) -> Motion | None:
-        """Motion at an instant, interpolated, or carried on for a little beyond the newest message; None where unknown."""
+        """Return the motion at an instant, or None if unknown.
+
+        It is interpolated, or extrapolated for a short time beyond the newest message.
+        """
         messages = self._messages
         if not messages or stamp_ns < messages[0].stamp_ns:
             return None
@@ -83,7 +87,7 @@ class OdometryHistory:
 
 
 def _jumps(before: Odometry, after: Odometry) -> bool:
-    """Whether two poses are farther apart than a body moves in the time between them."""
+    """Return whether two poses are farther apart than a body can move in that time."""
     since_s = (after.stamp_ns - before.stamp_ns) * 1e-9
     way = float(np.linalg.norm(after.T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
     turn = float(np.linalg.norm(log_so3(before.T_odom_body[:3, :3].T @ after.T_odom_body[:3, :3])))
@@ -91,22 +95,23 @@ def _jumps(before: Odometry, after: Odometry) -> bool:
 
 
 class VelocityPrior:
-    """The prior of a camera without legs: it goes on as it moved, and comes to rest where its motion is not observed.
+    """Motion prior of a camera without legs; an unobserved velocity decays.
 
-    The velocity of a direction is that between two registered frames that show it. Where the scene does not show a direction,
-    or a frame does not register, the velocity decays. A frame that is found elsewhere after the camera was lost shows none.
+    The velocity in a direction is measured between two registered frames that constrain it. It decays in directions that the
+    scene does not constrain, and after frames that are not registered. A jump to another place after the camera was lost
+    does not count as velocity.
     """
 
     def __init__(self, decay_s: float, max_speed: float = 3.0, max_rate: float = 6.0):
-        """Begin at rest.
+        """Start at rest.
 
         Args:
-            decay_s: [s] after which an unobserved velocity has fallen to 1/e.
-            max_speed: [m/s] above which two poses are no motion.
-            max_rate: [rad/s] above which they are none.
+            decay_s: [s] time in which an unobserved velocity falls to 1/e.
+            max_speed: [m/s] above which the difference of two poses is not motion.
+            max_rate: [rad/s] the same for the rotation.
 
         Raises:
-            ValueError: It is not positive.
+            ValueError: decay_s is not positive.
         """
         if not decay_s > 0.0:
             raise ValueError(f"a positive time of decay expected, found {decay_s} s")
@@ -114,16 +119,16 @@ class VelocityPrior:
         self._limits = np.array([max_speed, max_rate])
         self._velocity: Array = np.zeros(6)  # [m/s] and [rad/s] in world axes
         self._last: tuple[int, Array, bool] | None = None  # stamp [ns], pose (4, 4) and whether it registered
-        self.measured = False  # whether two registered frames have shown the velocity
+        self.measured = False  # whether two registered frames gave the velocity
 
     def update(self, stamp_ns: int, T_world_body: Array, registered: bool, unobservable: Array) -> None:
-        """Measure the velocity with the pose of the newest frame.
+        """Update the velocity with the pose of the newest frame.
 
         Args:
-            stamp_ns: Later than that of the last frame.
+            stamp_ns: [ns] later than that of the last frame.
             T_world_body: (4, 4) estimated pose.
-            registered: Whether the frame registered; otherwise the pose is that of this prior.
-            unobservable: (k, 6) twists in world axes at the body that the frame does not show.
+            registered: Whether the frame was registered; otherwise the pose is that of this prior.
+            unobservable: (k, 6) twists in world axes at the body that the frame does not constrain.
         """
         last, self._last = self._last, (stamp_ns, T_world_body, registered)
         if last is None or stamp_ns <= last[0]:
@@ -135,13 +140,15 @@ class VelocityPrior:
         possible = bool((np.linalg.norm(shown.reshape(2, 3), axis=1) <= self._limits).all())
         self.measured = registered and last[2] and possible
         if self.measured:
-            projector = np.linalg.pinv(unobservable) @ unobservable  # on what the frame does not show
+            projector = np.linalg.pinv(unobservable) @ unobservable  # onto the unconstrained directions
             self._velocity = shown + projector @ (kept - shown)
         else:
             self._velocity = kept if possible else np.zeros(6)
 
     def predict(self, since_s: float) -> Array:
-        """Expected pose (4, 4) some time [s] after the newest frame, along the screw of the velocity.
+        """Return the expected pose (4, 4) a time [s] after the newest frame.
+
+        The pose moves along the screw of the velocity.
 
         Raises:
             ValueError: There was no frame.

@@ -1,26 +1,26 @@
-"""Whether a motion is seen by one body alone: a person's legs or a trolley may move before a camera that stands still.
+"""Detection of a single body that moves in front of a resting camera.
 
-Over ground that shows no motion along itself, a camera that moves past one thing and a thing that moves before a camera look
-alike. Between two poses, each point tells by how much better it fits one of them. Points that speak for a motion and lie all
-within the size of one body are no evidence that the camera moves.
+Such a body may be a person's leg or a trolley. Flat ground does not show motion along itself. There, a camera moving past one
+object and an object moving in front of the camera look alike. The gain of a point is the decrease of its misfit from one pose
+to the other. If all points with a gain lie within the size of one body, they are no evidence that the camera moves.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-_CELL_M = 0.15  # [m] edge of the squares in which the noise of points averages out
-_WITHIN = 0.9  # share of what speaks for the motion that must lie within the body
-_SIGMAS = 4.0  # of the noise of a square, from which it speaks for the motion
-_SHARE_OF_VIEW = 0.5  # of the radius of what is in view, that a body may have at most
-_MIN_GAIN = 20.0  # misfit below which nothing speaks for the motion
+_CELL_M = 0.15  # [m] edge of the squares that average the noise of points
+_WITHIN = 0.9  # share of the total gain that must lie within the body
+_SIGMAS = 4.0  # times the noise of a square, above which its gain is significant
+_SHARE_OF_VIEW = 0.5  # largest radius of a body, relative to the radius of the visible area
+_MIN_GAIN = 20.0  # total gain below which there is no motion
 
 
 def is_one_body(xy: NDArray[np.float64], gains: NDArray[np.float64], radius: float) -> bool:
-    """Whether all points that gain by a motion lie within a radius.
+    """Return whether all points that support a motion lie within a radius.
 
     Args:
         xy: (n, 2) [m] points in the plane of the ground.
-        gains: (n,) by how much the misfit of each falls if the camera moved.
+        gains: (n,) decrease of each point's misfit if the camera moved.
         radius: [m] of a body.
     """
     cells, index = np.unique(np.floor(xy / _CELL_M).astype(np.int64), axis=0, return_inverse=True)
@@ -31,13 +31,13 @@ def is_one_body(xy: NDArray[np.float64], gains: NDArray[np.float64], radius: flo
         return False
     seen = float(
         np.percentile(np.linalg.norm(xy - np.median(xy, axis=0), axis=1), 90)
-    )  # near by, all in view may be that small
+    )  # at short range, the visible area itself may be this small
     radius = min(radius, _SHARE_OF_VIEW * seen)
     return _is_within(np.asarray((cells[speaks] + 0.5) * _CELL_M, dtype=np.float64), net[speaks], radius)
 
 
 def is_within_body(xy: NDArray[np.float64], radius: float) -> bool:
-    """Whether points (n, 2) [m] in the plane of the ground lie within the radius [m] of one body, but for a few."""
+    """Return whether nearly all ground points (n, 2) [m] lie within a radius [m]."""
     return bool(len(xy)) and _is_within(xy, np.ones(len(xy)), radius)
 
 

@@ -1,22 +1,22 @@
-"""Names of the directions that a scene does not show."""
+"""Names of the directions that a scene does not constrain."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-_AXIS_SHARE = 0.8  # share of an axis within the unobservable directions, above which the axis is named by itself
-_PART = 0.3  # component of an oblique direction that is named
+_AXIS_SHARE = 0.8  # share of an axis in the unobservable directions, above which the axis is named on its own
+_PART = 0.3  # smallest component of an oblique direction that is named
 
 
 def unobservable_directions(twists: NDArray[np.float64]) -> tuple[str, ...]:
-    """Name the directions that some twists span.
+    """Name the directions that unobservable twists span.
 
     Args:
         twists: (k, 6) unit error twists [m, rad] in world axes, as `Registered.degenerate`.
 
     Returns:
-        One name per direction: an axis such as `yaw`, or an oblique direction such as `x+y`; in the order of `AXES`, oblique
-        ones last.
+        One name per direction: an axis such as `yaw`, or an oblique direction such as `x+y`. Axes come first, in the order of
+        `AXES`.
     """
     axes, oblique = [], []
     span = _orthonormal_rows(twists)
@@ -34,7 +34,7 @@ def unobservable_directions(twists: NDArray[np.float64]) -> tuple[str, ...]:
 
 
 def _oblique_name(direction: NDArray[np.float64]) -> str:
-    """Name of a unit twist (6,) by its larger components, such as `x-y`."""
+    """Name a unit twist (6,) by its larger components, such as `x-y`."""
     parts = [axis for axis in range(6) if abs(direction[axis]) > _PART]
     positive = direction[parts[0]] > 0
     first, *others = parts
@@ -42,7 +42,7 @@ def _oblique_name(direction: NDArray[np.float64]) -> str:
 
 
 def _orthonormal_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Orthonormal basis (r, 6) of the span of some rows (k, 6)."""
+    """Return an orthonormal basis (r, 6) of the span of rows (k, 6)."""
     if not len(rows):
         return np.zeros((0, 6))
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)

@@ -1,8 +1,8 @@
-"""Where the camera is: projective point-to-plane registration of depth frames, with the motion prior inside the cost.
+"""Projective point-to-plane registration of depth frames with a motion prior.
 
-Masri 2016, section 4.2, aligns scans by points and normals and lets the expected motion only start the iteration
-(4.2.1). Here it is a term of the cost, so that what the scene does not constrain, as a flat floor does not constrain
-x, y and yaw, stays as expected.
+Masri 2016, section 4.2, aligns scans by points and normals, and uses the expected motion only to start the iteration
+(4.2.1). Here the expected motion is a term of the cost. Directions that the scene does not constrain then keep their
+expected values. For example, a flat floor does not constrain x, y and yaw.
 """
 
 import math
@@ -20,92 +20,92 @@ from sextant.shared.geometry import exp_so3, log_so3, orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
-_SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
+_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the largest point-to-plane distance of a match
+_SLIP = 0.01  # [m] and [rad] added to the prior's spread for the first expected step
 _MAX_ITERATIONS = 10
-_MATCHED = 3200  # points of a whole image that are matched with one keyframe
+_MATCHED = 3200  # points of a full image that are matched with one keyframe
 _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
-_INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
-_SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
-_SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
-_USUAL_SHARE = 0.05  # of each good frame in the usual distance of surfaces
-_RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
-# Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
-# the prior.
+_INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors, so ten count as one
+_SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise: weight 0 below the first, 1 above the second
+_SWEEPS = 12  # maximum sweeps of Jacobi's method; six are enough for a (6, 6) matrix
+_USUAL_SHARE = 0.05  # weight of each good frame in the average rmse
+_RECENT_SHARE = 0.2  # weight of each good frame in the recent misfit and rmse
+# The legs may have slipped if a frame's misfit or rmse exceeds the recent one by these factors, or if registration has moved
+# the pose this far from the prior.
 _SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
-_SPARSE = 0.5  # share of the pixels of surfaces in view, below which their loss is named where a frame does not register
-_TRIES = 3  # to come from a place that was searched for to the right one
-_FAR_APART_FOUND = 2.0  # times, from which a place that was searched for is not the right one
-_EXPLAINED = 0.85  # of a misfit, below which another pose fits better
+_SPARSE = 0.5  # share of pixels on visible surfaces below which a failure message reports the missing pixels
+_TRIES = 3  # alignments from a place found by the search
+_FAR_APART_FOUND = 2.0  # times the recent rmse, above which a place found by the search is wrong
+_EXPLAINED = 0.85  # ratio of misfits below which another pose fits better
 _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
-_SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
-_TRUSTING = 2  # iterations in which matches far off are believed after a slip
+_SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] possible slip of the legs between two frames
+_TRUSTING = 2  # iterations after a slip in which distant matches keep full weight
 _SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
-_REST_SIGMA = 1e-4  # [m] and [rad] of x, y and yaw of a camera that rests
-_REST_MOVED = 0.001  # [m] and [rad] along the ground from where a pose is not that of rest
-_STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes around which a lost frame is searched for
-_OVERLAP_WANTED = 0.6  # share below which a frame that fits far worse than of late is refused
-_UNKNOWN_SIGMA = 0.03  # [m] and [rad] of a prior along the ground from where poses around it are tried
-_LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
+_REST_SIGMA = 1e-4  # [m] and [rad] sigma of x, y and yaw of a camera at rest
+_REST_MOVED = 0.001  # [m] and [rad] along the ground beyond which a pose is not the rest pose
+_STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes that start a search for a lost frame
+_OVERLAP_WANTED = 0.6  # overlap below which a frame with a much higher misfit than recent ones is refused
+_UNKNOWN_SIGMA = 0.03  # [m] and [rad] along the ground; with a larger prior sigma, nearby start poses are tried
+_LOST_SIGMA = 0.03  # [m] and [rad] uncertainty of a place found by the search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registered:
-    """Where one depth frame was taken, how well that is known, and whether it may be used.
+    """Pose of one depth frame, its uncertainty, and whether it is valid.
 
-    Covariance and directions are of the error twist in world axes at the camera: (p + v, exp(w) R) for (v, w).
+    Covariance and directions refer to the error twist (v, w) in world axes at the camera: (p + v, exp(w) R).
     """
 
     stamp_ns: int  # [ns] capture time of the frame
     T_world_camera: NDArray[np.float64]  # (4, 4), the prior where ok is False
     covariance: NDArray[np.float64]  # (6, 6) [m, rad], the prior's where ok is False
-    overlap: float  # 0..1 share of the frame's points that found a plane
-    rmse: float  # [m] point-to-plane distance of those, NaN when there are none
-    degenerate: NDArray[np.float64]  # (k, 6) unit twists that the scene leaves to the prior
+    overlap: float  # 0..1 share of the frame's points with a matching plane
+    rmse: float  # [m] point-to-plane distance of the matches, NaN if there are none
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that only the prior constrains
     ok: bool
-    reason: str  # in words, empty when ok
+    reason: str  # of the failure, empty when ok
 
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """When a registration is refused, when it is doubted and searched for instead, and when the map starts anew."""
+    """Limits for refusing a pose, searching for a better one and restarting the map."""
 
-    min_measured: float = 0.02  # share of the image's blocks that carry a depth
-    min_overlap: float = 0.3  # share of points that found a plane
+    min_measured: float = 0.02  # share of the image's blocks with a depth
+    min_overlap: float = 0.3  # share of points with a matching plane
     min_agreement: float = 0.5  # share of points facing a plane that lie on it
-    max_rmse: float = 0.010  # [m] point-to-plane, and
-    rmse_factor: float = 3.0  # of what it has been lately, plus
+    max_rmse: float = 0.010  # [m] point-to-plane, absolute limit
+    rmse_factor: float = 3.0  # times the average rmse, plus rmse_margin: relative limit
     rmse_margin: float = 0.001  # [m]
-    # Departure from the prior allowed on top of four sigma. A floor tells height, roll and pitch beyond doubt, and a foot
-    # that slips off an edge tilts the robot by degrees at once; along the floor a frame may have been matched with the wrong
-    # block.
+    # Departure from the prior that is allowed in addition to four sigma. A floor constrains height, roll and pitch reliably,
+    # and a foot that slips off an edge tilts the robot by several degrees at once. Along the floor, a frame may have been
+    # matched with the wrong block.
     jump_distance: float = 0.02  # [m] in x and y
     jump_angle: float = 0.02  # [rad] in yaw
     jump_height: float = 0.05  # [m] in z
     jump_tilt: float = 0.15  # [rad] in roll and pitch
-    lever: float = 0.3  # [m] over the ground that the camera is at most: a tilt about the feet moves it in x and y, too
-    max_misfit: float = 0.015  # share of points outside of what is known of their places, above which the pose is doubted
-    doubt: int = 3  # doubtful or failed frames in a row after which the frame is searched for around its prior
-    search_every: int = 8  # frames, while it stays so
-    patience: int = 60  # failed frames in a row after which the map starts anew at the prior
-    rest_step: float = 0.001  # [m] and [rad] of the prior between two frames, up to which the camera is expected to rest
-    body_radius: float = 0.45  # [m] of what may move as one body before a camera that rests
-    # For a camera without legs, of whose motion nothing but the pictures tell: where its velocity is unknown, poses around the
-    # prior are tried; a frame that contradicts the map is refused; a lost one is searched for around all keyframes.
+    lever: float = 0.3  # [m] maximum camera height over the ground: a tilt about the feet also moves the camera in x and y
+    max_misfit: float = 0.015  # share of points outside the known height range of their cells, above which the pose is in doubt
+    doubt: int = 3  # consecutive doubtful or failed frames that start a search around the prior
+    search_every: int = 8  # [frames] between searches while the doubt lasts
+    patience: int = 60  # consecutive failed frames after which a new map starts at the prior
+    rest_step: float = 0.001  # [m] and [rad] change of the prior between two frames, up to which the camera counts as at rest
+    body_radius: float = 0.45  # [m] radius of a single body that may move in front of a camera at rest
+    # For a camera without legs, which has no odometry. Where its velocity is unknown, poses around the prior are tried. A frame
+    # that contradicts the map is refused. A lost frame is searched for around all keyframes.
     legless: bool = False
-    max_worsening: float = 2.5  # times the misfit of late, with little overlap, from which it is refused
-    max_contradiction: float = 0.05  # share of points outside of what is known of their places, above which it is refused
+    max_worsening: float = 2.5  # times the recent misfit, above which a frame with little overlap is refused
+    max_contradiction: float = 0.05  # share of points outside the known height range of their cells that refuses a frame
 
 
 HAND_HELD = Acceptance(doubt=1, search_every=4, patience=300, legless=True, rest_step=0.003)
 
 
 class Registration:
-    """Camera poses from depth frames, each registered against the keyframes that see the same place.
+    """Registration of depth frames against keyframes, which estimates camera poses.
 
-    Keyframes keep the pose they were taken at, so standing still or coming back adds no drift. What they have seen is kept
-    as a coarse map, too: a frame that registers well but lies across that map is doubted, and one that does not register, or
-    is doubted for a while, is searched for in it.
+    Keyframes keep the pose at which they were taken, so standing still or returning adds no drift. Their points also form a
+    coarse map. A frame that registers well but contradicts this map is in doubt. A frame that fails, or stays in doubt, is
+    searched for in the map.
     """
 
     def __init__(
@@ -121,10 +121,19 @@ class Registration:
         max_range: float = 2.5,
         blocks_across: int = 160,
     ) -> None:
-        """Set up for one camera; see `Keyframes` for the numbers.
+        """Create a registration for one camera.
 
-        Surfaces beyond a range [m] are cropped (Masri 2016, section 4.2): a triangulating camera bends what is far away. A row
-        of the image is reduced to so many blocks: 160 are enough for ground, clutter shows its planes to more of them.
+        Args:
+            intrinsics: Of the camera.
+            sensor: Range and noise of the camera.
+            acceptance: Limits for accepting a pose.
+            active_keyframes: Number of keyframes that a frame is matched with.
+            stored_keyframes: Number of keyframes kept.
+            keyframe_distance: [m] from the nearest keyframe at which a new one is stored.
+            keyframe_angle: [rad] the same for the rotation.
+            max_range: [m] depth at which surfaces are cropped (Masri 2016, section 4.2), because a triangulating camera
+                distorts distant ones.
+            blocks_across: Blocks per image row. 160 are enough for ground; cluttered scenes show their planes to more blocks.
         """
         self._acceptance = acceptance or Acceptance()
         sensor = replace(sensor, max_range=min(sensor.max_range, max_range))
@@ -135,16 +144,16 @@ class Registration:
         self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         self._usual_rmse = self._acceptance.max_rmse  # [m]
         self._lately = _Fit()
-        self._failures = 0  # in a row
-        self._away: NDArray[np.float64] | None = None  # (6,) twist to where the last search would have a doubted frame
-        self._doubtful = 0  # frames in a row, failed ones included
+        self._failures = 0  # consecutive
+        self._away: NDArray[np.float64] | None = None  # (6,) twist to the pose that the last search found for a doubtful frame
+        self._doubtful = 0  # consecutive frames, including failed ones
         self._last: NDArray[np.float64] | None = None  # pose (4, 4) of the last frame
-        self._rest: NDArray[np.float64] | None = None  # where the camera has been since its prior rests
-        self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
+        self._rest: NDArray[np.float64] | None = None  # pose of the camera since it came to rest
+        self._believed = 0  # frames for which the doubt is suspended, because the ground changed and not the pose
 
     @property
     def keyframe_poses(self) -> NDArray[np.float64]:
-        """Poses (n, 4, 4) of the keyframes kept now."""
+        """Poses (n, 4, 4) of the current keyframes."""
         return self._keyframes.poses
 
     def update(
@@ -154,21 +163,21 @@ class Registration:
         T_world_camera_prior: NDArray[np.float64],
         prior_covariance: NDArray[np.float64],
     ) -> Registered:
-        """Register one frame; the first is believed to be where its prior says.
+        """Register one frame; the first one is placed at its prior.
 
         Args:
             depth_raw: (h, w) raw depth, 0 = no return.
             stamp_ns: [ns] capture time, copied to the result.
-            T_world_camera_prior: (4, 4) expected pose, e.g. the last one composed with the odometry since.
-            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`: that of the odometry since the last
-                frame that registered, or a wide one where velocity is only assumed constant.
+            T_world_camera_prior: (4, 4) expected pose, e.g. the last pose composed with the odometry since.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`. It covers the odometry since the last
+                registered frame, or is wide if the velocity is only assumed constant.
 
         Returns:
-            The pose; on failure the prior and the reason. Its covariance is against the ground as it was mapped lately:
-            the drift of the keyframes is not in it, nor is what earlier frames left to the legs, by which the map is off, too.
+            The pose, or the prior and the reason of the failure. The covariance is relative to the recently mapped ground: it
+            excludes the drift of the keyframes and the directions in which earlier frames relied on odometry.
 
         Raises:
-            ValueError: A shape or type that differs, or a covariance that is not positive definite.
+            ValueError: A shape or type is wrong, or the covariance is not positive definite.
         """
         information = prior_information(T_world_camera_prior, prior_covariance)
         self._frame.load(depth_raw)
@@ -180,8 +189,8 @@ class Registration:
             self._last = T_world_camera_prior
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
-        # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip; and if one body alone
-        # moves before a camera that rests, the pose of rest.
+        # 1. Align from the prior. If the fit is poor, try again with a prior that allows slip. If only one body moves in front
+        # of a camera at rest, keep the rest pose.
         found, believable = self._align_around(T_world_camera_prior, prior_covariance, information), prior_covariance
         if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
             wide = _slipping(prior_covariance)
@@ -197,9 +206,9 @@ class Registration:
             or self._worsening(found.match)
             or jump(found.T, T_world_camera_prior, believable, self._acceptance)
         )
-        # 2. Where that is in doubt, the map says whether there is a better one.
+        # 2. Check the pose against the map, and search for a better one while it is in doubt.
         misfit = self._anchor.misfit(self._frame.points, T_world_camera_prior if reason else found.T)
-        # One body that moves before a camera that rests does not show that the camera is elsewhere.
+        # A single body that moves in front of a camera at rest is no evidence of camera motion.
         doubted = not self._is_passing_body(misfit) and (bool(reason) or self._is_doubted(misfit))
         self._doubtful = self._doubtful + 1 if doubted else 0
         self._away = self._away if doubted else None
@@ -207,19 +216,19 @@ class Registration:
             better = self._search(T_world_camera_prior if reason else found.T)
             confirmed = bool(reason) or self._acceptance.legless
             if isinstance(better, _Aligned) and not (confirmed or self._is_confirmed(error_twist(better.T, found.T))):
-                pass  # the next search decides: a person who walks by is somewhere else by then, a robot carried off is not
+                pass  # wait for the next search to confirm it: a passing person is gone by then
             elif isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
             elif reason:
                 reason = f"{reason}; {better.reason}"
             elif not better.is_elsewhere:
-                self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+                self._believed = self._acceptance.search_every  # the scene has changed, not the pose
         if not reason and doubted and self._contradicts(misfit):
             reason = f"{misfit.share:.0%} of the picture contradicts what was seen before"
         match = found.match
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
-        # 3. Good frames that see something new extend the map.
+        # 3. Good frames with new content extend the map.
         self._failures = 0
         if not doubted:
             self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
@@ -230,7 +239,7 @@ class Registration:
         return Registered(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
 
     def _held(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> "_Aligned | None":
-        """The pose of a camera that rests, where one body alone speaks for the pose found; None where it is to be believed."""
+        """Return the rest pose if only a single body supports the pose found, else None."""
         self._follow_rest(T_prior)
         if self._rest is None or np.abs(error_twist(found.T, self._rest)[_ALONG_FLOOR]).max() <= _REST_MOVED:
             return None
@@ -250,7 +259,10 @@ class Registration:
         return None
 
     def _follow_rest(self, T_prior: NDArray[np.float64]) -> None:
-        """Keep where the camera rests, while its prior does; legs that creep take it with them."""
+        """Track the rest pose of the camera while the prior is at rest.
+
+        With legs, the rest pose follows small motions of the prior.
+        """
         step = np.zeros(6) if self._last is None else error_twist(T_prior, self._last)
         if self._last is None or np.abs(step).max() > self._acceptance.rest_step:
             self._rest = None
@@ -260,7 +272,7 @@ class Registration:
             self._rest = moved(self._rest, step)
 
     def _may_have_slipped(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
-        """Whether a frame fits worse than frames of late, or has been drawn far from where the legs have it."""
+        """Return whether the legs may have slipped (poor fit, or far from the prior)."""
         match, lately = found.match, self._lately
         if match.misfit > _SURPRISING * lately.misfit or match.rmse > _FAR_APART * lately.rmse:
             return True
@@ -268,7 +280,10 @@ class Registration:
         return bool(drawn[_ALONG_FLOOR].any())
 
     def _objection(self, match: Match) -> str:
-        """Why a match is not to be trusted; surfaces must be as near to each other as they use to be."""
+        """Return why a match is rejected, or an empty string.
+
+        The rmse limit follows the average rmse.
+        """
         limits = self._acceptance
         usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
         reason = objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
@@ -280,7 +295,10 @@ class Registration:
         )
 
     def _worsening(self, match: Match, overlap: float = _OVERLAP_WANTED) -> str:
-        """That a frame of a camera without legs fits far worse than of late and has at most some overlap, or nothing."""
+        """Return why a frame without legs is rejected for a poor fit, or an empty string.
+
+        It is rejected if its misfit is far above the recent one and its overlap is at most `overlap`.
+        """
         limits, lately = self._acceptance, self._lately.misfit
         if not limits.legless or match.overlap > overlap or match.misfit <= limits.max_worsening * lately:
             return ""
@@ -288,7 +306,7 @@ class Registration:
         return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than of late"
 
     def _is_passing_body(self, misfit: Misfit) -> bool:
-        """Whether what contradicts the map is one body before a camera that rests."""
+        """Return whether all contradictions are one body in front of a camera at rest."""
         limits = self._acceptance
         return self._rest is not None and misfit.share > limits.max_misfit and is_within_body(misfit.xy, limits.body_radius)
 
@@ -300,7 +318,7 @@ class Registration:
         return self._acceptance.legless and misfit.share > self._acceptance.max_contradiction
 
     def _is_confirmed(self, away: NDArray[np.float64]) -> bool:
-        """Whether two searches in a row, while frames register but are doubted, lead as far away (6,) in the same direction."""
+        """Return whether two consecutive searches found the same twist (6,)."""
         before, self._away = self._away, away
         return before is not None and bool((np.abs(away - before) < _SAME_AWAY).all())
 
@@ -309,7 +327,7 @@ class Registration:
         return since >= 0 and since % self._acceptance.search_every == 0
 
     def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | _Nowhere":
-        """A better place in the map, registered there; or why there is none."""
+        """Search the map for a better pose and register the frame there."""
         found = self._anchor.find(self._frame.points, T_expected)
         if found.T_world_camera is None and self._acceptance.legless:
             found = self._anchor.relocalize(self._frame.points, self._keyframes.apart(_STARTS_APART_M, _STARTS_APART_RAD))
@@ -326,7 +344,7 @@ class Registration:
         return _Nowhere(words, is_elsewhere=True)
 
     def _remember(self, T: NDArray[np.float64]) -> None:
-        """Make the frame as last loaded a keyframe, and a part of the map."""
+        """Store the loaded frame as a keyframe and add it to the map."""
         self._keyframes.add(T)
         frame = self._frame
         self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
@@ -334,7 +352,7 @@ class Registration:
     def _align_around(
         self, T_prior: NDArray[np.float64], covariance: NDArray[np.float64], information: NDArray[np.float64]
     ) -> "_Aligned":
-        """The pose that fits best of those that are found from the prior, and from around it where it is hardly known."""
+        """Return the best alignment, with several starts around an uncertain prior."""
         found = self._align(T_prior, information)
         sigma = np.sqrt(np.diag(covariance))
         if not self._acceptance.legless or sigma[_ALONG_FLOOR].max() < _UNKNOWN_SIGMA:
@@ -354,15 +372,15 @@ class Registration:
         trusting: int = 0,
         T_start: NDArray[np.float64] | None = None,
     ) -> "_Aligned":
-        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error), from the prior or from another pose.
+        """Run Gauss-Newton on matches and prior: (H + P) step = -(g + P error).
 
-        In the first so many iterations all matches are trusted alike, however far off: a start that is far from the right
-        place has its few telling points there, which are taken for outliers else.
+        The iteration starts at the prior or at T_start. In the first `trusting` iterations all matches have full weight: for a
+        start far from the solution, the few informative points are distant and would be treated as outliers.
         """
         chosen = self._keyframes.select(T_prior)
         T_start = T_prior if T_start is None else T_start
         T: NDArray[np.float64] = T_start
-        # The first step may have to bridge what the prior leaves open and what a slip adds.
+        # The first step may have to cover the prior's uncertainty and a slip.
         step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
         for iteration in range(_MAX_ITERATIONS):
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
@@ -388,7 +406,7 @@ class Registration:
         self._failures += 1
         self._last = T_prior
         if self._failures >= self._acceptance.patience and match is not None:
-            # The prior has drifted too far to find the way back: start a map of its own there.
+            # The prior has drifted too far for a search: start a new map there.
             self._keyframes.clear()
             self._anchor.clear()
             # The ground here may be rougher than it has been so far.
@@ -401,37 +419,37 @@ class Registration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Aligned:
-    """A pose that a frame fits at."""
+    """Pose at which a frame fits the keyframes."""
 
     T: NDArray[np.float64]  # (4, 4) of the camera
     covariance: NDArray[np.float64]  # (6, 6) [m, rad]
-    degenerate: NDArray[np.float64]  # (k, 6) unit twists that are left to the prior
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that only the prior constrains
     match: Match
 
 
 @dataclass(frozen=True, slots=True)
 class _Nowhere:
-    """Why a search has found no place."""
+    """Result of a search that found no pose."""
 
-    reason: str  # in words
-    is_elsewhere: bool  # there is a better place than the expected one, though none that fits
+    reason: str  # of the failure
+    is_elsewhere: bool  # True if a better pose than the expected one exists, but the frame does not fit it
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """How well frames have fitted of late; infinite before the first."""
+    """Recent quality of fit, infinite before the first frame."""
 
     misfit: float = math.inf
     rmse: float = math.inf  # [m]
 
 
 def _recent(mean: float, value: float) -> float:
-    """A running mean with one more value in it."""
+    """Return the running mean updated with a value."""
     return mean + _RECENT_SHARE * (value - mean) if math.isfinite(mean) else value
 
 
 def _with_floor_open(degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Twists (k, 6) that a scene leaves to the prior, with x, y and yaw among them."""
+    """Return the twists (k, 6) that only the prior constrains, plus x, y and yaw."""
     rest = degenerate.copy()
     rest[:, _ALONG_FLOOR] = 0.0
     kept = degenerate[np.linalg.norm(rest, axis=1) > 0.5]
@@ -439,15 +457,16 @@ def _with_floor_open(degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How much to believe of a match, by direction.
+    """Compute how far a match constrains each direction.
 
-    Noisy normals make a flat floor seem to constrain x, y and yaw. Against the information N that noise alone would
-    give, H has one generalised eigenvalue per direction, 1 where it holds nothing else; directions are faded in from
-    there. (After Zhang, Kaess and Singh 2016, On degeneracy of optimization-based state estimation problems.)
+    Noisy normals make a flat floor seem to constrain x, y and yaw. N is the information that noise alone would give. The
+    generalised eigenvalues of H against N are 1 in directions that hold only noise. The weight of a direction rises from 0
+    to 1 between `_SNR_OPEN` and `_SNR_KNOWN`. (After Zhang, Kaess and Singh 2016, On degeneracy of optimization-based state
+    estimation problems.)
 
     Returns:
-        The (6, 6) matrix B of the normal equations to believe, B H and B g, and the unit twists (k, 6) of the
-        directions not believed at all.
+        The (6, 6) matrix B of the weighted normal equations, B H and B g, and the unit twists (k, 6) of the directions with
+        weight 0.
     """
     if not match.N.any():
         return np.zeros((6, 6)), np.eye(6)
@@ -457,7 +476,7 @@ def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @compiled
 def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A B of small matrices, without calling a library."""
+    """Multiply two small matrices without a library call."""
     out = np.zeros((A.shape[0], B.shape[1]))
     for i in range(A.shape[0]):
         for j in range(B.shape[1]):
@@ -468,11 +487,14 @@ def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float
 
 @compiled
 def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """B of `belief` before its factor; six unit twists, and which of them are unknown. N is not zero."""
+    """Return B of `belief` before scaling, six unit twists, and which are unknown.
+
+    N must not be zero.
+    """
     scale = 0.0
     for i in range(6):
         scale += N[i, i] / 6.0
-    # 1. N = L L^T (Cholesky), and L inverted.
+    # 1. N = L L^T (Cholesky), and the inverse of L.
     L, inverse_L = np.zeros((6, 6)), np.zeros((6, 6))
     for i in range(6):
         for j in range(i + 1):
@@ -486,7 +508,7 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
             for k in range(j, i):
                 rest -= L[i, k] * inverse_L[k, j]
             inverse_L[i, j] = rest / L[i, i]
-    # 2. L^-1 H L^-T = U diag(ratio) U^T, by Jacobi's rotations: cyclic, until nothing is left beside the diagonal.
+    # 2. L^-1 H L^-T = U diag(ratio) U^T by cyclic Jacobi rotations, until the off-diagonal elements vanish.
     A, U = _product(_product(inverse_L, H), inverse_L.T), np.eye(6)
     for _ in range(_SWEEPS):
         aside, whole = 0.0, 0.0
@@ -510,7 +532,7 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
                     A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
                 for k in range(6):
                     U[k, p], U[k, q] = c * U[k, p] - s * U[k, q], s * U[k, p] + c * U[k, q]
-    # 3. Directions are faded in by their ratio.
+    # 3. Weight each direction by its ratio.
     share = np.empty(6)
     for k in range(6):
         share[k] = min(max((A[k, k] - _SNR_OPEN) / (_SNR_KNOWN - _SNR_OPEN), 0.0), 1.0)
@@ -522,20 +544,20 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _is_apart(T: NDArray[np.float64], other: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
-    """Whether two poses lie further apart along the floor than a prior is uncertain.
+    """Return whether two poses differ along the floor by more than the prior's sigma.
 
-    A pose that fits better, yet where the legs have it, speaks of noise and of no slip.
+    A better fit close to the odometry pose shows noise, not a slip.
     """
     return bool((np.abs(error_twist(T, other)) > np.sqrt(np.diag(covariance)))[_ALONG_FLOOR].any())
 
 
 def _slipping(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The covariance (6, 6) of a prior whose legs may have slipped."""
+    """Return the covariance (6, 6) of a prior that allows for slip of the legs."""
     return covariance + np.diag(_SLIPPED**2)
 
 
 def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
-    """A pose moved by an error twist (6,) in world axes at its origin."""
+    """Move a pose by an error twist (6,) in world axes at its origin."""
     out = T.copy()
     out[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
     out[:3, 3] += twist[:3]
@@ -543,12 +565,12 @@ def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.flo
 
 
 def error_twist(T: NDArray[np.float64], T_from: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The error twist (6,) that moves one pose to another, so that moved(T_from, error_twist(T, T_from)) is T."""
+    """Return the error twist (6,) for which moved(T_from, twist) is T."""
     return np.concatenate([T[:3, 3] - T_from[:3, 3], log_so3(T[:3, :3] @ T_from[:3, :3].T)])
 
 
 def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The information (6, 6) of a prior.
+    """Return the information matrix (6, 6) of a prior.
 
     Raises:
         ValueError: Not a finite (4, 4) pose, or not a positive definite (6, 6) covariance.
@@ -563,7 +585,7 @@ def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -
 
 
 def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
-    """Why a frame cannot be registered at all, or nothing."""
+    """Return why a frame has too few measurements, or an empty string."""
     share = frame.valid / (frame.shape[0] * frame.shape[1])
     if share < acceptance.min_measured:
         return f"only {100 * share:.1f} % of the image is measured, {100 * acceptance.min_measured:.0f} % needed"
@@ -571,7 +593,7 @@ def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
 
 
 def objection(match: Match, acceptance: Acceptance) -> str:
-    """Why a match is not to be trusted, or nothing."""
+    """Return why a match is rejected, or an empty string."""
     if match.overlap < acceptance.min_overlap:
         return f"{100 * match.overlap:.0f} % of the frame overlaps known ground, {100 * acceptance.min_overlap:.0f} % needed"
     if match.agreement < acceptance.min_agreement:
@@ -582,7 +604,7 @@ def objection(match: Match, acceptance: Acceptance) -> str:
 
 
 def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance) -> str:
-    """Why a pose is too far from its prior to be true, or nothing."""
+    """Return why a pose is implausibly far from its prior, or an empty string."""
     twist = np.abs(error_twist(T, T_prior))
     level, tilt = acceptance.jump_distance, acceptance.jump_tilt
     swept = acceptance.lever * float(min(max(twist[3], twist[4]), tilt))
@@ -599,13 +621,13 @@ def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArr
 
 
 def first(stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> Registered:
-    """The result for a frame that starts a map: it is where its prior says."""
+    """Return the result for the first frame of a map, placed at its prior."""
     return Registered(stamp_ns, T.copy(), covariance.copy(), 1.0, 0.0, np.eye(6), True, "")
 
 
 def refused(
     stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64], match: Match | None, reason: str
 ) -> Registered:
-    """The result for a frame that could not be registered: its prior and why."""
+    """Return the result for a frame that was not registered: its prior and the reason."""
     overlap, rmse = (0.0, math.nan) if match is None else (match.overlap, match.rmse)
     return Registered(stamp_ns, T.copy(), covariance.copy(), overlap, rmse, np.eye(6), False, reason)

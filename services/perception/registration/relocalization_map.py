@@ -1,12 +1,13 @@
-"""The ground that keyframes have seen, coarse: whether a frame lies where it should, and where it lies instead.
+"""Coarse height map of the keyframes, for detecting and correcting wrong poses.
 
-Registration finds the nearest pose that fits. On mostly level ground the floor alone fits anywhere, so a robot that has been
-carried off, or has slid further than a gate, agrees with almost everything it sees. Here the rest is asked: each cell of
-a grid keeps the lowest and the highest point seen in it, and a frame's points are looked up there. What a cell shows of an
-edge depends on where it is seen from, so cells count only once all their neighbours have been seen, too, and a frame is doubted
-only for what lies below all of those, where it would be seen through the ground, or above them where an earlier frame has
-looked through: other things above may be faces that come into view. To find a lost frame, places around the expected one
-are tried, each with the height that suits it best.
+Registration finds the nearest pose that fits. On mostly level ground the floor fits at any pose, so a robot that was carried
+away, or slid further than a gate, still agrees with most of its view. This map tests the remaining points. Each grid cell
+keeps the lowest and the highest point seen in it, and a frame's points are compared with their cells.
+
+The view of an edge in a cell depends on the viewpoint, so a cell counts only after all its neighbours were seen. A point
+contradicts the map if it lies below all of these, where it would be seen through the ground. A point above them contradicts
+the map only if an earlier ray has passed higher; other points above may be surfaces that come into view. The search for a
+lost frame tries poses around the expected one, each at the height that fits best.
 """
 
 import math
@@ -22,50 +23,55 @@ from sextant.shared.runtime.compiled import compiled
 Array = NDArray[Any]
 
 _RESOLUTION = 0.02  # [m] cell edge
-_SIDE = 512  # cells along an edge; further on, the grid begins anew over itself
-_GAP = 0.08  # [m] between neighbours of an image that are taken for one surface
+_SIDE = 512  # [cells] edge of the grid, a circular buffer
+_GAP = 0.08  # [m] largest distance between neighbouring points of one surface
 _MOST_BETWEEN = 1 + 2 * math.ceil(_GAP / (0.7 * _RESOLUTION))
-_TOLERANCE = 0.015  # [m] outside of what a cell has shown
-_NOISE = 2.0  # [sigma] of a pixel's depth on top
-_REACH, _TURN = 0.36, math.radians(18.0)  # [m] [rad] searched around the expected place
-_STEP, _ANGLE = 0.04, math.radians(3.0)  # of the coarse search
+_TOLERANCE = 0.015  # [m] allowed outside a cell's height range
+_NOISE = 2.0  # [sigma] of a pixel's depth, added to the tolerance
+_REACH, _TURN = 0.36, math.radians(18.0)  # [m] [rad] search range around the expected pose
+_STEP, _ANGLE = 0.04, math.radians(3.0)  # [m] [rad] steps of the coarse search
 _FINE_STEP, _FINE_ANGLE = 0.01, math.radians(1.0)
 _FINE = np.arange(-3, 4)
-_AGAINST = 18.0  # points that fit make up for one that does not
-_WAY = 0.4  # of the worth that reaching so far, turning so much, or rising by
-_RISE = 0.10  # [m] costs
-_LEVELS = 12  # heights tried to each side, a tolerance apart
+_AGAINST = 18.0  # weight of a point that does not fit, relative to one that fits
+_WAY = 0.4  # worth lost at a distance `_REACH`, a turn `_TURN` or a height `_RISE`
+_RISE = 0.10  # [m] height that costs `_WAY`
+_LEVELS = 12  # heights tried in each direction, `_TOLERANCE` apart
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_TRIED, _TRIED_FINELY = 300, 1000  # points looked up at each place
-_SIGHTS = 4  # every how many lines of sight are followed
+_TRIED, _TRIED_FINELY = 300, 1000  # points looked up per place in the coarse and in the fine search
+_SIGHTS = 4  # every n-th ray is traced
 _REFINED = 6  # best places of the coarse search that are refined
-_REFINED_FEW = 2  # likewise around each of many poses
-_STARTS_APART = 0.24  # [m] searched around each of them
-_MIN_FIT_ANYWHERE = 0.9  # share of the points that must suit a place that may be anywhere
-_MIN_KNOWN = 0.4  # share of the points that must fall on known cells
-_MIN_FIT = 0.85  # share of those that must suit the place found
-_BETTER = 0.03  # by which its fit must at least exceed that of the expected place
-_SIGMAS = 3.0  # of the counts, on top
-_APART, _TURNED, _RISEN = 0.05, math.radians(4.0), 0.04  # [m] [rad] [m] from where on a place is another one
+_REFINED_FEW = 2  # the same around each start pose of `relocalize`
+_STARTS_APART = 0.24  # [m] search range around each start pose
+_MIN_FIT_ANYWHERE = 0.9  # minimum share of fitting points for a pose anywhere in the map
+_MIN_KNOWN = 0.4  # minimum share of points on known cells
+_MIN_FIT = 0.85  # minimum share of those that fit at the pose found
+_BETTER = 0.03  # minimum gain of this share over the expected pose
+_SIGMAS = 3.0  # [sigma] of the counts, added to that gain
+_APART, _TURNED, _RISEN = 0.05, math.radians(4.0), 0.04  # [m] [rad] [m] beyond which two poses differ
 
 _CELL = np.dtype(
     [
-        ("tag", np.int64),  # which cell of the world is kept here
-        ("low", np.float32),  # [m] lowest and highest point seen in it, reversed where none was
+        ("tag", np.int64),  # world cell stored here
+        ("low", np.float32),  # [m] lowest and highest point seen; low > high if none
         ("high", np.float32),
-        ("low_around", np.float32),  # [m] the same, neighbours included
+        ("low_around", np.float32),  # [m] the same, including the neighbours
         ("high_around", np.float32),
-        ("clear", np.float32),  # [m] up to where it has been looked through
-        ("seen_around", np.int32),  # how many of it and its eight neighbours have been seen
+        ("clear", np.float32),  # [m] largest height at which a ray has passed
+        ("seen_around", np.int32),  # number of seen cells among it and its eight neighbours
     ]
 )
 
 
 def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
-    """Points (n, 3) [m] {camera} of an image (rows, columns) of inverse depth [1/m], 0 for none, and between its neighbours.
+    """Convert an inverse depth image to points (n, 3) [m] {camera}, densified.
 
-    The floor ahead is sampled more thinly than the grid has cells; what lies between two neighbours that are near each other
-    is taken for straight. x and y are the rays of columns and rows at unit depth.
+    The floor ahead has fewer samples than the grid has cells. Points on the straight line between two nearby neighbours are
+    therefore added.
+
+    Args:
+        inverse_depth: (rows, columns) [1/m], 0 for none.
+        x: Ray of each column at unit depth.
+        y: Ray of each row at unit depth.
     """
     out = np.empty((_MOST_BETWEEN * inverse_depth.size, 3))
     return out[: _fill_between(inverse_depth, x, y, out)]
@@ -73,45 +79,46 @@ def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a lost frame lies, or why that cannot be told."""
+    """Pose of a lost frame, or the reason why it was not found."""
 
     T_world_camera: Pose | None  # (4, 4)
-    reason: str  # in words, empty when it was found
+    reason: str  # of the failure, empty when found
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """What of a frame contradicts the map."""
+    """Points of a frame that contradict the map."""
 
     share: float  # of the points on known cells
-    xy: NDArray[np.float64]  # (n, 2) [m] {world} where those points are
+    xy: NDArray[np.float64]  # (n, 2) [m] {world} of the contradicting points
 
 
 class AnchorMap:
-    """Lowest and highest point of each cell, in a circular buffer."""
+    """Lowest and highest point per cell, in a circular buffer."""
 
     def __init__(self, sigma: float) -> None:
-        """Begin with nothing known.
+        """Create an empty map.
 
         Args:
-            sigma: [1/m] of a depth over its square: one-sigma noise of a pixel.
+            sigma: [1/m] one-sigma depth noise of a pixel, divided by its squared depth.
         """
         self._noise = _NOISE * sigma
         self._cells = np.zeros((_SIDE, _SIDE), dtype=_CELL)
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Delete all cells."""
         self._cells["tag"] = -1
 
     def add(self, points: Array, T_world_camera: Pose) -> None:
-        """Take in points (n, 3) [m] {camera} seen from a pose (4, 4)."""
+        """Add points (n, 3) [m] {camera} that were seen from a pose (4, 4)."""
         _add(points, T_world_camera, self._cells)
 
     def misfit(self, points: Array, T_world_camera: Pose) -> Misfit:
-        """Which points (n, 3) [m] {camera} on known cells lie outside of what those and their neighbours have shown.
+        """Find the points (n, 3) [m] {camera} that contradict the map.
 
-        What lies above counts only where something has been seen through it. None where few are known.
+        These are on known cells, outside the height range of the cell and its neighbours. A point above counts only where an
+        earlier ray has passed higher. The result is empty if few points are on known cells.
         """
         points = _some(points, _TRIED_FINELY)
         outside = np.zeros(len(points), dtype=np.bool_)
@@ -121,25 +128,28 @@ class AnchorMap:
         return Misfit(misfit / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
 
     def find(self, points: Array, T_world_camera: Pose) -> Found:
-        """Where points (n, 3) [m] {camera} fit best, around the expected pose (4, 4), whose roll and pitch are believed."""
+        """Search around the expected pose (4, 4) for points (n, 3) [m] {camera}.
+
+        Roll and pitch of the expected pose are kept.
+        """
         few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
         n = len(points)
         known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise, np.zeros(n, dtype=np.bool_))
-        # 1. All places, coarsely.
+        # 1. Coarse search over all places.
         shifts = np.arange(-_REACH, _REACH + _STEP / 2, _STEP)
         angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
         places = _grid(shifts, angles)
         fits, worths, heights = self._judge(few, T_world_camera, places)
         if fits.max() < 0.0:
             return Found(None, "lost: nothing within reach has been seen before")
-        # 2. The best of them, finely. Of places that look alike the nearest is taken: what the ground does not show stays
-        # as expected.
+        # 2. Fine search around the best. Among places that look alike the nearest is taken, so that directions that the ground
+        # does not constrain keep their expected values.
         around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
         near = (places[_apart(places, worths - _far(places, heights), _REFINED), None] + around).reshape(-1, 3)
         fits, worths, heights = self._judge(points, T_world_camera, near)
         best = int(np.argmax(worths - _far(near, heights)))
         fit = float(fits[best])
-        # 3. It must be good, and another one, and better than here, where ground that was never seen speaks against nothing.
+        # 3. The best must fit well, differ from the expected pose, and fit better than it. Points on unknown cells are neutral.
         if fit < _MIN_FIT:
             return Found(None, f"lost: the best place within {_REACH:g} m fits {100 * max(fit, 0.0):.0f} % of the ground seen")
         another = _is_other(near[best], np.zeros(3)) or abs(heights[best]) > _RISEN
@@ -151,9 +161,9 @@ class AnchorMap:
         return Found(T, "")
 
     def relocalize(self, points: Array, starts: Array) -> Found:
-        """Where points (n, 3) [m] {camera} fit, around any of some poses (k, 4, 4), whose roll and pitch are believed.
+        """Search around several poses (k, 4, 4) for points (n, 3) [m] {camera}.
 
-        A place counts only if no other place fits as well.
+        Roll and pitch of these poses are kept. A pose is accepted only if no other fits as well.
         """
         few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
         shifts = np.arange(-_STARTS_APART, _STARTS_APART + _STEP / 2, _STEP)
@@ -183,10 +193,11 @@ class AnchorMap:
         return Found(T, "")
 
     def _judge(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:
-        """For each place (k, 3) the share of points that fit of those on known cells, its worth, and its height [m].
+        """Score places (k, 3): share of fitting points, worth, and height [m].
 
-        A point that does not fit tells far more against a place than one that does, on level ground say, tells for it; one that
-        falls where nothing is known tells nothing. Both are -1 and minus infinity where too few cells are known.
+        The share refers to points on known cells. A point that does not fit is much stronger evidence against a place than a
+        fitting point, for example on level ground, is for it. A point on an unknown cell is no evidence. Share and worth are
+        -1 and minus infinity if too few points are on known cells.
         """
         out = np.empty((len(places), 3))
         _score_places(points, T, places, self._cells, self._noise, out)
@@ -197,19 +208,22 @@ class AnchorMap:
 
 
 def _some(points: Array, count: int) -> Array:
-    """Some of many points, evenly, but in no step: one that goes evenly into the image's width would read few columns."""
+    """Return an even sample of points in an irregular order.
+
+    A regular stride that divides the image width would read only a few columns.
+    """
     if len(points) <= count:
         return points
     return np.asarray(points[(np.arange(count) * _GOLDEN % 1.0 * len(points)).astype(np.intp)])
 
 
 def _grid(shifts: Array, angles: Array) -> Array:
-    """Places (k, 3): shifts in x and y [m], and a turn [rad]."""
+    """Return places (k, 3): shifts in x and y [m], and a turn [rad]."""
     return np.stack(np.meshgrid(shifts, shifts, angles, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _far(places: Array, heights: Array) -> Array:
-    """What the way from the expected place takes from its worth."""
+    """Return the worth that places lose by their distance from the expected pose."""
     way = np.hypot(places[:, 0], places[:, 1]) / _REACH + np.abs(places[:, 2]) / _TURN + np.abs(heights) / _RISE
     return np.asarray(_WAY * way)
 
@@ -220,7 +234,7 @@ def _is_other(places: Array, place: Array) -> NDArray[np.bool_]:
 
 
 def _apart(places: Array, worth: Array, count: int) -> NDArray[np.intp]:
-    """The most worthy places that are apart from each other, best first."""
+    """Return the best places that are apart from each other, best first."""
     chosen: list[int] = []
     left = np.ones(len(places), dtype=bool)
     while len(chosen) < count and left.any():
@@ -231,14 +245,14 @@ def _apart(places: Array, worth: Array, count: int) -> NDArray[np.intp]:
 
 
 def _differs(T: Pose, other: Pose) -> bool:
-    """Whether two poses are so far apart that fine searches around them do not meet."""
+    """Return whether two poses are too far apart for their fine searches to overlap."""
     far = np.linalg.norm(T[:2, 3] - other[:2, 3]) > 2.0 * _APART
     cosine = (np.trace(T[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
     return bool(far or cosine < math.cos(2.0 * _TURNED))
 
 
 def _placed(T: Pose, place: Array) -> Pose:
-    """A pose (4, 4) shifted in the plane and turned about the vertical through it."""
+    """Shift a pose (4, 4) in the plane and turn it about the vertical axis through it."""
     c, s = math.cos(place[2]), math.sin(place[2])
     out = T.copy()
     out[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ T[:3, :3]
@@ -248,7 +262,7 @@ def _placed(T: Pose, place: Array) -> Pose:
 
 @compiled
 def _tag(i: int, j: int) -> int:
-    """A number for each cell of the world."""
+    """Return a unique number for a world cell."""
     return (i + 1048576) * 2097152 + (j + 1048576)
 
 
@@ -283,7 +297,7 @@ def _fill_between(w: Array, x: Array, y: Array, out: Array) -> int:
 
 @compiled
 def _claim(i: int, j: int, cells: Any) -> tuple[int, int]:
-    """Where a cell of the world is kept, emptied if it was another's."""
+    """Return the buffer index of a world cell, and clear it if it held another cell."""
     a, b, tag = i & (_SIDE - 1), j & (_SIDE - 1), _tag(i, j)
     cell = cells[a, b]
     if cell.tag != tag:
@@ -311,7 +325,7 @@ def _add(points: Array, T: Array, cells: Any) -> None:
                     cell.seen_around += news
                     cell.low_around, cell.high_around = min(cell.low_around, height), max(cell.high_around, height)
             here.low, here.high = min(here.low, height), max(here.high, height)
-        # 2. What the line of sight to it crosses; every few of them make a dense fan.
+        # 2. The cells that its ray crosses. A fraction of the rays is dense enough.
         if n % _SIGHTS:
             continue
         du, dv, dz = T[0, 3] / _RESOLUTION - u, T[1, 3] / _RESOLUTION - v, T[2, 3] - height
@@ -324,10 +338,10 @@ def _add(points: Array, T: Array, cells: Any) -> None:
 
 @compiled
 def _look_up(points: Array, T: Array, cells: Any, noise: float, outside: Array) -> tuple[int, int, int]:
-    """How many points (n, 3) {camera} fall on known cells, how many of them cannot be there, how many have been seen there.
+    """Count the points (n, 3) {camera} that are known, contradicting and fitting.
 
-    What cannot be there lies below all that a cell and its neighbours have shown, or above it where it has been looked through:
-    those points are marked in `outside` (n,).
+    A point contradicts the map if it lies below the range of its cell and the neighbours. It also does above this range if a
+    ray has passed higher. Contradicting points are marked in `outside` (n,).
     """
     known = misfit = fitting = 0
     for n in range(len(points)):
@@ -349,9 +363,12 @@ def _look_up(points: Array, T: Array, cells: Any, noise: float, outside: Array) 
 
 @compiled
 def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: float, out: Array) -> None:
-    """For each place (k, 3): points on known cells, most that fit at one height, and that height [m]."""
+    """Score places (k, 3): points on known cells, fitting points, and height [m].
+
+    The height is the one at which the most points fit.
+    """
     m = len(points)
-    flat = np.empty((m, 3))  # from the camera, in world axes
+    flat = np.empty((m, 3))  # relative to the camera, in world axes
     for n in range(m):
         for a in range(3):
             flat[n, a] = T[a, 0] * points[n, 0] + T[a, 1] * points[n, 1] + T[a, 2] * points[n, 2]
@@ -369,7 +386,7 @@ def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: flo
             if cell.tag != _tag(i, j) or cell.seen_around < 9:
                 continue
             known += 1
-            # It fits if raised by what lies between these two.
+            # The point fits if it is raised by an amount between these two.
             height = T[2, 3] + flat[n, 2]
             tolerance = _TOLERANCE + noise * points[n, 2] * points[n, 2]
             first = math.ceil((cell.low - tolerance - height) / _TOLERANCE) + _LEVELS
@@ -381,7 +398,7 @@ def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: flo
         fitting, most, at = 0, -1.0, 0
         for level in range(levels):
             fitting += begins[level] - ends[level]
-            # Of heights that suit equally, the expected one.
+            # Among equally good heights, prefer the expected one.
             worth = fitting - 1e-3 * abs(level - _LEVELS)
             if worth > most:
                 most, at = worth, level
