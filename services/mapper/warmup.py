@@ -42,7 +42,7 @@ def _scan(profile: RobotProfile, stamp_ns: int, x: float) -> Scan:
     points = np.column_stack([ahead.ravel(), aside.ravel(), z.ravel()])
     n = len(points)
     p_world_camera = profile.camera.T_body_camera[:3, 3] + [x, 0.0, profile.stance.body_height]
-    colored = profile.camera.color is not None
+    colored = profile.camera.color
     return Scan(
         stamp_ns=stamp_ns,
         origin=np.zeros(3),
