@@ -1,4 +1,7 @@
-"""The stop path: it latches each new order to let go, and nothing that it hears opens the latch."""
+"""Stop path: it latches each new order to turn torque off.
+
+No message that it receives opens the latch.
+"""
 
 import os
 from pathlib import Path
@@ -69,7 +72,10 @@ def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> No
 
 @pytest.mark.parametrize("mode", ["stop", "sit", "walk", "stand"])
 def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(latch: Latch, mode: str) -> None:
-    """The actuator knows whether it was taken back since."""
+    """Check that the latch keeps the time of the order: a later order may undo it.
+
+    The actuator decides whether that has happened.
+    """
     stop = Stop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
     for sequence, order in ((5, "off"), (9, mode), (5, "off"), (3, "off")):
@@ -79,7 +85,7 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
 
 
 def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_heard_where_it_is_of_now(latch: Latch) -> None:
-    """The guard obeys it, too."""
+    """Check a late order to turn torque off, which the guard obeys, too."""
     second = 1_000_000_000
     stop = Stop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
@@ -216,7 +222,10 @@ def test_a_device_has_one_latch_for_all_users_and_a_port_of_the_network_one_for_
 
 
 def test_who_knows_a_port_by_another_of_its_names_has_the_same_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also once the adapter has come back under another name, and where it was unplugged as one began."""
+    """Check that all names of one port share a latch.
+
+    This includes an adapter that returns under another name, or was unplugged at start-up.
+    """
     devices = latch.paths[0].parent / "dev"
     (devices / "serial" / "by-id").mkdir(parents=True)
     monkeypatch.setattr(latch_files, "_DEVICES", devices)
@@ -256,10 +265,10 @@ def test_it_is_closed_where_any_of_its_files_says_so_and_open_where_none_does(tm
     private.mkdir()
     latch.close(1)
     assert (latch.closed, latch.since_ns) == (True, 1)
-    shared.mkdir()  # a service manager has made it since
+    shared.mkdir()  # a service manager has created it since
     latch.close(3)
     assert [(path.parent / "off").read_text() for path in latch.paths] == ["3", "3"]
-    Latch(shared / "off").close(5)  # by one who does not see the other folder
+    Latch(shared / "off").close(5)  # by a process that does not see the other folder
     assert latch.since_ns == 5
     assert not latch.open(4, 10)
     assert latch.closed
@@ -286,7 +295,10 @@ def broken(path: Path) -> os.stat_result:
 
 @pytest.mark.parametrize(("heard_ns", "since_ns"), [(700_000_000, 100), (2_000_000_101, 2_000_000_101), (50, 50)])
 def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, heard_ns: int, since_ns: int) -> None:
-    """Else a robot that has risen by a newer order would fall; a stamp of another clock says nothing."""
+    """Check that a late stop counts from its stamp, or from now if its clock differs.
+
+    Otherwise a robot that stands up after a newer order would fall.
+    """
     stop = Stop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
     inbox.receive(topics.STOP, codec.encode(StopOrder(100, "off", 1, "viewer")), 0)

@@ -1,4 +1,4 @@
-"""The actuator is light: what its role installs, and what its processes import."""
+"""The actuator is small: its installed size and the imports of its processes."""
 
 import importlib.metadata
 import subprocess
@@ -17,8 +17,8 @@ HEAVY = {"cv2", "numba", "mujoco", "kiss_icp", "scipy", "matplotlib", "llvmlite"
 
 
 def closure(wanted: Iterable[str]) -> set[str]:
-    """The distributions that requirements lead to on this machine, by name."""
-    found: dict[str, set[str]] = {}  # with the extras that are looked at already
+    """Return the names of all distributions that the requirements need here."""
+    found: dict[str, set[str]] = {}  # names with the extras that are already resolved
     waiting = [Requirement(text) for text in wanted]
     while waiting:
         one = waiting.pop()
@@ -40,13 +40,19 @@ def megabytes(paths: Iterable[Path]) -> float:
 
 
 def own_files() -> Iterable[Path]:
-    """Of Sextant itself, which may be installed as it lies here; what runs have left there is not installed."""
+    """Return the files of Sextant itself, which may be installed in place.
+
+    Bytecode caches do not count.
+    """
     found = (path for part in ("shared", "services", "deploy") for path in (ROOT / part).rglob("*"))
     return (path for path in found if "__pycache__" not in path.parts)
 
 
 def test_the_role_installs_in_150_megabytes() -> None:
-    """Everything but Python itself, pip and setuptools; bytecode as far as this machine keeps it."""
+    """Check the installed size without Python, pip and setuptools.
+
+    Bytecode of other packages counts as far as it exists on this machine.
+    """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = closure([*project["dependencies"], *project["optional-dependencies"]["actuator"]])
     assert {"numpy", "eclipse-zenoh", "pyserial"} <= names
@@ -60,7 +66,7 @@ def test_the_role_installs_in_150_megabytes() -> None:
 
 @pytest.mark.parametrize("process", ["sextant.services.actuator", "sextant.services.actuator.estop"])
 def test_its_processes_import_nothing_heavy(process: str) -> None:
-    """All that is imported by the time that `process.main` is called."""
+    """List all modules that are imported when `process.main` is called."""
     look = (
         "import sys; from sextant.shared.runtime import process; process.main = lambda *_: None; "
         f"import {process}.__main__; print(*{{name.partition('.')[0] for name in sys.modules}})"

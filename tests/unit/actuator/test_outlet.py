@@ -1,4 +1,7 @@
-"""Where the servos' port is found: by its names, and again when its adapter comes back under another one."""
+"""Discovery of the servos' port by name, and again when its adapter returns.
+
+The adapter may return under another name.
+"""
 
 import pytest
 
@@ -8,7 +11,7 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
 
 
 class Adapter:
-    """What pyserial lists."""
+    """A port as listed by pyserial."""
 
     def __init__(self, device: str, vid: int | None = 0x0403, pid: int | None = 0x6014, serial: str | None = "FT1") -> None:
         self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial
@@ -31,7 +34,7 @@ def test_a_port_that_is_no_adapter_is_nobody(url: str) -> None:
 
 
 class Desk:
-    """Ports that are there by name, and those that were tried."""
+    """Ports that exist by name, and a list of those that were tried."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *adapters: Adapter, others: tuple[str, ...] = ()) -> None:
         self.adapters, self.others, self.tried = list(adapters), others, list[str]()

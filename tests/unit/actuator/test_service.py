@@ -1,4 +1,4 @@
-"""The actuator whole: torque, orders and plans."""
+"""Actuator service: torque, orders and plans."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +34,7 @@ def test_a_standing_robot_is_taken_over_without_a_twitch() -> None:
         goals = rig.goals
         states.append(rig.cycle())
         assert np.abs(rig.goals - goals).max() <= GENTLE * 1e-9 * PERIOD + dxl.TICK_RAD
-    # What is added is the load's sag, once; then nothing moves.
+    # The goals change once by the sag under load; then nothing moves.
     after = rig.goals
     assert np.abs(after - before).max() < 0.08
     assert np.abs(states[-1].feet - states[-2].feet).max() < 1e-3
@@ -59,7 +59,7 @@ def test_stand_raises_a_lying_robot_to_rest() -> None:
     assert state.reason == "standing"
     feet = body_forward(PROFILE, rig.goals)
     np.testing.assert_allclose(feet[:, :2], (REST + 0.03 * OUT)[:, :2], atol=0.03)
-    assert (feet[:, 2] < REST[:, 2] + 2e-3).all()  # the sag is fed forward: beyond, never short
+    assert (feet[:, 2] < REST[:, 2] + 2e-3).all()  # the sag is fed forward: feet go beyond the height, never short of it
 
 
 def test_an_order_counts_once() -> None:
@@ -67,7 +67,7 @@ def test_an_order_counts_once() -> None:
     rig.cycle()
     rig.command("stand")
     rig.cycle()
-    rig.hear(ModeCommand(rig.now_ns, "off", rig.order))  # a number that was used
+    rig.hear(ModeCommand(rig.now_ns, "off", rig.order))  # with a sequence number that was used before
     assert rig.cycle().mode is Mode.STAND
     assert rig.torque
 
@@ -87,7 +87,7 @@ def test_off_is_obeyed_at_once() -> None:
     rig.command("off")
     rig.cycle(2)
     assert not rig.torque
-    rig.command("walk")  # leads nowhere from there
+    rig.command("walk")  # has no effect in this mode
     state = rig.cycle(2)
     assert state.mode is Mode.OFF
     assert not rig.torque
@@ -100,9 +100,9 @@ def test_an_order_to_let_go_outlives_the_process_and_a_new_order_alone_undoes_it
     rig.command("off")
     rig.cycle(2)
     assert latch.closed
-    rig.bank.tables[:, dxl.TORQUE_ENABLE.address] = 1  # it was never heard: the bus was gone
+    rig.bank.tables[:, dxl.TORQUE_ENABLE.address] = 1  # the servos missed the order: the bus was gone
     before = rig.goals
-    rig.start()  # a new process on servos that pull
+    rig.start()  # a new process on servos with torque enabled
     rig.bus.advance(rig.now_ns)
     assert not rig.torque, "before anything else"
     np.testing.assert_array_equal(rig.goals, before)
@@ -135,7 +135,7 @@ def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> N
 
 
 class LateLatch(Latch):
-    """One that somebody else closes as soon as it has been looked at, once that is wished for."""
+    """A latch that another process closes right after a check, once it is armed."""
 
     armed = False
 
@@ -148,7 +148,7 @@ class LateLatch(Latch):
 
 
 def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_path: Path) -> None:
-    """As where the process was stopped after it had looked, and goes on for long after."""
+    """Check a process that was stopped after its check and continues much later."""
     latch = LateLatch(tmp_path / "off")
     rig = Rig(latch=latch)
     rig.walking()
@@ -156,7 +156,7 @@ def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_pa
     rig.bus.overhear = lambda data, _: heard.append(data)
     latch.armed = True
     rig.cycle(3)
-    writes = [data[5] for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]  # the address
+    writes = [data[5] for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]  # address
     assert writes[0] == dxl.TORQUE_ENABLE.address
     assert dxl.GOAL_POSITION.address not in writes
     assert not rig.torque
@@ -223,7 +223,7 @@ def test_the_odometry_is_that_of_the_joints() -> None:
     for _ in range(3):
         rig.hear(rig.plan(state))
         state = rig.cycle(45)
-    if len(rig.made) == 1:  # odometry alone: the state comes with the next
+    if len(rig.made) == 1:  # odometry only: the state comes with the next cycle
         state = rig.cycle()
     odometry = next(m for m in rig.made if isinstance(m, Odometry))
     assert odometry.reliable
@@ -260,7 +260,7 @@ def test_the_next_plan_waits_and_joins_on() -> None:
     state = rig.walking()
     first = rig.plan(state)
     rig.hear(first)
-    state = rig.cycle(26)  # so that it does not wait for longer than the deadline: nobody renews it
+    state = rig.cycle(26)  # so that the next plan waits less than the deadline: no plan renews it
     swing = ~first.swing
     goal = first.body_goal @ from_xyz_rpy((0.04, 0.0, 0.0), np.zeros(3))
     touchdown = np.where(swing[:, None], apply(goal, REST + np.array([0.02, 0.0, 0.0])), first.touchdown)

@@ -1,4 +1,4 @@
-"""The actuator whole where servos fail, legs hang, or nobody has led them for a while."""
+"""Actuator service when servos fail, legs hang, or the process was stopped."""
 
 import numpy as np
 import pytest
@@ -116,7 +116,7 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
 
 
 def lies_limp(rig: Rig, row: int, by: float) -> None:
-    """A servo shuts down, and its joint falls."""
+    """Shut a servo down and let its joint fall by an angle [rad]."""
     rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
     shut_down(rig, row)
     rig.stuck[row] = rig.joint(row) + by
@@ -154,7 +154,7 @@ def test_a_robot_lies_down_on_no_leg_that_hangs(heard_again: bool) -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     rig.cycle(14)
-    row = IDS.index(14)  # a coxa in the air
+    row = IDS.index(14)  # the coxa of a leg in the air
     rig.bus.cut_off(frozenset([row]))
     rig.stuck[row] = rig.joint(row)
     assert rig.cycle(40).mode is Mode.FAULT
@@ -220,7 +220,7 @@ def test_a_fault_while_standing_up_is_not_forgotten() -> None:
     shut_down(rig, 4)
     assert rig.cycle(4).mode is Mode.FAULT
     goals = rig.goals
-    rig.bank._faults[:] = 0  # it recovers, but nobody has looked after it
+    rig.bank._faults[:] = 0  # it recovers, but the actuator has not reset it
     assert rig.cycle(200).mode is Mode.READY
     np.testing.assert_array_equal(rig.goals, goals)
 
@@ -238,7 +238,7 @@ def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
     assert (state.step, state.phase) == (0, 1.0)
     assert np.abs(rig.goals - before).max() < 0.06
     rig.hear(rig.plan(state))
-    assert "not ordered to walk" in rig.cycle().refused  # the order does not outlive it
+    assert "not ordered to walk" in rig.cycle().refused  # the new process requires a new order
     rig.order += 1
     rig.command("walk")
     state = rig.cycle(2)
@@ -271,7 +271,7 @@ def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_com
 def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
     rig = Rig()
     epoch = rig.walking().epoch
-    rig.stuck[0] = rig.joint(0) + 0.09  # begins anew there, and so has its goal come
+    rig.stuck[0] = rig.joint(0) + 0.09  # the joint restarts here, and its goal has moved here, too
     rig.now_ns += 3_500_000_000
     refused: list[str] = []
     for _ in range(150):
@@ -325,7 +325,10 @@ def test_a_robot_that_lies_says_what_is_broken(mode: str, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("order", ["ready", "stand"])
 def test_a_robot_that_is_still_may_stand_once_a_servo_has_been_reset(order: str) -> None:
-    """It has nothing to take up: what it was on its way to was given up when that servo shut down."""
+    """Check that an interrupted motion is not resumed after a reset.
+
+    The actuator gave it up when the servo shut down.
+    """
     rig = Rig(feet=CRAWL, torque=False)
     rig.cycle(2)
     rig.command("ready")

@@ -1,4 +1,4 @@
-"""The actuator whole on ground that is not there, or not level, and when it tips over."""
+"""Actuator service on missing or sloped ground, and when the robot tips over."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,10 @@ from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
 
 
 def stepped(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[ActuatorState]]:
-    """Two steps, the second planned when the first is over; the state after, and all on the way."""
+    """Take two steps; return the last state and all states on the way.
+
+    The second step is planned when the first has ended.
+    """
     rig.hear(rig.plan(first))
     states = [rig.cycle() for _ in range(40)]
     rig.hear(rig.plan(states[-1]))
@@ -59,7 +62,7 @@ def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_re
 
 
 def felt_by(rig: Rig, R_level_ground: Array) -> Array:
-    """Up {body} of a robot that stands with six feet on a plane."""
+    """Return up (3,) {body} of a robot that stands with six feet on a plane."""
     feet = body_forward(PROFILE, rig.goals)
     ahead, aside, _ = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(6)]), feet[:, 2], rcond=None)[0]
     normal = np.array([-ahead, -aside, 1.0]) / np.linalg.norm([ahead, aside, 1.0])
@@ -69,7 +72,7 @@ def felt_by(rig: Rig, R_level_ground: Array) -> Array:
 
 
 def listen(rig: Rig, up: Array) -> ActuatorState:
-    """A cycle in which an inertial sensor says where up is (3,) {body}."""
+    """Run a cycle with an inertial sensor that measures up (3,) {body}."""
     rig.hear(Imu(rig.now_ns, np.zeros(3), 9.81 * up))
     return rig.cycle()
 
@@ -117,7 +120,7 @@ def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
 
 
 def sure(rig: Rig, up: Array = UP) -> ActuatorState:
-    """Walking is allowed, and a sensor has been heard for long enough to be believed, up being (3,) {body}."""
+    """Run until walking is allowed and the sensor is trusted; up is (3,) {body}."""
     rig.walking()
     for _ in range(400):
         state = listen(rig, up)
@@ -125,7 +128,7 @@ def sure(rig: Rig, up: Array = UP) -> ActuatorState:
 
 
 def tip(rig: Rig, angle: float, cycles: int = 25) -> ActuatorState:
-    """Lean to an angle [rad] to one side."""
+    """Lean the robot to one side by an angle [rad]."""
     for share in np.linspace(0.0, 1.0, cycles):
         up = rotation_from_rpy((share * angle, 0.0, 0.0))[2]
         rig.hear(Imu(rig.now_ns, np.array([angle / (cycles * 0.02), 0.0, 0.0]), 9.81 * up))
@@ -182,7 +185,7 @@ def test_a_robot_with_a_fault_moves_no_leg() -> None:
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_a_robot_that_has_tipped_walks_on_by_a_new_order_only(heard: bool) -> None:
-    """Neither one that is put upright again nor one whose sensor falls silent."""
+    """Check that neither a return upright nor a silent sensor allows walking again."""
     rig = Rig()
     sure(rig)
     tip(rig, np.radians(35.0))
@@ -211,10 +214,10 @@ def test_a_robot_that_lies_on_its_side_does_not_walk_by_an_order() -> None:
 
 
 def test_standing_up_anew_twists_nobody() -> None:
-    """The legs count from a new beginning; the gyro goes on."""
+    """Check that standing up restarts leg odometry while the gyro continues."""
     rig = Rig()
     sure(rig)
-    rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # as gyro and legs agree
+    rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # gyro and legs agree on the turn
     rig.actuator._walker = Walker(Settings(), REST, rig.actuator._odometry.T_odom_body)
     rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
     rig.cycle()

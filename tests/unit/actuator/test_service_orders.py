@@ -1,4 +1,7 @@
-"""The actuator whole, and orders that outlive it or come late: the latch, the walk in force, and a computer that slept."""
+"""Actuator service and orders that outlive it or arrive late.
+
+The tests cover the latch, the walk in force, and a computer that slept.
+"""
 
 from pathlib import Path
 
@@ -57,7 +60,7 @@ def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_no
 
 def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
-    latch.paths[0].mkdir()  # nobody unlinks a folder
+    latch.paths[0].mkdir()  # a folder cannot be unlinked
     rig = Rig(torque=False, latch=latch)
     rig.cycle(2)
     rig.command("ready")
@@ -72,7 +75,7 @@ def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_be
     latch = Latch(tmp_path / "off")
     rig = Rig(torque=False, latch=latch)
     rig.cycle(2)
-    rig.command("stand")  # and the rig repeats it all the while
+    rig.command("stand")  # the rig repeats the order in every cycle
     rig.cycle(250)
     assert rig.torque
     rig.hear(StopOrder(rig.now_ns, "off", 1, "a terminal"))
@@ -120,15 +123,18 @@ def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late
 
 @pytest.mark.parametrize("order", ["walk", "stand"])
 def test_who_wakes_from_sleep_goes_on_with_nothing(order: str) -> None:
-    """The monotonic clock stands still in it: what was ordered an hour ago looks as if it was ordered just now."""
+    """Check that sleep ends all orders, although it stops the monotonic clock.
+
+    An order from an hour ago would otherwise look new.
+    """
     rig = Rig(torque=order == "walk")
-    rig.suspended_ns = 5_000_000_000  # before this actuator was started: it does not count
+    rig.suspended_ns = 5_000_000_000  # before this actuator started, so it does not count
     rig.start()
     rig.cycle(2)
     rig.command("stand" if order == "stand" else "walk")
     assert rig.cycle(5).mode is (Mode.STAND if order == "stand" else Mode.HOLD)
     rig.suspended_ns += 3_600_000_000_000
-    rig.command(order)  # it came just before
+    rig.command(order)  # the order arrived just before
     state = rig.cycle(2)
     assert state.mode is (Mode.READY if order == "stand" else Mode.HOLD)
     assert state.lease == ""
@@ -151,7 +157,7 @@ def test_torque_goes_off_for_who_wakes_from_sleep() -> None:
 
 @pytest.mark.parametrize("stopped", [False, True])
 def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
-    """Who has it walk repeats that, for he has not heard of the stop, or does not mind."""
+    """Check a client that repeats its walk order: it missed or ignores the stop."""
     rig = Rig(latch=Latch(tmp_path / "off"))
     rig.permit = Permit(tmp_path / "walk")
     rig.start()
@@ -161,7 +167,7 @@ def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
     if stopped:
         rig.hear(StopOrder(rig.now_ns, "stop", 1, "viewer"))
         rig.cycle(100)
-    rig.permit = Permit(tmp_path / "walk")  # what the next process finds
+    rig.permit = Permit(tmp_path / "walk")  # as the next process finds it
     rig.start()
     rig.running = None
     state = rig.cycle(100)
@@ -181,7 +187,7 @@ def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched
     rig.command("stand")
     rig.cycle(20)
     assert rig.torque
-    latch.close(off_ns)  # by a stop path that was stopped meanwhile
+    latch.close(off_ns)  # by a stop path that was stopped in the meantime
     rig.cycle(20)
     assert rig.torque
     assert not latch.closed, "nor after a restart"

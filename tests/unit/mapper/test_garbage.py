@@ -1,4 +1,7 @@
-"""The mapper on scans that are none: it keeps running, says what is wrong, sends no map of it, and recovers."""
+"""Mapper with invalid scans: it keeps running, reports the error, and recovers.
+
+It publishes no map of an invalid scan.
+"""
 
 from dataclasses import replace
 
@@ -56,7 +59,10 @@ class Rig:
         self.inbox.receive(topics.BODY_POSE, codec.encode(pose), self.now_ns)
 
     def map(self, sent: Scan, late_ns: int = 0) -> TerrainMap | None:
-        """The map that a scan leads to, through the codec; one of now unless it is `late_ns`."""
+        """Return the map after a scan that passed through the codec.
+
+        The scan is stamped now, or `late_ns` earlier.
+        """
         self.now_ns += 66_000_000
         frame = codec.encode(replace(sent, stamp_ns=self.now_ns - late_ns))
         made = list(self.mapper.step(codec.decode(frame, Scan)[0], self.inbox))
@@ -176,7 +182,7 @@ def test_noise_is_no_ground() -> None:
         map_ = rig.map(scan(points))
         assert map_ is not None
         assert not (map_.score <= 1.0).any()
-    for _ in range(40):  # the ground wins in the end
+    for _ in range(40):  # the ground prevails in the end
         map_ = rig.map(scan(ground()))
     assert map_ is not None
     measured = map_.elevation[np.isfinite(map_.elevation)]

@@ -1,4 +1,4 @@
-"""The mapper as a service: what it assumes, what it measures, when it speaks."""
+"""Mapper service: assumed and measured ground, and the times of publication."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -42,7 +42,7 @@ def legs(swing: Flags | None = None, feet: Array | None = None) -> ActuatorState
 
 
 def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0), y: float = 0.3) -> Scan:
-    """A point in the middle of each cell of a level rectangle."""
+    """Return a scan with a point in the middle of each cell of a level rectangle."""
     cx, cy = np.meshgrid(np.arange(x[0], x[1], 0.01) + 0.005, np.arange(-y, y, 0.01) + 0.005, indexing="ij")
     n = cx.size
     mm = np.column_stack([cx.ravel(), cy.ravel(), np.full(n, height)]) * 1e3
@@ -163,7 +163,7 @@ def test_legs_that_do_not_stand_show_no_ground(limp: ActuatorState) -> None:
 
 
 def test_feet_in_the_air_are_no_ground() -> None:
-    """A mapper that comes new into a step."""
+    """Start the mapper in the middle of a step."""
     rig, swing = Rig(), np.arange(6) % 2 == 0
     lifted = PROFILE.rest_feet(HEIGHT) + np.where(swing[:, None], [0.0, 0.0, 0.05], 0.0)
     rig.stand(at(), legs(swing, lifted))
@@ -226,7 +226,7 @@ STRIP = PassageRequest(0, np.array([-0.45, 0.0]), 0.0, 2.7, 1.0)
 def surveyed(
     rig: Rig, request: PassageRequest, height: float = 0.0, x: tuple[float, float] = (0.5, 1.0), swing: Flags | None = None
 ) -> list[PassageMap]:
-    """What the mapper tells of a strip while it is asked for with every one of eight scans."""
+    """Return the passage maps of eight scans, each with a new request of the strip."""
     told = []
     for _ in range(8):
         rig.hear(replace(request, stamp_ns=rig.now_ns))
@@ -346,11 +346,14 @@ def test_a_strip_that_cannot_be_is_refused_in_words(
     assert len(surveyed(rig, STRIP)) == 1
 
 
-# ---- the foothold layers
+# ---- foothold layers
 
 
 def step_ahead(rig: Rig, covariance: NDArray[np.float64], height: float = HEIGHT) -> TerrainMap:
-    """The map of level ground that ends at x = 0.75 m at a step of 3 cm, by a body whose pose has a covariance (6, 6)."""
+    """Return the map of level ground with a 3 cm step at x = 0.75 m.
+
+    The pose of the body has a covariance (6, 6).
+    """
     T = from_xyz_rpy((0.0, 0.0, height), (0.0, 0.0, 0.0))
     rig.hear(BodyPose(rig.now_ns, T, np.eye(4), covariance, 1.0, True, "", np.zeros((0, 6))))
     rig.hear(legs())
@@ -360,7 +363,7 @@ def step_ahead(rig: Rig, covariance: NDArray[np.float64], height: float = HEIGHT
 
 
 def nearest_to_the_step(map_: TerrainMap, good: Flags) -> float:
-    """How far [m] from the step the nearest foothold on its lower side is."""
+    """Return the distance [m] from the step to the nearest foothold below it."""
     j = round((0.0 - map_.origin[1]) / map_.resolution)
     x = map_.origin[0] + map_.resolution * np.arange(map_.elevation.shape[0])
     return float(0.75 - x[good[:, j] & (x < 0.75)].max())
@@ -375,14 +378,17 @@ def test_both_layers_are_published_and_agree_about_a_step() -> None:
 
 def test_a_doubtful_pose_widens_the_margin_of_both_layers() -> None:
     doubtful = np.eye(6) * 1e-6
-    doubtful[:2, :2] = [[0.015**2, 0.0], [0.0, 0.001**2]]  # along x alone: a foot may be off to any side of the step
+    doubtful[:2, :2] = [[0.015**2, 0.0], [0.0, 0.001**2]]  # along x only: a foot may be off to either side of the step
     sure, unsure = step_ahead(Rig(), np.eye(6) * 1e-6), step_ahead(Rig(), doubtful)
     for layer in (lambda m: m.score <= 1, lambda m: m.evaluation < 0):
         assert nearest_to_the_step(unsure, layer(unsure)) >= nearest_to_the_step(sure, layer(sure)) + 0.015
 
 
 def test_ground_far_below_the_body_is_not_accessible() -> None:
-    """The depth limit of 0.25 m counts from the body: raised high enough, the robot finds its own ground too deep."""
+    """Check the depth limit of 0.25 m, which counts from the body.
+
+    With the body high enough, the robot's own ground is too deep.
+    """
     low, high = step_ahead(Rig(), np.eye(6) * 1e-6), step_ahead(Rig(), np.eye(6) * 1e-6, height=0.30)
     assert (low.evaluation < 0).any()
     measured = np.isfinite(high.elevation) & ~high.assumed
@@ -397,7 +403,7 @@ def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y
     maps = [m for _ in range(4) for m in rig.scan(0.01)]
     assert maps[-1].elevation.shape == (cells, cells_y or cells)
     assert maps[-1].resolution == resolution
-    place = np.array([[0.72, 0.1]])  # beyond what is assumed
+    place = np.array([[0.72, 0.1]])  # outside the assumed ground
     i, j = np.rint((place[0] - maps[-1].origin) / resolution).astype(int)
     assert np.nanmedian(maps[-1].elevation[i - 2 : i + 3, j - 2 : j + 3]) == pytest.approx(0.01, abs=1e-3)
     if resolution >= 0.01:
@@ -405,7 +411,7 @@ def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y
 
 
 def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the_newest_pose() -> None:
-    """The pose rises by 0.8 mm a scan while the camera goes on over level ground."""
+    """Let the pose rise by 0.8 mm per scan while the camera moves over level ground."""
     rig = Rig(replace(SETTINGS, publish_every=1))
     rig.stand(at())
     maps: list[TerrainMap] = []
@@ -420,7 +426,10 @@ def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the
 
 @pytest.mark.parametrize("lifted", [-50.0, 50.0])
 def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None:
-    """One nonsensical pose moves the feet by metres; what they find there is not taken for ground."""
+    """Check a single wrong pose that moves the feet by metres.
+
+    Their contacts are not mapped as ground.
+    """
     rig, right = Rig(), np.array([True, False] * 3)
     rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
     confidence = []
@@ -438,7 +447,10 @@ def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None
 
 
 def stand_on_what_was_seen(rig: Rig, depth: float, on_pillars: int, scans: int = 25) -> TerrainMap:
-    """A robot stands where ground was seen at a depth [m], but under some of its feet at the height of their soles."""
+    """Let a robot stand where ground was seen at a depth [m]; return the last map.
+
+    Under some of its feet the ground was seen at the height of their soles.
+    """
     level = PROFILE.rest_feet(HEIGHT)[:, 2].mean() + HEIGHT - PROFILE.foot.radius
     state, maps = legs(), []
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""The map moves with the robot: cells keep their places, and what leaves the window is forgotten."""
+"""Moving window of the map: cells keep their places until they leave the window."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -91,7 +91,7 @@ def test_a_cell_that_comes_back_starts_anew() -> None:
     for _ in range(10):
         scan(grid, xy, 0.0)
     for _ in range(3):
-        scan(grid, xy, 0.3)  # rivals in the making
+        scan(grid, xy, 0.3)  # rivals below the number of votes they need
     grid.move_to((5.0, 5.0))
     assert np.isnan(grid.snapshot().elevation).all()
     grid.move_to((0.0, 0.0))

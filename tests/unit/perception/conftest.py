@@ -1,4 +1,7 @@
-"""A small world for perception: a floor with boxes, seen by a PrimeSense-like depth camera on a walking body."""
+"""Synthetic world for perception: a floor with boxes and a walking depth camera.
+
+The camera has the properties of a PrimeSense.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +15,12 @@ from tests.support.raycast import INTRINSICS, SENSOR, camera_pose, depth_image
 
 
 def walk(steps: int, step: float):
-    """Camera poses (n, 4, 4) of a walk along x with the bob, roll, pitch and yaw of a gait."""
+    """Return camera poses (n, 4, 4) of a walk along x.
+
+    The poses include the bob, roll, pitch and yaw of a gait.
+    """
     s = step * np.arange(steps)
-    phase = 2 * np.pi * s / 0.1  # one gait cycle every 10 cm
+    phase = 2 * np.pi * s / 0.1  # one gait cycle per 10 cm
     return np.stack(
         [
             camera_pose(
@@ -31,7 +37,7 @@ def walk(steps: int, step: float):
 
 
 def steps_world():
-    """Two stairs of 3 cm across the way, and blocks between."""
+    """Return two stairs of 3 cm across the way, with blocks between them."""
     rng = np.random.default_rng(5)
     boxes = [[1.2, -2, 0, 6, 2, 0.03], [1.6, -2, 0, 6, 2, 0.06]]
     for x in np.arange(0.5, 4.5, 0.3):
@@ -43,7 +49,7 @@ def steps_world():
 
 
 def boxes_world():
-    """A floor with a low box every half metre or so."""
+    """Return a floor with a low box every 0.45 m."""
     rng = np.random.default_rng(6)
     centres = np.column_stack([np.arange(0.6, 5.0, 0.45), rng.uniform(-0.4, 0.4, 10)])
     heights = rng.uniform(0.02, 0.06, 10)
@@ -51,7 +57,7 @@ def boxes_world():
 
 
 def pillars_world():
-    """Posts of all heights, close together: every direction is constrained."""
+    """Return close posts of various heights: every direction is constrained."""
     rng = np.random.default_rng(7)
     corners = rng.uniform([0.5, -0.8], [3.0, 0.8], (40, 2))
     return np.column_stack([corners, np.zeros(40), corners + 0.08, rng.uniform(0.03, 0.2, 40)])
@@ -59,7 +65,7 @@ def pillars_world():
 
 @dataclass(frozen=True)
 class World:
-    """What tests need of this file, given through a fixture."""
+    """The contents of this file, provided by a fixture."""
 
     intrinsics: Intrinsics
     sensor: DepthSensor

@@ -1,4 +1,7 @@
-"""Perception on frames that are none: it keeps running, says what is wrong, makes no ground of it, and recovers."""
+"""Perception with invalid frames: it keeps running, reports them, and recovers.
+
+No ground is made of an invalid frame.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -47,7 +50,7 @@ GARBAGE: dict[str, tuple[Callable[[], NDArray[np.uint16]], tuple[str, ...]]] = {
 
 
 class Rig:
-    """Perception with a robot that walks ahead by right odometry."""
+    """Perception with a robot that walks ahead with correct odometry."""
 
     def __init__(self, world) -> None:  # type: ignore[no-untyped-def]
         self.world, self.now_ns, self.x = world, 1_000_000_000, 0.0
@@ -95,7 +98,7 @@ def test_in_the_middle_of_a_walk(world, name: str) -> None:  # type: ignore[no-u
         assert any(word in pose.reason for word in words)
         assert pose.reason in rig.perception.doing()
         assert scan is None or len(scan.points_mm) == 0, "no ground is made of it"
-        np.testing.assert_allclose(pose.T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=2e-3)  # the legs carry it on
+        np.testing.assert_allclose(pose.T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=2e-3)  # from leg odometry
     for _ in range(3):
         messages = rig.see()
     assert pose_of(messages).ok

@@ -1,4 +1,7 @@
-"""A camera without legs: it finds its motion from the first pair on, finds itself again, and no body drags it along."""
+"""Hand-held camera without odometry.
+
+It tracks its motion from the first two frames on, recovers when lost, and ignores moving bodies.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -20,7 +23,7 @@ def at(x: float, y: float = 0.0, yaw: float = 0.0) -> np.ndarray:
 
 
 def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[Registered]:
-    """Register what a camera sees on its way by a hand, which no odometry tells."""
+    """Register the frames of a hand-held camera without odometry."""
     rng, prior = np.random.default_rng(1000), VelocityPrior(0.15)
     registration = Registration(CAMERA, SENSOR, HAND_HELD, blocks_across=160)
     found: list[Registered] = []
@@ -34,7 +37,7 @@ def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[Registered]:
 
 
 def errors(found: Sequence[Registered], poses: Sequence[np.ndarray]) -> np.ndarray:
-    """Distances (n,) [m] of the estimated from the true positions."""
+    """Return distances (n,) [m] of the estimated from the true positions."""
     return np.array([np.linalg.norm(r.T_world_camera[:3, 3] - T[:3, 3]) for r, T in zip(found, poses, strict=True)])
 
 
@@ -55,7 +58,7 @@ def test_a_camera_that_moves_from_the_first_picture_on_is_followed(move: Callabl
 
 
 def test_a_camera_that_is_carried_off_and_back_is_lost_meanwhile_and_found_again() -> None:
-    """It jumps over 3 m, where nothing has been seen before, and comes back elsewhere than it left."""
+    """Check a jump of 3 m to unseen ground, and a return near the previous place."""
     boxes = room()
     away = range(12, 24)
     poses = [at(0.2 * n / RATE_HZ + 3.0 * (n in away), 0.15 * (n >= 24), 0.1 * (n >= 24)) for n in range(34)]
@@ -97,7 +100,7 @@ def test_a_body_that_moves_does_not_drag_a_camera_that_rests(body: Boxes, things
 
 @pytest.mark.parametrize("body", [trolley, approaching, walking_legs])
 def test_a_body_does_not_drag_a_robot_that_stands(body: Boxes) -> None:
-    """The legs know that they stand still, though not beyond doubt."""
+    """Check legs that report a standing robot with some uncertainty."""
     rng, T = np.random.default_rng(1001), at(0.0)
     registration = Registration(CAMERA, SENSOR, Acceptance())
     covariance = np.diag([0.001, 0.001, 0.01, 0.01, 0.01, 0.001]) ** 2

@@ -1,4 +1,4 @@
-"""Small pictures for people: of any size and any depth, and never more than the wire takes."""
+"""Previews: small pictures of any size and depth that fit into a message."""
 
 import cv2
 import numpy as np

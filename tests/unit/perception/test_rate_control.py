@@ -1,4 +1,4 @@
-"""What is sent follows what the link carries, before scans grow late."""
+"""Rate control: the data rate follows the link's capacity before scans are late."""
 
 from collections import deque
 
@@ -11,17 +11,20 @@ from sextant.services.perception.rate_control import LinkCare
 
 MS, SEC = 1_000_000, 1_000_000_000
 FRAME_NS = 66_666_667
-FULL = 56_000  # [bytes] of a scan
-BUFFER = 100_000  # [bytes] that may wait for the link; what comes when it is full is dropped
+FULL = 56_000  # [bytes] of a full scan
+BUFFER = 100_000  # [bytes] queued for the link at most; further scans are dropped
 
 
 class Link:
-    """A queue in front of a slow link, and a mapper behind it that answers at once; one scan each 1/15 s at most."""
+    """A queue in front of a slow link, and a mapper that sends receipts at once.
+
+    At most one scan is sent per 1/15 s.
+    """
 
     def __init__(self, bytes_per_s: float, delay_ns: int = 20 * MS):
         self.care, self.rate, self.delay_ns = LinkCare(), bytes_per_s, delay_ns
         self.now_ns, self.free_ns = SEC, 0.0
-        self.arrive: deque[tuple[float, int]] = deque()  # when a receipt is back, and of what
+        self.arrive: deque[tuple[float, int]] = deque()  # times at which receipts return, and their scans
         self.latencies_ms: list[float] = []
         self.sent = 0
         self.cut = False
@@ -56,7 +59,7 @@ def test_a_narrow_link_is_filled_and_not_flooded(mbit: float) -> None:
     link = Link(mbit * 1e6 / 8)
     link.run(10.0)
     link.run(30.0)
-    own_ms = FULL * 0.25 / link.rate * 1e3  # that the smallest scan takes by itself
+    own_ms = FULL * 0.25 / link.rate * 1e3  # [ms] that the smallest scan takes on this link
     assert np.percentile(link.latencies_ms, 95) < 200.0 + 2.0 * own_ms
     assert link.sent / 30.0 >= 4.0, "a fresh map needs that"
     used = link.care.share * FULL * 15 / link.rate

@@ -1,4 +1,4 @@
-"""Perception as a service, on frames of a made-up world."""
+"""Perception service on frames of a synthetic world."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ EVERY_FRAME = Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz)
 
 
 class Rig:
-    """Perception, and a robot that walks where it is put; odometry and camera as the test wants them."""
+    """Perception, and a robot at given poses with given odometry and pictures."""
 
     def __init__(
         self,
@@ -45,14 +45,14 @@ class Rig:
         settle_s: float = 0.0,
     ):  # type: ignore[no-untyped-def]
         self.world, self.boxes, self.profile = world, world.scenes[scene], profile
-        # Most tests begin at once; that it waits for the robot to stand still has its own.
+        # Most tests begin at once. The wait for a standing robot has a separate test.
         self.perception = Perception(profile, replace(settings or EVERY_FRAME, settle_s=settle_s))
         self.inbox = Inbox(
             [self.perception.paced_by, *self.perception.reads], self.perception.stages, lambda topic: topic in self.wanted
         )
         self.wanted: set[AnyTopic] = set()
         self.now_ns = 1_000 * MS
-        self.T_odom_start: Array = np.eye(4)  # {odom} in {world of the test}
+        self.T_odom_start: Array = np.eye(4)  # {odom} in the test's {world}
         self.travelled = 0.0
 
     def picture(self, T_world_body: Array) -> NDArray[np.uint16]:
@@ -67,7 +67,7 @@ class Rig:
         self.inbox.receive(topics.ODOMETRY, codec.encode(message), self.now_ns)
 
     def frame(self, T: Array, odometry: Array | None = None, depth: NDArray[np.uint16] | None = None) -> list[Message]:
-        """A frame at a true pose; None for odometry that is right in every respect."""
+        """Process a frame at a true pose; without `odometry`, the odometry is correct."""
         self.now_ns += FRAME
         self.inbox.now_ns = self.now_ns
         self.travelled += 0.005
@@ -99,7 +99,7 @@ def test_the_world_is_the_odometry_of_the_first_frame(world) -> None:  # type: i
 def test_the_world_is_laid_only_once_the_robot_stands_still(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, settle_s=0.3)
     first = -1
-    for k in range(30):  # it sinks for 0.3 s, then stands
+    for k in range(30):  # the robot sinks for 0.3 s, then stands
         made = rig.frame(body_at(0.0), from_xyz_rpy((0.0, 0.0, 0.1 - 0.001 * min(k, 9)), np.zeros(3)))
         if made:
             first = k
@@ -131,7 +131,7 @@ def test_it_follows_the_true_motion_with_the_odometry_as_prior(world) -> None:  
         assert pose.reason == ""
         np.testing.assert_allclose(pose.T_world_body[:3, 3], truth[:3, 3], atol=4e-3)
         carried = pose.T_world_odom @ body_at(0.0097 * k, 0.002 * k, 0.0041 * k)
-        np.testing.assert_allclose(carried[:3, 3], pose.T_world_body[:3, 3], atol=1e-9)  # its tilt is steadied
+        np.testing.assert_allclose(carried[:3, 3], pose.T_world_body[:3, 3], atol=1e-9)  # tilt is smoothed
         assert yaw_of(carried) == pytest.approx(yaw_of(pose.T_world_body), abs=1e-4)
         assert np.linalg.eigvalsh(pose.covariance)[0] > 0
     assert "overlap" in rig.perception.doing()
@@ -146,7 +146,7 @@ def test_what_level_ground_leaves_to_the_legs_is_said(world) -> None:  # type: i
         assert ("x, y, yaw unobservable" in rig.perception.doing()) is (scene == "flat")
     level, rough = poses
     assert level.degenerate.shape == (3, 6)
-    assert np.abs(level.degenerate[:, [2, 3, 4]]).max() < 0.2  # height, roll and pitch are seen
+    assert np.abs(level.degenerate[:, [2, 3, 4]]).max() < 0.2  # height, roll and pitch are observed
     assert rough.degenerate.shape == (0, 6)
 
 
@@ -154,7 +154,7 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
     rig = Rig(world)
     for k in range(4):
         before = pose_of(rig.frame(body_at(0.01 * k)))
-    rig.travelled = -0.005  # the actuator came back: all begins at zero
+    rig.travelled = -0.005  # the actuator restarted: odometry begins at zero
     elsewhere = from_xyz_rpy((-0.7, 0.3, HEIGHT), (0.0, 0.0, 1.0))
     after = pose_of(rig.frame(body_at(0.03), elsewhere))
     np.testing.assert_allclose(after.T_world_body, before.T_world_body, atol=3e-3)
@@ -167,10 +167,10 @@ def test_a_pose_on_its_side_is_given_up_where_the_legs_carry_the_body_upright(wo
     rig = Rig(world)
     rig.frame(body_at(0.0))
     blank = np.zeros_like(rig.picture(body_at(0.0)))
-    for roll in np.linspace(0.0, 1.5, 9):  # as legs may claim, while the camera shows nothing
+    for roll in np.linspace(0.0, 1.5, 9):  # as legs may report while the camera sees nothing
         lying = pose_of(rig.frame(body_at(0.0), from_xyz_rpy((0.0, 0.0, HEIGHT), (roll, 0.0, 0.0)), blank))
     assert lying.T_world_body[2, 2] < 0.1
-    rig.travelled = -0.005  # counted from zero, so that the body is believed to lie where it lay
+    rig.travelled = -0.005  # odometry restarts, so the body keeps its pose
     given_up = pose_of(rig.frame(body_at(0.0)))
     assert not given_up.ok
     assert "the body on its side, but the legs carry it" in given_up.reason
@@ -184,7 +184,7 @@ def test_odometry_that_is_nearly_rigid_yields_rigid_poses(world) -> None:  # typ
     rig = Rig(world)
     for k in range(12):
         scaled = body_at(0.001 * k)
-        scaled[:3, :3] *= 1.0 + 4e-5  # as far from a rotation as a frame may be
+        scaled[:3, :3] *= 1.0 + 4e-5  # the largest deviation from a rotation that a frame may have
         pose = pose_of(rig.frame(body_at(0.001 * k), scaled, np.zeros_like(rig.picture(body_at(0.0))) if k else None))
         codec.decode(codec.encode(pose), BodyPose)
     assert is_rigid(pose.T_world_body, 1e-9)
@@ -311,7 +311,7 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
     heights = scan.origin[2] + 1e-3 * scan.points_mm[:, 2]
     assert np.abs(np.median(heights)) < 2e-3
     assert scan.stamp_ns == pose.stamp_ns == rig.now_ns
-    # The scan's is of the camera, the pose's of the body: what a turn about one of them does to the other is in it.
+    # The scan's covariance is the camera's, the pose's is the body's. A rotation of one moves the other.
     rng = np.random.default_rng(0)
     twists = rng.multivariate_normal(np.zeros(6), scan.pose_covariance, 200_000)
     r = pose.T_world_body[:3, 3] - scan.p_world_camera
@@ -320,7 +320,7 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
     np.testing.assert_allclose(scan.p_world_camera, (pose.T_world_body @ PROFILE.camera.T_body_camera)[:3, 3], atol=1e-9)
 
 
-@pytest.mark.parametrize("raw", [0, 100])  # no return, and nearer than the sensor measures
+@pytest.mark.parametrize("raw", [0, 100])  # no return, and nearer than the range
 def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world, raw: int) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
@@ -346,8 +346,8 @@ def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool)
     assert pose.ok is not moving
     assert ("frozen" in pose.reason) is moving
     assert any(isinstance(m, Scan) for m in messages) is not moving
-    np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.02 + 0.025 * moving)[:3, 3], atol=12e-3)  # by the legs
-    assert pose_of(rig.frame(body_at(0.05))).ok  # and it goes on with the next new picture
+    np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.02 + 0.025 * moving)[:3, 3], atol=12e-3)  # from the legs
+    assert pose_of(rig.frame(body_at(0.05))).ok  # and it recovers with the next new picture
 
 
 @pytest.mark.parametrize(

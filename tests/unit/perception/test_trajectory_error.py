@@ -1,4 +1,4 @@
-"""Trajectory errors by law: rigid motions cost nothing, offsets cost what they are."""
+"""Trajectory errors: zero for a rigid motion, and the offset without alignment."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Recordings survive the round trip, and a broken one says where it is broken."""
+"""TUM recordings: round trip, and errors that name the faulty place."""
 
 from dataclasses import replace
 
@@ -150,7 +150,7 @@ def test_camera_toml_is_strict(recorded, line, message):
     path.write_text("\n".join([line, *kept]))
     with pytest.raises(ValueError, match=message):
         read_recording(recorded[0])
-    path.write_text("k1 = 0.0\n" + text)  # a file may say that there is no distortion
+    path.write_text("k1 = 0.0\n" + text)  # a file may state that there is no distortion
     assert len(read_recording(recorded[0])) == 4
 
 

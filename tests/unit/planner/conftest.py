@@ -1,4 +1,4 @@
-"""Maps of a made-up world, and what the planner hears of a robot standing in it."""
+"""Synthetic terrain maps."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,10 @@ def terrain_of(
     half: float = 1.0,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Terrain:
-    """A map of heights [m] scores and evaluations [cells] given as functions of x and y [m] {world}."""
+    """Return a map of heights [m], scores and evaluations [cells].
+
+    The layers are functions of x and y [m] {world}.
+    """
     n = round(2 * half / RESOLUTION) + 1
     low = np.array(origin) - half
     x, y = np.meshgrid(low[0] + RESOLUTION * np.arange(n), low[1] + RESOLUTION * np.arange(n), indexing="ij")
@@ -41,5 +44,5 @@ def terrain_of(
 
 @pytest.fixture
 def make_terrain() -> Callable[..., Terrain]:
-    """Makes maps."""
+    """Return the function that makes maps."""
     return terrain_of

@@ -1,4 +1,7 @@
-"""Whatever ground a map shows, however small it is and wherever the goal lies: a way, or a reason, and never a traceback."""
+"""Planning on random maps of any size and with any goal: a result or a reason.
+
+No call raises an exception.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +29,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def patches(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Heights (nx, ny) [m] in patches, in strips along or across, all alike, or unknown throughout."""
+    """Return heights (nx, ny) [m] in patches or strips, uniform or unknown."""
     coarse = rng.choice(HEIGHTS, (rng.integers(1, 9), rng.integers(1, 9)))
     if rng.random() < 0.1:
         coarse[:] = np.nan
@@ -35,7 +38,7 @@ def patches(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
 
 
 def any_map(rng: np.random.Generator) -> TerrainMap:
-    """A map of random size at a random place, whose scores and evaluations fit its heights or do not."""
+    """Return a map of random size and place; its scores need not fit its heights."""
     shape = (int(rng.integers(1, 180)), int(rng.integers(1, 180)))
     resolution = float(rng.choice(RESOLUTIONS))
     height = patches(rng, shape)
@@ -54,7 +57,7 @@ def any_map(rng: np.random.Generator) -> TerrainMap:
 
 
 def any_strip(rng: np.random.Generator, request: PassageRequest, resolution: float = 0.01) -> PassageMap:
-    """The map of a strip that was asked for, with random ground."""
+    """Return the map of a requested strip with random ground."""
     shape = (round(request.length / resolution), round(request.width / resolution))
     height = patches(rng, shape)
     along = np.array([np.cos(request.heading), np.sin(request.heading)])

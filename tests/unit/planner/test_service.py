@@ -1,4 +1,4 @@
-"""The planner as a service: what it waits for, what it says, what it sends."""
+"""Planner service: required inputs, status and plans."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -47,7 +47,7 @@ def standing(x: float = 0.0) -> Array:
 
 
 class Rig:
-    """A planner and the robot it steers, which does exactly what it is told."""
+    """A planner and a robot that follows its plans exactly."""
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.planner = Planner(PROFILE, settings or Settings())
@@ -57,12 +57,12 @@ class Rig:
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
         self.goal: Goal | None = None
-        self.asked_ago_ns = 0  # by which the stamps of these two lie back
+        self.asked_ago_ns = 0  # [ns] by which the stamps of `command` and `goal` lie back
         self.running: StepPlan | None = None
         self.state = actuator_state(PROFILE, reason="standing", feet=REST, T_odom_body=standing(), body_ref=standing())
 
     def cycle(self, **state: Any) -> list[Message]:
-        """One actuator state later, with everything heard anew that is there."""
+        """Advance by one actuator state and publish all available inputs again."""
         self.now_ns += 20 * MS
         self.inbox.now_ns = self.now_ns
         for message in (self.terrain, self.pose, self.command, self.goal):
@@ -74,7 +74,7 @@ class Rig:
         return list(self.planner.step(self.state, self.inbox))
 
     def plans(self, cycles: int = 1, **state: Any) -> list[StepPlan]:
-        """What is sent that is new: the running step is sent as it is, too, again and again."""
+        """Return the new plans, without the repeated ones of the running step."""
         made = [m for _ in range(cycles) for m in self.cycle(**state) if isinstance(m, StepPlan)]
         return [plan for plan in made if not self._renews(plan)]
 
@@ -86,16 +86,16 @@ class Rig:
         return bool(np.abs(now - then).max() < 1e-9)
 
     def status(self) -> PlannerStatus:
-        """The next status, a tenth of a second away at most."""
+        """Return the next status, within a tenth of a second."""
         return next(m for _ in range(10) for m in self.cycle() if isinstance(m, PlannerStatus))
 
     def begin(self, plan: StepPlan) -> None:
-        """The actuator begins to walk a plan."""
+        """Let the actuator begin to walk a plan."""
         self.running = plan
         self.state = replace(self.state, mode=Mode.WALK, step=plan.step, phase=0.0, swing=plan.swing, plan_ns=plan.stamp_ns)
 
     def finish(self, plan: StepPlan) -> None:
-        """The actuator is through with it."""
+        """Let the actuator complete a plan."""
         feet = apply(inverse(plan.body_goal), plan.touchdown)
         body = inverse(plan.T_world_odom) @ plan.body_goal
         self.state = replace(
@@ -133,7 +133,7 @@ def test_without_a_fresh_input_it_waits_and_says_for_what(missing: str, words: s
         rig.plans()
     kept = getattr(rig, missing)
     setattr(rig, missing, None)
-    rig.plans(60)  # what was heard grows stale
+    rig.plans(60)  # the inputs become stale
     assert rig.plans(20) == []
     status = rig.status()
     assert status.state in ("waiting", "resting")
@@ -156,7 +156,7 @@ def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(m
 
 
 def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
-    """Maps that are well formed and none."""
+    """Return maps that are well formed but not usable."""
     shape, cells = map_.elevation.shape, ("elevation", "variance", "score", "assumed", "evaluation")
     unknown, rng = np.full(shape, np.nan, np.float32), np.random.default_rng(0)
     return {
@@ -196,7 +196,7 @@ def test_no_velocity_no_step() -> None:
     rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
     assert rig.plans(20) == []
     assert rig.status().state == "resting"
-    rig.command = VelocityCommand(0, np.zeros(2), 0.3, HEIGHT, 0.04)  # turning on the spot is a motion
+    rig.command = VelocityCommand(0, np.zeros(2), 0.3, HEIGHT, 0.04)  # turning on the spot is a motion, too
     assert rig.plans(20)
 
 
@@ -240,7 +240,7 @@ def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
-    assert rig.plans(3, phase=0.2) == []  # nothing new to say
+    assert rig.plans(3, phase=0.2) == []  # no new plan
     second = rig.plans(10, phase=0.8)[-1]
     assert second.step == 2
     np.testing.assert_array_equal(second.swing, ~first.swing)
@@ -254,7 +254,7 @@ def test_the_running_step_is_sent_again_so_that_the_robot_walks_on() -> None:
     rig.begin(first)
     assert rig.pose is not None
     turned = from_xyz_rpy((0.01, -0.02, 0.003), np.array([0.0, 0.0, 0.01]))
-    rig.pose = replace(rig.pose, T_world_odom=turned)  # the world as it is believed to be by now
+    rig.pose = replace(rig.pose, T_world_odom=turned)  # the current estimate of the world
     sent: list[StepPlan] = []
     for k in range(45):
         made = [m for m in rig.cycle(phase=min(0.02 * k, 0.9)) if isinstance(m, StepPlan)]
@@ -269,7 +269,7 @@ def test_the_running_step_is_sent_again_so_that_the_robot_walks_on() -> None:
     rig.finish(first)
     rig.command = None
     rig.plans(60)
-    assert rig.plans(60) == []  # of a step that is over there is nothing to renew
+    assert rig.plans(60) == []  # a step that has ended is not renewed
 
 
 def test_revisions_count_up_and_stamps_with_them() -> None:
@@ -295,7 +295,7 @@ def test_a_newer_map_moves_the_touchdowns_of_the_running_step(make_terrain: Make
     np.testing.assert_array_equal(revised.body_goal, first.body_goal)
     moved = np.abs(revised.touchdown - first.touchdown).max(axis=1) > 1e-6
     np.testing.assert_array_equal(np.flatnonzero(moved), [leg])
-    assert rig.plans(3, phase=0.3) == []  # said once
+    assert rig.plans(3, phase=0.3) == []  # sent once
 
 
 def test_a_revision_after_a_correction_leads_where_the_legs_will_go(make_terrain: Maker) -> None:
@@ -305,12 +305,12 @@ def test_a_revision_after_a_correction_leads_where_the_legs_will_go(make_terrain
     T = from_xyz_rpy((0.02, -0.01, 0.0), (0.0, 0.0, 0.03))
     assert rig.pose is not None
     rig.pose = replace(rig.pose, T_world_body=T @ rig.pose.T_world_body, T_world_odom=T)
-    assert rig.plans(3, phase=0.1) == []  # on level ground every place is as good as another
+    assert rig.plans(3, phase=0.1) == []  # on level ground all places are equal
     leg = int(np.flatnonzero(first.swing)[0])
     bad = apply(T, first.touchdown)[leg, :2]
     rig.terrain = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)).map
     (revised,) = rig.plans(3, phase=0.2)
-    # The actuator carries the body's goal along with the correction, and leaves standing feet where they are.
+    # The actuator applies the correction to the body's goal and leaves standing feet where they are.
     np.testing.assert_allclose(revised.body_goal, T @ first.body_goal, atol=1e-9)
     standing_still = ~revised.swing
     np.testing.assert_allclose(revised.touchdown[standing_still], apply(T, first.touchdown)[standing_still], atol=1e-9)
@@ -368,7 +368,7 @@ def test_an_actuator_that_begins_anew_is_followed() -> None:
 
 
 def test_a_pose_correction_during_a_step_moves_the_plan_with_it() -> None:
-    """The world slides under the odometry: what was planned in {odom} stays where it is there."""
+    """Check that a plan stays fixed in {odom} when the world slides under it."""
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -389,7 +389,10 @@ def test_while_it_is_blocked_it_does_not_think_all_the_time(make_terrain: Maker)
 
 
 def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000) -> list[StepPlan]:
-    """What the planner sends, until so many plans have come, to an actuator that refuses all but the last."""
+    """Return the plans sent to an actuator that refuses all but the last.
+
+    The rig stops once `until` plans have come.
+    """
     plans: list[StepPlan] = []
     for _ in range(cycles):
         if len(plans) == until:
@@ -400,7 +403,10 @@ def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000)
 
 
 def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
-    """First once more, by newer estimates; then shorter; then with the other legs; then it says that nothing helps."""
+    """Check the order of attempts: newer estimates, shorter steps, then other legs.
+
+    At the end the planner reports that no step is accepted.
+    """
     rig = Rig()
     first, again, *others = refused(rig, 100)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
@@ -432,7 +438,7 @@ def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_te
     (first,) = rig.plans()
     near = first.touchdown[first.swing, :2]
 
-    def only_there(x: Array, y: Array) -> Array:  # the first choice alone carries the tripod whose turn it is
+    def only_there(x: Array, y: Array) -> Array:  # only the first choice carries the tripod that is due
         at = (np.hypot(x[..., None] - near[:, 0], y[..., None] - near[:, 1]) < 0.005).any(axis=-1)
         theirs = (np.hypot(x[..., None] - near[:, 0], y[..., None] - near[:, 1]) < 0.12).any(axis=-1)
         return np.where(theirs & ~at, 9.0, 0.0)
@@ -463,7 +469,10 @@ def test_a_robot_that_stands_blocked_gathers_its_feet_and_then_goes_on() -> None
 
 
 def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first command is one that the ground forbids; by the second every way is tried, though both are asked each time."""
+    """Check two commands, the first of which the ground forbids.
+
+    All ways are tried with the second, though the planner considers both each time.
+    """
     rig = Rig()
     rig.command, rig.goal = None, towards((1.0, 0.0))
     straight = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
@@ -543,7 +552,7 @@ def test_a_refused_revision_is_not_taken_for_what_is_walked() -> None:
     rig.plans(1, phase=0.0)
     assert rig.planner._running is not None
     assert rig.planner._running.plan.revision == second.revision
-    assert rig.planner._refusals.count == 0  # the one that was accepted waited
+    assert rig.planner._refusals.count == 0  # the accepted plan was waiting
 
 
 def test_the_same_map_is_searched_once_for_better_footholds(make_terrain: Maker) -> None:
@@ -569,7 +578,7 @@ def towards(*waypoints: tuple[float, float]) -> Goal:
 
 
 def led(*waypoints: tuple[float, float]) -> Rig:
-    """A rig that is given a goal and no velocity."""
+    """Return a rig with a goal and no velocity command."""
     rig = Rig()
     rig.command, rig.goal = None, towards(*waypoints)
     return rig
@@ -588,7 +597,7 @@ def test_what_was_asked_at_another_time_counts_for_nothing_and_it_says_so(what: 
 
 
 def take_steps(rig: Rig, most: int) -> list[Array]:
-    """Walk until no step comes any more: where the body was after each, (3,) [m] {world}."""
+    """Walk until no step comes; return the body's place (3,) [m] {world} after each."""
     reached: list[Array] = []
     for _ in range(most):
         plans = rig.plans(15)
@@ -638,7 +647,7 @@ def test_a_fresh_velocity_comes_before_a_goal_and_the_goal_after_it() -> None:
 
 
 def by_touch() -> Rig:
-    """Nobody sees anything, and the operator asks to go on all the same."""
+    """Return a rig without map and pose whose operator requests blind walking."""
     rig = Rig()
     rig.cycle()
     rig.pose = rig.terrain = None
@@ -685,14 +694,14 @@ def test_by_touch_the_next_step_waits_until_all_feet_stand() -> None:
 
 
 def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
-    """On a slope the feet are sent along it."""
+    """Check that on a slope the feet are sent along it."""
     rig = by_touch()
     slope = np.tan(np.radians(6.0))
     feet = REST.copy()
     feet[:, 2] += slope * REST[:, 0]
     plan = rig.plans(10, feet=feet)[0]
     depth = plan.touchdown[:, 2] - PROFILE.foot.radius - slope * plan.touchdown[:, 0]
-    # To a rung of the depths that legs may reach; along level ground the rear feet would be 4 cm off.
+    # They go to one of the depths that legs can reach. Along level ground the rear feet would be 4 cm off.
     np.testing.assert_allclose(depth[plan.swing], depth[plan.swing][0], atol=0.012)
     assert -0.051 < depth[plan.swing][0] < -0.02
     nose_up = -rpy_from_rotation(plan.body_goal[:3, :3])[1]
@@ -749,7 +758,10 @@ def test_on_mapped_ground_it_turns_on_the_spot() -> None:
 
 
 def stands_before_a_goal(hold_up: Callable[["Rig", int], None]) -> str:
-    """The last reason of a planner with a goal on level ground whose robot never moves; `hold_up` delays each cycle."""
+    """Return the last reason of a planner whose robot never moves.
+
+    It has a goal on level ground. `hold_up` delays each cycle.
+    """
     rig = Rig()
     rig.command, rig.goal = None, GOAL
     for cycle in range(500):
@@ -766,7 +778,7 @@ DATA = {"terrain": FLAT, "pose": Rig().pose}
 @pytest.mark.parametrize("name", DATA)
 def test_ground_is_not_closed_for_data_that_come_late(name: str) -> None:
     def hold_up(rig: Rig, cycle: int) -> None:
-        setattr(rig, name, DATA[name] if cycle % 100 < 30 else None)  # for 1.4 s out of 2 s nothing comes
+        setattr(rig, name, DATA[name] if cycle % 100 < 30 else None)  # no data for 1.4 s out of 2 s
 
     assert "stuck" not in stands_before_a_goal(hold_up)
 
@@ -821,7 +833,7 @@ def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() 
 
 
 def blind_near(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> TerrainMap:
-    """Level ground of which nothing is known but where it is seen."""
+    """Return level ground that is unknown except where it is seen."""
 
     def height(x: Array, y: Array) -> Array:
         return np.where(seen(x, y), 0.0, np.nan)
@@ -891,7 +903,7 @@ def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
 
 
 def test_where_no_other_step_goes_on_from_one_by_touch_it_goes_on_by_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Feet that have found their ground by touch may stand as no other step would have them."""
+    """Check feet that found ground by touch, where no other step can follow."""
     rig = Rig()
     rig.terrain = blind_near(lambda x, y: x > 0.5)
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The map as the planner asks it."""
+"""Terrain queries on the map."""
 
 import tracemalloc
 from collections.abc import Callable
@@ -17,7 +17,7 @@ Maker = Callable[..., Terrain]
 
 @pytest.fixture
 def ramp(make_terrain: Maker) -> Terrain:
-    """Rises by x / 10; no height where y > 0.5; off the origin."""
+    """Return a ramp that rises by x / 10, without height at y > 0.5, off the origin."""
     return make_terrain(lambda x, y: np.where(y > 0.5, np.nan, 0.1 * x), lambda x, y: np.abs(y), origin=(0.3, -0.2))
 
 
@@ -96,7 +96,7 @@ def test_flat_terrain_is_level_and_carries_everywhere() -> None:
 def test_through_three_feet_goes_their_plane(slope: Array, moved: Array, height: float) -> None:
     feet = np.array([[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]) + moved
     ground = np.column_stack([feet, height + feet @ slope])
-    np.testing.assert_allclose(plane_of(0, ground).heights(feet), ground[:, 2], atol=0.003)  # a cell's half, and its slope
+    np.testing.assert_allclose(plane_of(0, ground).heights(feet), ground[:, 2], atol=0.003)  # half a cell times the slope
 
 
 def test_feet_on_a_high_stone_are_no_cliff() -> None:
@@ -106,7 +106,10 @@ def test_feet_on_a_high_stone_are_no_cliff() -> None:
 
 
 def test_lines_and_rectangles_to_places_far_away_cost_no_memory(make_terrain: Maker) -> None:
-    """A foot or a body may be claimed to be anywhere; a cell of every centimeter on the way there is a terabyte."""
+    """Check memory for points far away, where a line of 1 cm cells fills a terabyte.
+
+    A foot or a body may be claimed to be anywhere.
+    """
     ground = make_terrain()
     near, far = np.zeros((6, 2)), np.full((6, 2), 1e9)
     tracemalloc.start()

@@ -1,4 +1,4 @@
-"""After the rehearsal nothing is compiled while a passage is planned."""
+"""Warm-up: afterwards the planning of a gap crossing compiles nothing."""
 
 import sys
 
@@ -18,14 +18,14 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 def compiled() -> int:
-    """How many signatures of functions of the passage planner have been compiled or loaded."""
+    """Count the signatures of gap-crossing functions that are compiled or loaded."""
     modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.gap_crossing.")]
     found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return sum(len(f.signatures) for f in found.values())
 
 
 def as_told(field: Field) -> Field:
-    """The same ground as the planner comes by it, from a message."""
+    """Return the same ground as the planner receives it, from a message."""
     shape, origin = field.elevation.shape, np.array(field.corner)
     nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
     normals = np.zeros((*shape, 3), dtype=np.int16)

@@ -1,4 +1,7 @@
-"""What is wrong on the bus is named by leg and joint: missing, doubled, of another model, reset to the factory's id."""
+"""Bus scan: missing servos, id collisions, wrong models and factory resets.
+
+The scan names each faulty servo by leg and joint.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +17,7 @@ from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names
 FEMUR = 9  # left rear
-COXA = 1  # left front: it has the id that a factory reset gives
+COXA = 1  # left front: a factory reset sets this id
 
 
 def trouble(desk: Desk) -> str:
@@ -46,7 +49,7 @@ def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> Non
     assert "servo 1 (left front coxa) is answered for more than once" in words
     assert "1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
     assert (desk.tables[[desk.row(COXA)], dxl.RETURN_DELAY.address] == 0).all()
-    assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # and was not set up in another's place
+    assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # the scan has not configured the reset servo
 
 
 def test_where_many_are_missing_who_was_reset_is_not_listed() -> None:
@@ -110,7 +113,7 @@ def test_a_call_in_order_costs_no_timeouts() -> None:
 
 
 def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
-    """A host that is busy hears one ping's answer on the next."""
+    """Check that a late reply to one ping, read during the next, counts once."""
     desk = Desk()
     bus = desk.bus()
     receive, late = desk.bench.receive, []
@@ -135,7 +138,7 @@ def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
     receive = desk.bench.receive
 
     def loose(data: bytes, now_ns: int) -> list[Reply]:
-        return [] if data[4:5] == b"\x02" and data[6] > 2 else receive(data, now_ns)  # long answers are lost
+        return [] if data[4:5] == b"\x02" and data[6] > 2 else receive(data, now_ns)  # long replies are lost
 
     desk.bench.receive = loose  # type: ignore[method-assign]
     seen = bus_scan.look(bus, FEMUR)
@@ -153,7 +156,7 @@ def test_the_other_servos_with_the_same_table_are_known_by_name(number: int, nam
 
 
 class _Station:
-    """A port on which another device prints a line again and again, whatever is asked."""
+    """A port on which another device prints one line, independent of the request."""
 
     def __init__(self, line: bytes) -> None:
         self.line, self.now_ns = line, 0

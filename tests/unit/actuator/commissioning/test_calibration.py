@@ -1,4 +1,7 @@
-"""Horns that sit wrong are measured, by hands that are real and by hands that are not, and kept in the robot's own TOML."""
+"""Calibration of misaligned horns, by careful and by careless operators.
+
+The result is kept in the robot's own TOML file.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -197,7 +200,7 @@ def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_na
 
     with pytest.raises(ServoSilentError, match=r"servo 1 \(left front coxa\) .* switch its power off and on again"):
         measured(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
-    desk.bench._plugged.add(desk.row(1))  # with its power never gone
+    desk.bench._plugged.add(desk.row(1))  # its power stayed on
     desk.bench._find_listeners()
     desk.settle()
     limits = desk.tables.view("<u2")[:, dxl.TORQUE_LIMIT.address // 2]

@@ -1,4 +1,7 @@
-"""Each joint is moved gently, one at a time, after a yes; what does not move, strains or is unwell is named."""
+"""Joint test: one slow joint motion at a time, after the operator agrees.
+
+Joints that do not move, are overloaded or report an error are named.
+"""
 
 from collections.abc import Callable
 
@@ -16,7 +19,7 @@ TICK_DEG = float(np.degrees(dxl.TICK_RAD))
 
 
 class Watched(Desk):
-    """A desk that notes what every servo does while the host talks."""
+    """A desk that records the state of every servo at each packet of the host."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,7 +67,7 @@ def test_ways_are_told_as_they_are_seen() -> None:
     ways = {one.name: one.way for one in moved}
     assert {ways[f"{leg} femur"] for leg in LEGS} == {"up"}
     coxa = {leg: ways[f"{leg} coxa"] for leg in LEGS}
-    # All turn counterclockwise from above: the left side backward, the right side forward.
+    # All coxae turn counterclockwise from above: the left legs move backward, the right legs forward.
     assert coxa == {leg: "backward" if leg.startswith("left") else "forward" for leg in LEGS}
 
 
@@ -85,7 +88,7 @@ def test_the_torque_is_left_as_the_operator_chose(hold: bool) -> None:
     assert desk.tables[:, dxl.TORQUE_ENABLE.address].all() == hold
     assert builder.told[-1] == ("torque is on: the legs hold where they are" if hold else "torque is off")
     words = desk.tables.view("<u2")
-    assert (np.abs(words[:, 15].astype(int) - words[:, 18]) <= 1).all() or not hold  # goals are where the joints are
+    assert (np.abs(words[:, 15].astype(int) - words[:, 18]) <= 1).all() or not hold  # each goal equals the joint's position
 
 
 def test_a_joint_that_is_blocked_is_named() -> None:
@@ -127,7 +130,7 @@ def test_interrupted_in_the_middle_of_a_move_the_torque_is_off() -> None:
 
 
 def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
-    """Ctrl-C falls on the first packet of some kind; what was told."""
+    """Raise Ctrl-C at the first packet for which `when` is true; return the builder."""
     receive = desk.bench.receive
 
     def interrupted(data: bytes, now_ns: int) -> list[object]:

@@ -1,4 +1,7 @@
-"""From a box of servos to a robot's bus, at the emulated servos' bytes: who is found, named and set, and what is refused."""
+"""Set the ids of new servos, on emulated servos at packet level.
+
+The tests cover the scan, naming and set-up of servos, and the refusals.
+"""
 
 from collections.abc import Callable
 
@@ -28,7 +31,7 @@ def line(desk: Desk) -> Line:
 
 
 def plug(desk: Desk, count: int = 1, answer: str = "") -> Callable[[], str]:
-    """Plug the next servos in, then press Enter."""
+    """Return an action that plugs in the next `count` servos, then presses Enter."""
 
     def act() -> str:
         desk.bench.plug(desk.bench.boxed[:count])
@@ -122,7 +125,7 @@ def test_a_box_of_new_servos_becomes_a_robots(profile: RobotProfile) -> None:
     assert set_ids.set_ids(line(desk), desk.profile, builder)
     assert_set_up(desk)
     factory = [name for i, name in desk.profile.servo_names.items() if i == 1]
-    assert all(name in builder.asked[-1] for name in factory)  # comes last: new servos have its id
+    assert all(name in builder.asked[-1] for name in factory)  # they come last: new servos have this id
     assert [i for i in ids(desk) if i != 1] == [i for i in desk.profile.servo_names if i != 1]
 
 
@@ -154,7 +157,7 @@ def test_it_can_be_left_and_goes_on_with_what_is_missing(done: int) -> None:
 @pytest.mark.parametrize("after", range(1, 12))
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
 def test_interrupted_between_any_two_packets_nothing_is_lost(profile: RobotProfile, after: int) -> None:
-    """Ctrl-C falls on the nth write of a servo's setting; the next sitting brings all to their ends."""
+    """Interrupt the n-th write of a servo register; a second run sets all servos up."""
     desk = Desk(profile, fresh=True)
     writes = 0
     receive = desk.bench.receive
@@ -177,7 +180,7 @@ def test_interrupted_between_any_two_packets_nothing_is_lost(profile: RobotProfi
 
 
 class Agreeing(Builder):
-    """Says yes to whatever is to be agreed to."""
+    """A builder that agrees to every question."""
 
     def agree(self, question: str) -> bool:
         self.asked.append(question)
@@ -210,7 +213,7 @@ def test_a_servo_of_another_model_is_refused() -> None:
 def test_a_servo_may_be_named_and_a_used_one_has_any_id() -> None:
     desk = Desk(fresh=True)
     desk.tables[0, [dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address]] = 77, 0
-    desk.tables[0, dxl.CCW_ANGLE_LIMIT.address : dxl.CCW_ANGLE_LIMIT.address + 2] = 0  # it was a wheel
+    desk.tables[0, dxl.CCW_ANGLE_LIMIT.address : dxl.CCW_ANGLE_LIMIT.address + 2] = 0  # it was in wheel mode
     builder = Builder([plug(desk, answer="left  Rear femur"), "left knee", "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
     assert desk.tables[0, dxl.ID.address] == 9
@@ -243,7 +246,10 @@ def test_a_locked_servo_is_told() -> None:
 
 @pytest.mark.parametrize("agreed", [False, True])
 def test_a_servo_that_is_done_becomes_another_joints_only_with_a_yes(agreed: bool) -> None:
-    """Whoever names the next joint and forgets to plug its servo in has but the last one on the bus."""
+    """Check that a configured servo alone on the bus is reassigned only after a yes.
+
+    The builder names the next joint, but forgets to plug in its servo.
+    """
     desk = Desk(fresh=True)
     femur, tibia = (i for i, name in PHANTOMX.servo_names.items() if name in ("left front femur", "left front tibia"))
     builder = Builder([plug(desk, answer="left front femur"), "left front tibia", agreed, "q"])
@@ -259,7 +265,7 @@ def joint(name: str) -> int:
 
 
 def used(desk: Desk, row: int, servo_id: int, **registers: int) -> Callable[[], str]:
-    """Plug in a servo that was set up elsewhere, then press Enter."""
+    """Return an action that plugs in a servo set up elsewhere, then presses Enter."""
 
     def act() -> str:
         table = {dxl.ID: servo_id, dxl.RETURN_DELAY: 0}
@@ -313,7 +319,10 @@ def test_servos_that_come_back_together_are_what_their_ids_say() -> None:
 
 @pytest.mark.parametrize("agreed", [False, True])
 def test_one_that_was_cut_off_behind_its_id_is_completed(agreed: bool) -> None:
-    """As where the power went: it has an id and is else a wheel, as slow to answer as from the factory."""
+    """Check that a servo is completed if power failed right after its id was set.
+
+    The servo has its id, but is still in wheel mode with the factory's return delay.
+    """
     desk = Desk(fresh=True)
     used(desk, 0, 9, RETURN_DELAY=250, CCW_ANGLE_LIMIT=0)()
     used(desk, 1, 3)()
@@ -364,7 +373,7 @@ def test_limits_and_protections_that_somebody_changed_are_named_and_set_right(
     (problem,) = set_ids.verdict(found, PHANTOMX)
     assert problem.words.startswith(f"servo 9 (left rear femur) {words}")
     assert "set-id` with it alone on the bus, its leg and joint typed, sets what is safe" in problem.advice
-    desk.bus().setup()  # an actuator does with it
+    desk.bus().setup()  # the set-up by an actuator does not change it
 
     others = [row for row in range(18) if row != desk.row(9)]
     desk.bench.unplug(others)

@@ -1,4 +1,7 @@
-"""Up by gyro and accelerometer: found from any start, by any way of turning, whatever the gyro is off, and never a heading."""
+"""Attitude from gyro and accelerometer: up is found, heading is not estimated.
+
+Up is found from any start, during any rotation and with any gyro bias.
+"""
 
 import numpy as np
 import pytest
@@ -30,7 +33,7 @@ def hold(filter_: AttitudeEstimator, R_world_body: Array, for_s: float, gyro: Ar
 
 
 def off(found: Attitude, R_world_body: Array) -> float:
-    """Angle [rad] between up as it is found and as it is."""
+    """Return the angle [rad] between the estimated and the true up direction."""
     return float(np.arccos(np.clip(found.up @ R_world_body[2], -1.0, 1.0)))
 
 
@@ -41,7 +44,7 @@ def test_up_is_found_from_any_start(start: tuple[float, float], tilt: tuple[floa
     assume(first[2] @ then[2] > -0.99)
     filter_ = AttitudeEstimator()
     filter_.update(np.zeros(3), felt(first), DT)
-    found = hold(filter_, then, 40.0)  # the pull has been taken for a bias, for a while
+    found = hold(filter_, then, 40.0)  # for a while the filter takes the initial error for a gyro bias
     assert off(found, then) < 2e-3
     assert found.doubt < np.radians(1.0)
 
@@ -63,7 +66,7 @@ def test_what_a_gyro_is_off_is_found(tilt: tuple[float, float], bias: tuple[floa
     R, filter_ = rotation_from_rpy([*tilt, 0.3]), AttitudeEstimator()
     across = np.cross(R[2], [0.0, 0.0, 1.0] if abs(R[2, 2]) < 0.9 else [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    wrong = bias[0] * across + bias[1] * np.cross(R[2], across)  # about up nothing tells it
+    wrong = bias[0] * across + bias[1] * np.cross(R[2], across)  # a bias about the up axis is not observable
     found = hold(filter_, R, 90.0, wrong)
     np.testing.assert_allclose(filter_.bias, wrong, atol=3e-4)
     assert off(found, R) < 1e-3
@@ -72,7 +75,10 @@ def test_what_a_gyro_is_off_is_found(tilt: tuple[float, float], bias: tuple[floa
 @WILD
 @given(tilts, headings, headings)
 def test_heading_is_none_of_its_business(tilt: tuple[float, float], yaw: float, turn: float) -> None:
-    """The same tilt under another heading is the same answer, which has no heading."""
+    """Check that the same tilt gives the same result under any heading.
+
+    The yaw of the result is zero.
+    """
     a, b = AttitudeEstimator(), AttitudeEstimator()
     R = rotation_from_rpy([*tilt, yaw])
     one, other = hold(a, R, 0.1), hold(b, rotation_z(turn) @ R, 0.1)
@@ -82,7 +88,10 @@ def test_heading_is_none_of_its_business(tilt: tuple[float, float], yaw: float, 
 
 
 def test_pushes_are_not_taken_for_gravity() -> None:
-    """Specific force that has not gravity's length does not turn up, and makes it less sure."""
+    """Check that a specific force longer or shorter than gravity does not tilt up.
+
+    Such a force only increases the uncertainty.
+    """
     filter_ = AttitudeEstimator()
     calm = hold(filter_, np.eye(3), 20.0)
     for _ in range(50):
@@ -93,14 +102,14 @@ def test_pushes_are_not_taken_for_gravity() -> None:
 
 @pytest.mark.parametrize("force", [np.zeros(3), G / 9.81, 3.0 * G])
 def test_what_cannot_be_gravity_is_never_sure(force: Array) -> None:
-    """A sensor that sends nothing but zeros, or counts in g, is not believed."""
+    """Check that a sensor that sends only zeros, or counts in g, stays uncertain."""
     filter_ = AttitudeEstimator()
     doubts = [filter_.update(np.zeros(3), force, DT).doubt for _ in range(500)]
     assert min(doubts) > np.radians(5.0)
 
 
 def test_noise_of_the_data_sheet_leaves_half_a_degree() -> None:
-    """As one sigma: what an accelerometer is off is tilt to it."""
+    """Check one sigma of the tilt: the accelerometer's bias appears as a tilt error."""
     errors, doubts = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -135,14 +144,17 @@ def test_at_rest_a_gyro_tells_its_bias_about_up_too_and_then_counts_heading(
 
 
 def test_a_first_reading_tells_no_bias() -> None:
-    """Nothing is known of the time before it."""
+    """Check that the first reading gives no bias: the interval before it is unknown."""
     filter_ = AttitudeEstimator()
     filter_.update(np.full(3, 0.015), G, 1.0, still=True)
     np.testing.assert_array_equal(filter_.bias, np.zeros(3))
 
 
 def test_heading_and_up_go_by_the_same_bias() -> None:
-    """What is learned in a reading counts for all of it: a body at rest that tells its whole bias has not turned."""
+    """Check that heading uses the bias that the same reading has just estimated.
+
+    A body at rest whose whole bias is found in one reading has not turned.
+    """
     filter_ = AttitudeEstimator()
     filter_.update(np.zeros(3), G, DT)
     found = filter_.update(np.array([0.0, 0.0, 0.01]), G, 1.0, still=True)

@@ -1,4 +1,7 @@
-"""The tilt of {odom} by an inertial sensor: it goes away, about the body, and nothing else moves; nonsense is not heeded."""
+"""Gravity alignment: an inertial sensor removes the tilt of {odom}.
+
+The frame turns about the body and nothing else moves. Implausible readings are ignored.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ leans = st.tuples(st.floats(-0.14, 0.14), st.floats(-0.14, 0.14))
 
 
 def told(R_level_body: Array, for_s: float = 15.0) -> tuple[Plumb, int]:
-    """One that has heard a body at rest for a while, and the time [ns]."""
+    """Return a `Plumb` that has received a body at rest, and the time [ns]."""
     plumb, now_ns = Plumb(), 0
     for now_ns in range(0, round(for_s * 1e9), 20 * MS):
         plumb.take(Imu(now_ns, np.zeros(3), R_level_body.T @ G), now_ns)
@@ -33,7 +36,7 @@ def lean(T: Array) -> float:
 @WILD
 @given(leans, st.floats(-3.0, 3.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
 def test_the_legs_frame_becomes_level_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
-    """The body is level, and the legs say that it leans."""
+    """Check that {odom} turns level: the body is level, but the legs report a tilt."""
     plumb, now_ns = told(np.eye(3))
     T = from_xyz_rpy([*at, 0.1], [*tilt, yaw])
     place, before = T[:3, 3].copy(), lean(T)
@@ -113,7 +116,10 @@ FEET = load_profile("phantomx_mk2").rest_feet()
 
 
 def heaved(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
-    """What is said of a body that was as the legs say, and then leans otherwise while feet come down."""
+    """Return the feet reported as lifting a body that tilts while they come down.
+
+    Before, the body's tilt is that of the legs' odometry.
+    """
     plumb, now_ns = told(T_odom_body[:3, :3])
     nothing = plumb.heaves(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
     assert not nothing.any()
@@ -125,7 +131,10 @@ def heaved(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
 @WILD
 @given(st.sampled_from([0, 2, 4]), st.floats(2.5, 8.0), st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
 def test_the_foot_over_which_the_body_rises_lifts_it(leg: int, angle_deg: float, lean: tuple[float, float]) -> None:
-    """Its own corner goes up, whatever the body's attitude was, and no other foot is blamed."""
+    """Check that only the foot whose corner of the body rises is reported.
+
+    The result does not depend on the body's attitude before.
+    """
     x, y = FEET[leg, :2] / np.hypot(*FEET[leg, :2])
     before = rotation_from_rpy([*lean, 0.0])
     R = before @ exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0]))
@@ -142,7 +151,7 @@ def test_a_little_is_nothing_and_nobody_lifts_where_only_standing_feet_are(angle
 
 @pytest.mark.parametrize("slipped", [0.0, 0.05, -0.08])
 def test_heading_that_slipping_feet_have_lost_is_made_up_by_the_gyro(slipped: float) -> None:
-    """The body turns by half a radian, and the legs saw that much less of it."""
+    """Check that the gyro corrects heading: the body turns 0.5 rad, the legs see less."""
     plumb, now_ns = told(np.eye(3))
     T, steps = from_xyz_rpy((1.0, 2.0, 0.1), np.zeros(3)), 100
     for i in range(300):
@@ -167,7 +176,10 @@ def test_legs_that_count_anew_have_not_turned(yaw: float) -> None:
 
 
 def spun(plumb: Plumb, now_ns: int, rate: float, step: int | None, cycles: int) -> tuple[list[float], int]:
-    """By how much {odom} turns [rad] in each cycle while a gyro turns at a rate [rad/s] and no leg does, and the time [ns]."""
+    """Return the turn [rad] of {odom} in each cycle, and the time [ns].
+
+    The gyro reports `rate` [rad/s] and the legs do not turn.
+    """
     turned = []
     for _ in range(cycles):
         now_ns += 20 * MS
@@ -180,7 +192,10 @@ def spun(plumb: Plumb, now_ns: int, rate: float, step: int | None, cycles: int) 
 @WILD
 @given(st.floats(-4.0, 4.0), st.integers(1, 200))
 def test_legs_that_hang_in_the_air_are_not_thrown_about_by_the_gyro(rate: float, cycles: int) -> None:
-    """None of their turning is seen by it: what is made up is little at a time, and little in all, and none at rest."""
+    """Check the limits of the correction for legs that do not see the turn.
+
+    The correction is limited in rate and in total, and is zero at rest.
+    """
     plumb, now_ns = told(np.eye(3))
     at_rest, now_ns = spun(plumb, now_ns, rate, None, cycles)
     assert not np.any(at_rest)
@@ -203,7 +218,10 @@ def test_a_gyro_that_is_far_off_the_legs_is_not_followed_until_the_next_step_and
 @WILD
 @given(st.floats(0.25, 0.34), st.floats(-3.0, 3.0))
 def test_levelling_ends_where_legs_cannot_lean_further_and_that_is_said(angle: float, way: float) -> None:
-    """The legs bring the body back to level by their own count, in the air or not, and the sensor does not see it."""
+    """Check the 12 deg limit: the legs move the body back by their own odometry.
+
+    The legs do so in the air too, and the sensor does not see the motion.
+    """
     plumb, now_ns = told(exp_so3(angle * np.array([np.cos(way), np.sin(way), 0.0])))
     total = np.eye(3)
     for _ in range(1000):
@@ -220,7 +238,10 @@ def test_levelling_ends_where_legs_cannot_lean_further_and_that_is_said(angle: f
 
 
 def test_what_is_levelled_meanwhile_lifts_nobody() -> None:
-    """{odom} is wrong by some degrees and turns as feet come down; the body does not move."""
+    """Check that {odom}, wrong by some degrees, may turn while feet come down.
+
+    The body does not move.
+    """
     plumb, now_ns = told(np.eye(3))
     T = from_xyz_rpy(np.zeros(3), (0.15, 0.1, 0.0))
     plumb.heaves(T, FEET, np.zeros(6, dtype=bool), now_ns)
@@ -243,7 +264,10 @@ def test_only_a_robot_that_has_stood_for_a_while_tells_what_its_gyro_is_off() ->
 
 @pytest.mark.parametrize("gap_ns", [150 * MS, 5_000 * MS, -5_000 * MS])
 def test_after_a_gap_one_reading_is_no_bias(gap_ns: int) -> None:
-    """Whoever stood before may turn now; another clock is a gap as well."""
+    """Check that one reading after a gap gives no bias.
+
+    A robot that stood before may turn now. A clock that jumps is a gap, too.
+    """
     plumb, noisy = Plumb(), np.array([0.015, -0.015, 0.015])
     for i in range(600):
         plumb.take(Imu(i * 20 * MS, np.zeros(3), G), i * 20 * MS, still=True)
@@ -256,7 +280,7 @@ def test_after_a_gap_one_reading_is_no_bias(gap_ns: int) -> None:
 
 @pytest.mark.parametrize(("unit", "believed"), [(1.0, True), (180.0 / np.pi, False)])
 def test_a_gyro_that_counts_in_degrees_is_not_heeded_and_that_is_said(unit: float, believed: bool) -> None:
-    """A body that rocks by two degrees and turns slowly."""
+    """Rock a body by two degrees while it turns slowly."""
     plumb, R, trusted, amplitude, beat = Plumb(), np.eye(3), [], np.radians(2.0), 2.0 * np.pi
     for i in range(1500):
         now_ns, t = i * 10 * MS, i * 0.01

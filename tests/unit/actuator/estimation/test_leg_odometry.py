@@ -1,4 +1,4 @@
-"""The body's motion over standing feet: made-up motions are found again."""
+"""Leg odometry: known body motions over standing feet are recovered."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ moves = st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-0.1
 
 
 def way(x: float, y: float, yaw: float, n: int = 20) -> list[Array]:
-    """Poses from the start to x, y and yaw in n equal parts."""
+    """Return n + 1 poses from the start to x, y and yaw, at equal intervals."""
     height = PROFILE.stance.body_height
     return [from_xyz_rpy((s * x, s * y, height), (0.0, 0.0, s * yaw)) for s in np.linspace(0.0, 1.0, n + 1)]
 
@@ -84,7 +84,7 @@ def test_fewer_than_three_legs_hold_it_and_it_says_so(count: int) -> None:
     np.testing.assert_array_equal(found, START)
     assert not odometry.reliable
     assert odometry.travelled == 0.0
-    odometry.update(standing_joints(POINTED, elsewhere, feet), ALL, feet[:, 2])  # the others touch down
+    odometry.update(standing_joints(POINTED, elsewhere, feet), ALL, feet[:, 2])  # the other legs touch down
     before = odometry.update(standing_joints(POINTED, elsewhere, feet), ALL, feet[:, 2])
     beyond = from_xyz_rpy((0.01, 0.02, START[2, 3]), np.zeros(3))
     after = odometry.update(standing_joints(POINTED, beyond, feet), ALL, feet[:, 2])
@@ -93,17 +93,17 @@ def test_fewer_than_three_legs_hold_it_and_it_says_so(count: int) -> None:
 
 
 def rolling(profile: RobotProfile, poses: list[Array], feet: Array) -> list[Array]:
-    """Joint angles of a robot whose spherical feet roll on the ground without slipping.
+    """Return joint angles of a robot whose spherical feet roll without slipping.
 
-    Independent of the code under test: the shank's angular velocity in {odom} from its direction's change, the contact point
-    at rest, so the centre moves with omega x r upwards; integrated in fine parts.
+    The computation is independent of the code under test. The shank's angular velocity in {odom} follows from the change of
+    its direction. The contact point is at rest, so the foot's centre moves with omega x r upwards, integrated in fine steps.
     """
     centres, out = feet.copy(), []
     shank = _shanks(profile, poses[0], standing_joints(profile, poses[0], centres))
     up = np.array([0.0, 0.0, profile.foot.radius])
     for T in poses:
         moved = centres
-        for _ in range(4):  # the joints depend on the rolled centres, and they on the joints
+        for _ in range(4):  # the joints depend on the rolled centres, and vice versa
             now = _shanks(profile, T, standing_joints(profile, T, moved))
             omega = [skew(a) @ b for a, b in zip(shank, now, strict=True)]
             moved = centres + np.stack([skew(w) @ up for w in omega])
@@ -132,7 +132,7 @@ def test_rolling_feet_are_allowed_for(move: tuple[float, float, float]) -> None:
 
 
 def test_without_the_rolling_a_stride_comes_out_short() -> None:
-    """The sign: a body that moves on over rolling feet travels further than its joints tell."""
+    """Check the sign: the body travels further than the joints of rolling feet show."""
     poses = way(0.05, 0.0, 0.0, n=40)
     feet = apply(START, PROFILE.rest_feet())
     joints = rolling(PROFILE, poses, feet)

@@ -1,4 +1,7 @@
-"""What a femur's load says of the ground: nothing in free motion, a push soon after a foot has met something."""
+"""Touchdown detection from the femur's load.
+
+Free motion gives no contact. A foot that meets ground is detected within a few readings.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,33 +24,33 @@ from sextant.shared.servo import dynamixel as dxl
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo
-# Legs as far out as they are in the middle of most swings; nearer to the coxa a femur has less leverage, and feels less.
+# Foot distances of mid-swing: nearer to the coxa the femur has less leverage on the ground force and detects less.
 OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 Q = body_inverse(PROFILE, PROFILE.rest_feet() + (0.144 - PROFILE.foot_radii)[:, None] * OUT)
 LEG = 2
 PERIOD = 20_000_000
-STEPS = 20  # of the joint's own motion per cycle
+STEPS = 20  # integration steps of the joint's motion per cycle
 
 
 def femur(speed: float, load: float, stamp_ns: int, angle: float = 0.0) -> FemurReading:
-    """A reading in the last quarter of a cycle."""
+    """Return a reading taken in the last quarter of a cycle."""
     return FemurReading(angle, speed, load, stamp_ns, stamp_ns - PERIOD * 3 // 4)
 
 
 class Swing(NamedTuple):
-    """What was felt on a way of one femur."""
+    """Detections during one motion of a femur."""
 
-    touches: list[bool]  # cycle by cycle
+    touches: list[bool]  # per cycle
     pushes: list[float]  # [N]
-    met: int  # the cycle in which it met the ground, or -1
+    met: int  # cycle of ground contact, or -1
 
 
 def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: float = 0.3, coarse: bool = False) -> Swing:
-    """Feel the way of goals (n,) [rad] of one femur.
+    """Run the detector while one femur follows goals (n,) [rad].
 
-    The servo is what it is in the simulator: a spring to its goal, damped, with dry friction, a leg and an armature behind it.
-    From the middle of the way on there is ground as hard as stone below a femur angle [rad]. Readings are taken when a cycle
-    begins, goals told after a share of it. A coarse servo counts in ticks, and keeps a compliance margin of one.
+    The servo model is the simulator's: a damped spring to the goal with dry friction, a leg and an armature. From the middle
+    of the motion, ground as hard as stone lies below a femur angle [rad]. Readings are taken at the start of each cycle and
+    goals are sent after the share `told` of it. A coarse servo counts in ticks and has a compliance margin of one tick.
     """
     tick = dxl.TICK_RAD if coarse else 1e-9
     goals = np.round(goals / tick) * tick
@@ -81,7 +84,7 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
 
 
 def stroke(height: float, cycles: int) -> Array:
-    """Up by a height [rad], down by as much, and rest, as smooth as swings are."""
+    """Return goals up by a height [rad], down again and at rest, smooth as swings are."""
     s = np.linspace(0.0, 1.0, cycles)
     up = height * np.sin(np.pi * s) ** 2
     return np.asarray(Q[LEG, FEMUR] + np.concatenate([np.zeros(3), up, np.zeros(5)]))
@@ -102,7 +105,7 @@ def test_ticks_and_the_compliance_margin_are_no_touch(told: float) -> None:
 
 
 def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
-    """A femur that is far behind its goal pulls no harder for that, and no less."""
+    """Check that a femur far behind its goal has the same push at any reading delay."""
     pushes = list[float]()
     for since_ms in (0.5, 3.0, 6.0, 10.0, 18.0):
         feeler, ahead = Feeler(PROFILE), Q.copy()
@@ -117,18 +120,21 @@ def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
 
 
 def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> None:
-    """The load of a femur that turns at 3 rad/s falls by 0.03 N m, a quarter of a newton at the foot, every millisecond."""
+    """Check that the push hardly depends on when goals are sent within a cycle.
+
+    At 3 rad/s the femur's load falls by 0.03 N m per millisecond, a quarter of a newton at the foot.
+    """
     pushes = np.array([swing(stroke(0.6, 34), told=told).pushes for told in np.linspace(0.1, 0.9, 9)])
     assert np.ptp(pushes, axis=0).max() < 0.7
     assert np.abs(pushes).max() < 1.0
 
 
 def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
-    body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice as heavy in all
+    body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice the total mass
     for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
         feeler = Feeler(profile)
         for _ in range(3):
-            feeler.see(Q, Q)  # goals that do not change
+            feeler.see(Q, Q)  # constant goals
         held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
         for cycle in range(3):
             feeler.read(LEG, femur(0.0, held, cycle * PERIOD))
@@ -138,10 +144,13 @@ def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
 
 @pytest.mark.parametrize("since_ms", [0.0, 2.0, 4.0])
 def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(since_ms: float) -> None:
-    """It comes down at 3 rad/s, and pulls as hard as that takes: to the goal of before, and 20 ms later in its step."""
+    """Check that the pull shows whether a servo that was read had received its goal.
+
+    The femur moves down at 3 rad/s. Its torque is that of the new goal, or of the previous one 20 ms later in its motion.
+    """
     speed, step = -3.0, -3.0 * PERIOD * 1e-9
     held = link_torques(PROFILE, Q)[LEG, FEMUR] + SERVO.damping * speed - 2.5 * SERVO.friction
-    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls as hard 8 ms after it was told
+    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls with this torque 8 ms after it receives its goal
     found = list[float]()
     for heard in (True, False):
         feeler = Feeler(PROFILE)
@@ -149,7 +158,7 @@ def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(si
             told = Q.copy()
             told[LEG, FEMUR] = goal + cycle * step
             feeler.see(Q, told)
-            late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # after the goal that it pulls to
+            late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # time since the goal that the servo pulls to
             angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.008)
             pull = SERVO.stiffness * (goal + (cycle - (not heard)) * step - angle)
             stamp_ns = cycle * PERIOD + round(since_ms * 1e6)
@@ -168,7 +177,10 @@ def test_ground_on_the_way_down_is_felt_within_three_readings(height: float, arm
 
 
 def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
-    """Of full torque something is left over that the model does not have; ground would have stopped the leg."""
+    """Check that full torque at high speed gives no contact.
+
+    The model does not explain all of the full torque, but ground would have stopped the leg.
+    """
     robot = load_profile("lotriet_rx64")
     q = body_inverse(robot, robot.rest_feet())
     for speed, touches in ((-5.75, False), (0.0, True)):  # [rad/s]
@@ -221,7 +233,10 @@ def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
 
 
 def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_not_heard() -> None:
-    """Its goal went down by a tick and a half; it pulls as to the one of before, by its margin."""
+    """Check a goal that moved down by 1.5 ticks.
+
+    The servo's compliance margin makes it pull as for the previous goal.
+    """
     pushes = list[float]()
     for told in (0.0, -1.5 * dxl.TICK_RAD):
         feeler, goal = Feeler(PROFILE), Q.copy()
@@ -254,7 +269,7 @@ def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(
     world.place(np.tile([0.0, 0.3, -np.pi / 2], (6, 1)), from_xyz_rpy((0.0, 0.0, 1.0), np.zeros(3)))
     inertia = np.zeros((world.model.nv, world.model.nv))
     mujoco.mj_fullM(world.model, world.data, inertia)
-    femora = 6 + 3 * np.arange(6) + FEMUR  # after the body's six freedoms
+    femora = 6 + 3 * np.arange(6) + FEMUR  # after the body's six degrees of freedom
     np.testing.assert_allclose(inertia[femora, femora], Feeler(robot)._inertia, rtol=0.05)
 
 
@@ -268,7 +283,7 @@ def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
             feeler.read(LEG, femur(0.0, 0.0, now))
         expected.append(bool(feeler.heard(now + 2_000_000)[LEG]))
         assert not np.delete(feeler.heard(now), LEG).any()
-    # One that is missed is not yet felt, two are; and after these the first reading has none before it to be compared with.
+    # One missed reading does not count as silence, two do. After two, the first reading has no predecessor to compare with.
     assert expected == [False, True, True, True, True, True, False, False, True]
 
 
@@ -281,7 +296,10 @@ def test_readings_far_apart_say_nothing() -> None:
 
 
 def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
-    """0.14 N m once, which free swings give now and then, would be 5 N on a foot that is 3 cm beside its femur's axis."""
+    """Check that 0.14 N m of noise, rare in free swings, gives no contact.
+
+    It would be 5 N on a foot only 3 cm from its femur's axis.
+    """
     feeler = Feeler(PROFILE)
     near = body_inverse(PROFILE, PROFILE.rest_feet(0.13) + (PROFILE.links.coxa + 0.03 - PROFILE.foot_radii)[:, None] * OUT)
     held = link_torques(PROFILE, near)

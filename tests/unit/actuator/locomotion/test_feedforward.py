@@ -1,4 +1,4 @@
-"""Ground forces by statics, and the goals that make up for the servos' spring."""
+"""Ground forces from statics, and goals that compensate the servos' compliance."""
 
 import numpy as np
 import pytest
@@ -29,13 +29,13 @@ TRIPODS = (np.arange(6) % 2 == 0, np.arange(6) % 2 == 1)
 
 
 def somewhere(seed: int) -> tuple[Array, Array]:
-    """Feet (6, 3) [m] near their rest, and a centre of mass (3,) [m] near the body's."""
+    """Return feet (6, 3) [m] near rest, and a centre of mass (3,) [m] near the body's."""
     rng = np.random.default_rng(seed)
     return REST + rng.uniform(-0.02, 0.02, (6, 3)), np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
 
 
 def balance(feet: Array, forces: Array, centre: Array) -> Array:
-    """Sum of forces [N] and moments about x and y [N m] of vertical forces."""
+    """Return the sum of vertical forces [N] and their moments about x and y [N m]."""
     arms = feet[:, :2] - centre[:2]
     return np.array([forces.sum(), (forces * arms[:, 0]).sum(), (forces * arms[:, 1]).sum()])
 
@@ -63,7 +63,7 @@ def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> No
     arms = feet[:, :2] - centre[:2]
     np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-2)
     np.testing.assert_allclose(arms[:, 0] @ forces[:, 1] - arms[:, 1] @ forces[:, 0], 0.0, atol=1e-9)
-    assert (np.linalg.norm(forces, axis=1) <= 0.3 * vertical + 1e-12).all()  # well below what friction holds
+    assert (np.linalg.norm(forces, axis=1) <= 0.3 * vertical + 1e-12).all()  # well below the friction limit
 
 
 @pytest.mark.parametrize("standing", TRIPODS)
@@ -78,7 +78,7 @@ def test_the_femora_of_a_tripod_that_pushes_outwards_bear_less(name: str, standi
     forces[:, :2] = outward_forces(feet, forces[:, 2], centre)
     pushing = np.abs(joint_torques(profile, q, forces))
     assert (pushing[standing, 1] < 0.95 * without[standing, 1]).all()
-    assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # nor does another joint take its place
+    assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # and no other joint bears more
 
 
 def test_a_leg_takes_less_with_a_smaller_share() -> None:
@@ -102,13 +102,13 @@ def test_forces_stay_bounded_whatever_the_shares(share: list[float], seed: int) 
 def test_the_goal_of_a_loaded_femur_lies_below_where_it_is_to_rest() -> None:
     q = body_inverse(PROFILE, REST)
     sag = sag_feed_forward(PROFILE, q, REST, np.ones(6), np.eye(3))
-    assert (sag[:, 1] < 0).all()  # down: the ground pushes the foot, and with it the femur, up
+    assert (sag[:, 1] < 0).all()  # down: the ground pushes the foot, and the femur with it, up
     beyond = body_forward(PROFILE, q + sag)
-    assert (beyond[:, 2] < REST[:, 2]).all()  # so the feet are commanded into the ground
+    assert (beyond[:, 2] < REST[:, 2]).all()  # so the commanded feet lie below the ground
 
 
 def test_without_a_load_the_legs_hold_up_themselves() -> None:
-    """By virtual work: the torque lifts the middles of the links as the joint turns."""
+    """Compare with virtual work: the torque lifts the links' midpoints."""
     rng = np.random.default_rng(2)
     q = rng.uniform(PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1])
     torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, body_forward(PROFILE, q), np.zeros(6), np.eye(3))
@@ -128,7 +128,10 @@ def test_without_a_load_the_legs_hold_up_themselves() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
-    """At the wanted angles a spring from goal to joint holds exactly the load: stiffness * (goal - q) = -J^T f."""
+    """Check that a spring from goal to joint holds exactly the load at rest.
+
+    The equation is stiffness * (goal - q) = -J^T f.
+    """
     rng = np.random.default_rng(seed)
     feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
     q = body_inverse(PROFILE, feet)
@@ -136,7 +139,7 @@ def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
     centre = centre_of_mass(PROFILE, q)
     vertical = foot_forces(feet, np.ones(6), WEIGHT, centre)
     forces = np.column_stack([outward_forces(feet, vertical, centre), vertical])
-    for joint in range(3):  # by virtual work, without the Jacobian: the motor's work lifts nothing but what the ground gives
+    for joint in range(3):  # virtual work without the Jacobian: the motor's work equals the work against the ground's force
         turned = q.copy()
         turned[:, joint] += 1e-6
         work = (forces * (body_forward(PROFILE, turned) - body_forward(PROFILE, q))).sum(axis=1) / 1e-6
@@ -164,7 +167,10 @@ def test_while_standing_up_the_load_is_taken_up_gradually(share: float) -> None:
 
 
 def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
-    """Turning a joint by a little lifts the centre of mass by the work of its torque over the weight."""
+    """Compare with virtual work: a small turn of a joint lifts the centre of mass.
+
+    The lift is the work of the joint's torque divided by the weight.
+    """
     q = body_inverse(PROFILE, REST + np.random.default_rng(1).uniform(-0.03, 0.03, (6, 3)))
     small = 1e-6
     slopes = np.zeros((6, 3))
@@ -180,7 +186,7 @@ def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
 
 def test_a_tripod_that_swings_forward_takes_the_centre_of_mass_along() -> None:
     at_rest = centre_of_mass(PROFILE, body_inverse(PROFILE, REST))
-    np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # rear feet stand further out than front ones
+    np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # because rear feet stand further out than front feet
     ahead = REST + np.where(TRIPODS[0][:, None], [0.04, 0.0, 0.02], 0.0)
     moved = centre_of_mass(PROFILE, body_inverse(PROFILE, ahead)) - at_rest
     assert 0.002 < moved[0] < 0.02

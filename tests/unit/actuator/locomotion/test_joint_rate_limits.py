@@ -1,4 +1,7 @@
-"""Joint goals: finite, within limits, no faster than the servos, gathering speed no faster than they can; gentle when asked."""
+"""Joint goals: finite, within joint limits, bounded in speed and acceleration.
+
+Speed and acceleration stay within what the servos can do. Selected joints move at a reduced (gentle) speed.
+"""
 
 import numpy as np
 import pytest
@@ -85,7 +88,7 @@ def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> No
     assert slow == round(0.1 / (GENTLE * DT) - 0.5)
     np.testing.assert_allclose(last, wanted)
     goal, _ = limits.safe(wanted + 0.04, last, DT)
-    np.testing.assert_allclose(goal, wanted + 0.04)  # it has caught up: it is as fast as the others again
+    np.testing.assert_allclose(goal, wanted + 0.04)  # it has caught up and is as fast as the others again
 
 
 def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_from_it() -> None:
@@ -107,7 +110,7 @@ def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_n
     limits.ease(3, 1)
     while limits.behind.any():
         last, _ = limits.safe(wanted, last, DT)
-        wanted[3, 2] = last[3, 2] + (0.1 if limits.behind.any() else 0.0)  # what hung begins to stand
+        wanted[3, 2] = last[3, 2] + (0.1 if limits.behind.any() else 0.0)  # a leg that hung begins to stand
         goal, _ = limits.safe(wanted, last, DT)
         assert abs(goal[3, 2] - last[3, 2]) <= GENTLE * DT + 1e-12
         last = goal
@@ -172,11 +175,14 @@ def test_a_leg_may_be_gentle_at_another_speed() -> None:
 
 
 def test_a_motion_that_waits_for_gentle_joints_is_followed_closely_and_at_their_speed() -> None:
-    """It may be told to go as fast as it likes: the pace settles where the joints' goals keep up."""
+    """Check that `pace` slows a motion until the joints' goals keep up with it.
+
+    The motion may ask for any speed.
+    """
     limits, last, share, cycles = GoalLimits(PROFILE), REST, 0.0, 0
     assert limits.pace == 1.0
     while share < 1.0 and cycles < 1000:
-        share = min(share + limits.pace * DT, 1.0)  # a radian a second
+        share = min(share + limits.pace * DT, 1.0)  # one radian per second
         limits.ease(3, 1)
         wanted = REST.copy()
         wanted[3, 1] += share

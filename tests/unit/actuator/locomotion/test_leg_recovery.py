@@ -1,4 +1,4 @@
-"""Which legs hang, and when they may be put back."""
+"""Leg recovery: which legs hang, and when they may return to their footholds."""
 
 import numpy as np
 from hypothesis import given
@@ -19,7 +19,7 @@ def legs(*which: int) -> NDArray[np.bool_]:
 
 
 def joints(*which: int) -> NDArray[np.bool_]:
-    """A joint of each of these legs."""
+    """Flag one joint, the femur, of each given leg."""
     return legs(*which)[:, None] & [False, True, False]
 
 

@@ -1,4 +1,4 @@
-"""Erasmus' arc: what (5.22) promises of it, and what becomes of it when the target moves."""
+"""Sixth-order arc of Erasmus (5.22): its conditions, and a target that moves."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ shifts = st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-0.
 
 
 def fly(targets: Array, clearance: float = 0.04) -> Array:
-    """Way (n + 1, 3) of one foot from the origin whose target is targets (n, 3), one a cycle."""
+    """Return the path (n + 1, 3) of a foot from the origin for targets (n, 3)."""
     start, n = np.zeros(3), len(targets)
     arc = SixthOrderArc(start[None], targets[:1], np.array([clearance]))
     return np.array([start, *(arc.update(aim[None], k / n, 1 / n)[0].copy() for k, aim in enumerate(targets))])
@@ -38,7 +38,7 @@ def test_the_coefficients_of_5_22_are_right_as_printed(q_i: float, q_m: float, q
 @given(places, places, places, st.floats(0.0, 1.0))
 @WILD
 def test_it_is_a_rest_to_rest_quintic_and_a_hump(q_i: float, q_m: float, q_f: float, s: float) -> None:
-    """Seven conditions make the polynomial of sixth order the only one."""
+    """Check that seven conditions determine the polynomial of sixth order."""
     way = q_f - q_i
     q = q_i + way * (10 * s**3 - 15 * s**4 + 6 * s**5) + (q_m - q_i - way / 2) * 64 * s**3 * (1 - s) ** 3
     assert on_arc(np.array(q_i), np.array(q_m), np.array(q_f), s) == pytest.approx(q, abs=1e-9)
@@ -60,7 +60,10 @@ def test_over_a_step_it_passes_the_middle_at_the_clearance_and_peaks_on_the_high
 
 
 def test_it_does_not_rise_before_a_riser_as_the_flow_does() -> None:
-    """A riser of 4 cm in the first quarter of the way: there the foot is lower. This is why it is only a reference."""
+    """Check a riser of 4 cm in the first quarter of the path: the foot is lower there.
+
+    This is why the arc serves only as a reference.
+    """
     way = fly(np.tile([0.1, 0.0, 0.04], (CYCLES, 1)), 0.04)
     assert np.interp(0.015, way[:, 0], way[:, 2]) < 0.04
 
@@ -84,10 +87,10 @@ def test_a_moved_target_is_no_leap_and_no_second_rise(shift: tuple[float, float,
     targets[cycle:] += shift
     way = fly(targets)
     farther = float(np.linalg.norm(shift))
-    # The arc is another from then on; its difference, height over the higher end included, is caught up with by its own pace.
+    # The arc changes at once. The difference, including height above the higher end, is made up at the arc's own pace.
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= still.max() + 12.0 * farther / CYCLES
     turns = np.diff(np.sign(np.diff(way[:, 2])))
-    assert (turns < 0).sum() <= 1  # it has one top
+    assert (turns < 0).sum() <= 1  # it has one maximum
 
 
 def test_feet_fly_independently() -> None:

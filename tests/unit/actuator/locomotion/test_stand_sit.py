@@ -1,4 +1,7 @@
-"""Standing up: from wherever the feet are to rest, without a leap, the load taken up only as the body rises. And lying down."""
+"""Standing up and lying down.
+
+The feet move from any position to rest without a jump. The legs take up load only as the body rises.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +21,7 @@ DURATION = 2.5
 
 
 def stand_up(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
-    """Feet (n, 6, 3) and shares (n, 6) until it is done."""
+    """Return feet (n, 6, 3) and load shares (n, 6) until the motion is done."""
     act, targets = StandUp(PROFILE, feet, DURATION), []
     while not act.done:
         targets.append(act.update(dt))
@@ -33,7 +36,7 @@ def test_it_ends_standing_under_full_load(feet: Array) -> None:
     way, shares = stand_up(feet)
     np.testing.assert_allclose(way[-1][:, 2], REST[:, 2], atol=1e-12)
     np.testing.assert_array_equal(shares[-1], np.ones(6))
-    # In the resting stance, or as little further out as a leg that reaches both its lying and its standing place must be.
+    # The feet end in the resting stance, or only as far outside it as needed to reach both the lying and standing place.
     further = ((way[-1] - REST) * OUT).sum(axis=1)
     np.testing.assert_allclose(way[-1] - REST, further[:, None] * OUT, atol=1e-12)
     assert within_limits(PROFILE, body_inverse(PROFILE, way[-1])).all()
@@ -52,7 +55,7 @@ def test_it_begins_where_the_feet_are_and_never_leaps(feet: Array, dt: float) ->
     steps = np.linalg.norm(np.diff(np.concatenate([feet[None], way]), axis=0), axis=2)
     whole = np.linalg.norm(feet - REST, axis=1).max() + 0.1
     assert steps.max() <= 4.0 * whole * dt / DURATION
-    jumps = np.diff(np.concatenate([np.zeros((1, 6)), shares]), axis=0)  # the goals it starts from hold the sag already
+    jumps = np.diff(np.concatenate([np.zeros((1, 6)), shares]), axis=0)  # the initial goals already include the sag
     assert np.abs(jumps).max() <= 4.0 * dt / DURATION
 
 
@@ -60,10 +63,10 @@ def test_a_lying_robot_places_its_feet_before_it_pushes() -> None:
     way, shares = stand_up(FOLDED)
     placing = shares[:, 0] == 0.0
     assert placing.any()
-    # While nothing is carried the feet stay over the ground on which the belly lies.
+    # While the legs carry nothing, the feet stay above the ground on which the belly lies.
     ground = -PROFILE.body.size[2] / 2
     assert (way[placing][-1][:, 2] - PROFILE.foot.radius > ground - 1e-9).all()
-    # While it rises the feet go straight down in the body's frame: they do not scrape.
+    # While the body rises, the feet go straight down in {body}: they do not scrape.
     rising = way[~placing]
     np.testing.assert_allclose(rising[..., :2], np.broadcast_to(way[-1][:, :2], rising[..., :2].shape), atol=1e-3)
     assert within_limits(PROFILE, np.array([body_inverse(PROFILE, feet) for feet in rising])).all()
@@ -76,14 +79,14 @@ def test_a_standing_robot_does_not_lie_down_first() -> None:
 
 # ------------------------------------------------------------------------------------------------------------ lying down
 
-GROUND = PROFILE.foot.radius - PROFILE.body.size[2] / 2  # [m] {body} feet on the ground on which the belly lies
+GROUND = PROFILE.foot.radius - PROFILE.body.size[2] / 2  # [m] {body} height of feet on the ground on which the belly lies
 RISEN = stand_up(FOLDED)[0][-1]
 TILTED = RISEN + np.array([0.0, 0.0, 0.01]) * np.sign(REST[:, 1:2])
 STANCES = [REST, RISEN, RISEN + 0.02 * OUT, PROFILE.rest_feet(0.14), TILTED, REST + np.array([0.02, 0.01, 0.0])]
 
 
 def lie_down(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
-    """Feet (n, 6, 3) and shares (n, 6) until it is done."""
+    """Return feet (n, 6, 3) and load shares (n, 6) until the motion is done."""
     act, targets = LieDown(PROFILE, feet, DURATION), []
     while not act.done:
         targets.append(act.update(dt))
@@ -93,7 +96,10 @@ def lie_down(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
 
 @given(st.integers(0, 1 << 32), st.floats(0.06, 0.12))
 def test_who_has_stopped_on_his_way_rises_where_his_feet_are(seed: int, height: float) -> None:
-    """A step that was broken off leaves them centimetres from rest; drawn in all at once they would let the body drop."""
+    """Check that the robot rises over feet that a broken-off step left far from rest.
+
+    If all feet moved to rest at once, the body would drop.
+    """
     feet = PROFILE.rest_feet(height)
     feet[:, :2] += np.random.default_rng(seed).uniform(-0.05, 0.05, (6, 2))
     way, _ = stand_up(feet)

@@ -1,4 +1,4 @@
-"""The walk as the legs are told it: smooth in the body's frame, through the plans' goals, at rest in the end."""
+"""Step execution: smooth feet in {body}, through the plans' goals, to rest."""
 
 import math
 from collections.abc import Callable
@@ -40,7 +40,7 @@ def test_feet_never_jump_in_the_bodys_frame(moves: list[tuple[float, float, floa
         goal = goal @ from_xyz_rpy((x, y, 0.0), (0.0, 0.0, yaw))
         plans.append(plan_to(number, goal))
     targets, _ = walk(walker, plans, rest_s=0.5)
-    # The longest swing is some 0.3 m in 0.6 s at a peak of twice the mean; nothing else moves as fast.
+    # The longest swing is some 0.3 m in 0.6 s, with a peak at twice the mean speed. Nothing else moves that fast.
     assert largest_jump([Targets(REST, np.ones(6), np.eye(3)), *targets]) < 2.5 * 0.3 * DT / 0.6
 
 
@@ -68,12 +68,12 @@ def landed(number: int, goal: Array) -> Array:
 
 @pytest.mark.parametrize("dt", [0.02, 0.019, 0.0199, 0.0213])
 def test_the_body_does_not_stumble_between_steps(dt: float) -> None:
-    """Steps of equal length in a row are one even motion, however the cycles fall."""
+    """Check that equal steps in a row give one even motion for any cycle time."""
     walker = new_walker()
     _, places = walk(walker, [plan_to(n, body_at(0.06 * n)) for n in range(1, 6)], dt)
     whole = np.diff(places[:, 0])[round(1.2 * DURATION / dt) : -round(0.3 * DURATION / dt)]
     speed = 0.06 / DURATION * dt
-    at_the_seams = np.sort(whole)[3:]  # the last cycle of a step may be cut short
+    at_the_seams = np.sort(whole)[3:]  # the last cycle of a step may be shorter
     assert at_the_seams.min() > 0.9 * speed
     assert whole.max() < 1.1 * speed
 
@@ -108,7 +108,7 @@ def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration
         targets.append(cycle(walker))
     flying = walker.phase * duration > SETTINGS.unload_s + DT
     walker.set_down(reaches)
-    walker.set_down(reaches)  # once is enough
+    walker.set_down(reaches)  # a second call changes nothing
     took = 0
     while not walker.resting:
         targets.append(cycle(walker))
@@ -225,7 +225,7 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
     lies = belongs + np.where(legs[:, None], off, 0.0)
     walker.put_back(legs, lies)
     np.testing.assert_allclose(walker.feet_odom, lies, atol=1e-9)
-    unsure = Felt(legs & False, legs & False, lies)  # nobody has proved that it stands: nothing is called off for that
+    unsure = Felt(legs & False, legs & False, lies)  # no foot reports contact, which does not cancel the motion
     highest, elapsed = -np.inf, 0.0
     while not walker.resting:
         assert walker.gentle
@@ -249,7 +249,10 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
 
 @pytest.mark.parametrize("late", [0.0, 0.03])
 def test_what_a_foot_feels_that_turns_round_in_the_air_is_ground_only_where_the_foot_itself_is_nearly_back(late: float) -> None:
-    """Joints come late: the foot may be centimetres over where it is told to be."""
+    """Check that contact counts only where the measured foot is nearly back.
+
+    Joints lag: the foot may be centimetres above its command.
+    """
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.03)))
     for _ in range(8):
@@ -275,7 +278,10 @@ def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
 
 
 def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:
-    """The planner's newest plan may come just after the one before was begun: it goes higher, and takes longer for that."""
+    """Check that a newer plan may replace a step that has just begun.
+
+    The new plan lifts the feet higher and takes longer.
+    """
     walker = new_walker()
     low = plan_to(1, body_at(0.03), duration=0.8)
     walker.accept(low)
@@ -316,7 +322,10 @@ def test_of_feet_that_are_lifted_it_says_how_high_they_go() -> None:
 def test_a_revision_moves_the_touchdowns_and_nothing_else(
     revisions: list[tuple[int, tuple[float, float, float]]], correction: tuple[float, float, float]
 ) -> None:
-    """Also when the world has moved under the odometry since: the body goes where it was going over its standing feet."""
+    """Check that a revision moves only touchdowns, even if {world} has shifted since.
+
+    The body follows its planned path over its standing feet.
+    """
     plan = plan_to(1, body_at(0.06, 0.0, 0.05))
     plain, revised = new_walker(), new_walker()
     plain.accept(plan)
@@ -336,7 +345,7 @@ def test_a_revision_moves_the_touchdowns_and_nothing_else(
         np.testing.assert_allclose(b.feet[~TRIPOD], a.feet[~TRIPOD], atol=1e-9)
         np.testing.assert_array_equal(b.share, a.share)
     assert revised.resting
-    if not revisions or max(at for at, _ in revisions) < 34:  # later, the foot is down already
+    if not revisions or max(at for at, _ in revisions) < 34:  # later the foot is already down
         np.testing.assert_allclose(revised.feet_odom[TRIPOD], wanted[TRIPOD], atol=1e-9)
 
 
@@ -381,20 +390,23 @@ def test_standing_feet_stay_put_while_the_body_moves() -> None:
 
 
 def test_command_follows_what_is_measured_in_the_plane() -> None:
-    """Feet roll and slip: after a while the body is commanded where it is measured, and its feet with it."""
+    """Check that the commanded body converges to the measured pose in the plane.
+
+    Feet roll and slip.
+    """
     walker = new_walker()
     measured = body_at(0.02, -0.01, 0.05)
     feet = walker.feet_odom
     for _ in range(300):
         targets = walker.update(DT, measured)
     np.testing.assert_allclose(walker.body_ref, measured, atol=1e-4)
-    np.testing.assert_allclose(targets.feet, REST, atol=1e-6)  # nothing moves in the body's frame
+    np.testing.assert_allclose(targets.feet, REST, atol=1e-6)  # nothing moves in {body}
     np.testing.assert_allclose(walker.feet_odom, apply(measured @ inverse(START), feet), atol=1e-4)
 
 
 @pytest.mark.parametrize(("axis", "size"), [(0, 0.006), (1, np.radians(1.0)), (2, np.radians(1.0))])
 def test_sag_is_pushed_against(axis: int, size: float) -> None:
-    """A body that hangs low, rolls or pitches has its feet commanded the other way, up to a limit."""
+    """Check that the feet oppose a low, rolled or pitched body, up to a limit."""
     offset = np.zeros(3)
     offset[axis] = size
     measured = START @ from_xyz_rpy((0.0, 0.0, -offset[0]), (offset[1], offset[2], 0.0))
@@ -405,7 +417,7 @@ def test_sag_is_pushed_against(axis: int, size: float) -> None:
     side, front = np.sign(REST[:, 1]), np.sign(np.round(REST[:, 0], 3))
     if axis == 0:
         assert (lowered < 0).all()
-    elif axis == 1:  # roll lifts the left side: its feet are drawn in, the right ones pushed out
+    elif axis == 1:  # roll raises the left side: its feet are drawn in and the right ones pushed out
         assert (lowered * side > 0).all()
     else:  # pitch lowers the front: its feet are pushed out
         assert (lowered * front <= 1e-12).all()
@@ -417,7 +429,10 @@ def test_sag_is_pushed_against(axis: int, size: float) -> None:
 @given(st.floats(-0.008, 0.008), st.floats(-0.025, 0.025), st.floats(-0.025, 0.025))
 @settings(max_examples=10, deadline=None)
 def test_feet_come_down_where_the_plan_says_whatever_the_others_make_up_for(sag: float, roll: float, pitch: float) -> None:
-    """What standing feet are pressed down by, or drawn up, is none of those in the air: else they land low or high by it."""
+    """Check that the correction of the standing feet does not apply to swinging feet.
+
+    Otherwise they would land too low or too high.
+    """
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.03)))
     off = from_xyz_rpy((0.0, 0.0, -sag), (roll, pitch, 0.0))
@@ -432,7 +447,10 @@ def test_feet_come_down_where_the_plan_says_whatever_the_others_make_up_for(sag:
 
 
 def test_a_foot_lands_without_what_it_was_pressed_by_in_its_last_stance() -> None:
-    """What one stance took is no forecast of the next, on other ground."""
+    """Check that a foot lands without the height correction of its last stance.
+
+    The correction of one stance does not predict the next, on other ground.
+    """
     walker = new_walker()
     low = from_xyz_rpy((0.0, 0.0, -0.004), np.zeros(3))
     for _ in range(25):
@@ -474,7 +492,10 @@ def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
 
 @pytest.mark.parametrize("leg", [0, 2, 4])
 def test_a_foot_that_something_holds_has_the_step_taken_back(leg: int) -> None:
-    """Its servo would go on pushing with all it has, and drag the robot over its standing feet."""
+    """Check that the step is taken back: the servo would push with full torque.
+
+    It would drag the robot over its standing feet.
+    """
     walker = new_walker()
     stood = walker.feet_odom
     walker.accept(plan_to(1, body_at(0.08), ahead=0.08, duration=2.0))
@@ -515,7 +536,7 @@ def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: floa
 
 
 def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
-    """It stays behind the plan, but where its servos were sent."""
+    """Check that a foot far from the plan is free if its servos are at their goals."""
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.06), duration=2.0))
     flown = 0.0
@@ -531,7 +552,7 @@ def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
 
 
 def test_legs_in_doubt_prove_that_they_stand_before_others_are_lifted() -> None:
-    """On uneven ground a robot that rises stands on some of its feet."""
+    """Check the rise on uneven ground, where only some of the feet carry load."""
     walker = new_walker()
     hangs = np.arange(6) == 1
     walker.doubt(hangs)

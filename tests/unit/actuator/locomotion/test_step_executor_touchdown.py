@@ -1,4 +1,4 @@
-"""The walk by what its feet feel: ground that is early, late, or not there."""
+"""Step execution with foot contact: ground that is early, late or missing."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,10 @@ from tests.support.walker_steps import (
 
 
 def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
-    """One step of legs that go where they are told, but for those that meet ground at a height [m] {odom}, and feel it."""
+    """Execute one step and return its targets.
+
+    Feet follow their commands, except where they meet ground at a height [m] {odom} and report contact.
+    """
     walker.accept(plan)
     targets = [cycle(walker)]
     while not walker.resting:
@@ -128,7 +131,10 @@ def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
 
 
 def over_holes(walker: Walker, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
-    """Steps and half a second of rest of legs that bear where they stand, but for those that miss ground by some metres."""
+    """Execute steps and half a second of rest; return targets and reported troubles.
+
+    Feet bear load where they stand, except those whose ground lies lower than planned by the given depth [m].
+    """
     foothold = {leg: float(plans[0].touchdown[leg, 2]) for leg in holes}
     waiting, targets, said, rest_s = list(plans), [], [], 0.5
     while waiting or rest_s > 0:
@@ -171,16 +177,16 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     assert [f for f in walker.drain_findings() if f.leg == leg][-1].carries
     np.testing.assert_array_equal(targets[-1].share, np.ones(6))
     assert walker.resting
-    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
+    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # no other leg was lifted
 
 
 def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
-    """Cycles of waiting for a leg that leans, or bears from one of them on, before the next step is called off, if it is.
+    """Return the cycles of waiting for a leg before the step is called off, or None.
 
-    In so many of them, from the first on, it is asked in vain.
+    The leg leans, or bears from cycle `bears_from` on. During the first `unheard` cycles its servo does not answer.
     """
     walker, waiting, waited = new_walker(), list(STEPS_2), 0
-    while not (walker.step == 2 and walker.load_share[~TRIPOD].max() == 0):  # others lift
+    while not (walker.step == 2 and walker.load_share[~TRIPOD].max() == 0):  # the other legs lift
         if waiting and walker.resting:
             walker.accept(waiting.pop(0))
         waited += bool(walker.step == 2 and walker.awaiting[leg])
@@ -194,7 +200,10 @@ def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -
 
 @pytest.mark.parametrize("leg", [0, 2, 4])
 def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int) -> None:
-    """By its last reading it may stand: the next one tells. Of a foot that feels nothing the wait is as short as ever."""
+    """Check that a foot that may stand by its last reading gets time for the next one.
+
+    For a foot without contact the wait stays short.
+    """
     short, long = called_off_after(leg, False, 99), called_off_after(leg, True, 99)
     assert short is not None
     assert long is not None
@@ -210,7 +219,7 @@ def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int)
 def test_a_foot_that_is_asked_in_vain_is_waited_for_as_long_as_it_is_so_but_not_for_ever(leans: bool) -> None:
     usual = called_off_after(2, leans, 99)
     assert usual is not None
-    for cycles in (1, 4, 9):  # in the first it does not wait yet
+    for cycles in (1, 4, 9):  # in the first cycle the foot does not wait yet
         assert called_off_after(2, leans, 99, unheard=cycles) == usual + cycles - 1
     for_ever = called_off_after(2, leans, 99, unheard=99)
     assert for_ever is not None
@@ -218,7 +227,10 @@ def test_a_foot_that_is_asked_in_vain_is_waited_for_as_long_as_it_is_so_but_not_
 
 
 def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
-    """Of a foot below its femur's axis the femur feels nothing; all joints together do once the leg hardly moves."""
+    """Check a foot below its femur's axis, where the femur's load shows no contact.
+
+    All joints together show it once the leg hardly moves.
+    """
     walker, leg = new_walker(), 2
     low, waiting = float(STEPS_2[0].touchdown[leg, 2]), list(STEPS_2)
     for _ in range(round(2.0 / DT)):
@@ -237,7 +249,10 @@ def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_a
 @given(st.floats(0.5, 0.8), st.sampled_from([0, 2, 4]))
 @settings(max_examples=10)
 def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: float, leg: int) -> None:
-    """A touch felt in the air may be none, for a leg that gathers speed feels alike: the foot has to bear first."""
+    """Check that a foot stopped by a false touch has to bear load first.
+
+    A leg that accelerates gives a similar signal.
+    """
     walker, waiting, low = new_walker(), list(STEPS_2), float(STEPS_2[0].touchdown[leg, 2])
     stopped, said = False, set()
     for _ in range(round(6.0 / DT)):
@@ -277,7 +292,7 @@ def test_without_ground_the_step_is_taken_back(leg: int) -> None:
 
 @pytest.mark.parametrize("at", [0.0, 0.2, 0.7])
 def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where_it_went(at: float) -> None:
-    """Once before the step and once in the middle of it, the waiting step's touchdowns, too."""
+    """Check a turn of {odom} before a step and during it, with a waiting plan too."""
     walker, plans = new_walker(), [plan_to(1, body_at(0.03)), plan_to(2, body_at(0.06), stop=True)]
     walker.accept(plans[0])
     while walker.phase < at or walker.resting:

@@ -1,4 +1,4 @@
-"""A swinging foot: where it passes, and that it arrives, whatever its target does meanwhile."""
+"""Swing trajectory: its shape, and that it arrives however the target moves."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ shifts = st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-0.
 
 
 def fly(targets: Array, clearance: float, foot: Array | None = None) -> Array:
-    """Way (n + 1, 3) of one foot whose target is targets (n, 3), one a cycle."""
+    """Return the path (n + 1, 3) of one foot for targets (n, 3), one per cycle."""
     start = np.zeros(3) if foot is None else foot
     swing = Swing(start[None], targets[:1], np.array([clearance]))
     way, n = [start], len(targets)
@@ -36,7 +36,7 @@ def fly_to(length: float, rise: float, clearance: float, heading: float = 0.0) -
 
 
 def steps_of(way: Array) -> Array:
-    """How far (n,) [m] the foot goes in each cycle."""
+    """Return the distance (n,) [m] that the foot covers in each cycle."""
     return np.asarray(np.linalg.norm(np.diff(way, axis=0), axis=1))
 
 
@@ -103,21 +103,24 @@ def test_it_starts_and_ends_softly_and_turns_no_corner(length: float, rise: floa
     mean = steps.mean()
     assert steps[0] < 0.2 * mean
     assert steps[-1] < 0.45 * mean
-    assert steps.max() < 1.8 * mean  # nor is it much faster than it must be
-    changes = np.diff(way, axis=0, n=2)  # a corner at full speed changes it by more than the mean within a cycle
+    assert steps.max() < 1.8 * mean  # and not much faster than necessary
+    changes = np.diff(way, axis=0, n=2)  # a corner at full speed changes the step by more than the mean within a cycle
     assert np.linalg.norm(changes, axis=1).max() < 0.9 * mean
 
 
 @WILD
 @given(shifts, st.integers(1, CYCLES // 2), lengths)
 def test_a_moved_target_is_no_jump(shift: tuple[float, float, float], cycle: int, length: float) -> None:
-    """Until half of the swing a target may move by centimetres: the foot goes faster, by what it has to make up, at most."""
+    """Check a target that moves by centimetres in the first half of the swing.
+
+    The foot moves faster only by the distance that it has to make up.
+    """
     targets = np.tile([length, 0.0, 0.0], (CYCLES, 1))
     still = steps_of(fly(targets, 0.04))
     targets[cycle:] += shift
     moved = steps_of(fly(targets, 0.04))
     farther = float(np.linalg.norm(shift))
-    # What is left grows by at most a few times the shift (up, along and down again), spread over what is left of the time.
+    # The remaining path grows by at most a few times the shift (up, along and down again), spread over the remaining time.
     assert moved.max() <= still.max() + 3.0 * 4.0 * farther / (CYCLES - cycle)
 
 

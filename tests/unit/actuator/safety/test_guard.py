@@ -1,4 +1,7 @@
-"""The guard under everything at once: a state machine against its laws. One by one they are in test_guard_orders and _plans."""
+"""Guard as a state machine: random orders, plans and faults against its rules.
+
+Single cases are in test_guard_orders, test_guard_lease, test_guard_time and test_guard_plans.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +21,10 @@ HOLDERS = ("a", "b", "c")
 
 
 class Everything(RuleBasedStateMachine):
-    """Orders, plans, faults and time in any sequence. What is held against the guard is this small account of its own."""
+    """Orders, plans, faults and time in any sequence.
+
+    The rules keep their own small account of the state and compare the guard with it.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -26,10 +32,10 @@ class Everything(RuleBasedStateMachine):
         self.orders: list[ModeCommand] = []
         self.newest: dict[str, int] = {}
         self.holder, self.heard = "", -1
-        self.begun, self.off_at = self.robot.now, -1  # [ns]; when torque was ordered off last
-        self.ordered_to_walk = False  # by who leads, and nothing has come between
-        self.last: ModeCommand | None = None  # that was obeyed, by whichever guard; none where something else ended it
-        self.woke = -1  # [ns] when the computer did last
+        self.begun, self.off_at = self.robot.now, -1  # [ns] times when the guard began, and when torque was last ordered off
+        self.ordered_to_walk = False  # by the lease holder, and nothing has ended the walk since
+        self.last: ModeCommand | None = None  # last order obeyed by this or an earlier guard; None if something else ended it
+        self.woke = -1  # [ns] last time that the computer woke from sleep
         self.stamps = [-1]  # of accepted plans
         self.considered: list[StepPlan] = []
         self.accepted = -1  # [ns]
@@ -50,7 +56,7 @@ class Everything(RuleBasedStateMachine):
         number=st.integers(0, 10**18),
     )
     def an_order_that_is_not_of_now(self, mode: str, holder: str, take: bool, off_ns: int, number: int) -> None:
-        """It stops, at most, and nothing that comes later depends on it."""
+        """Give an order that is too old or ahead: it stops at most, without later effects."""
         order = ModeCommand(self.robot.now + off_ns, mode, number, holder, take)  # type: ignore[arg-type]
         was, lease = self.robot.mode, self.leader
         acts = self.robot.hear(order)
@@ -85,7 +91,7 @@ class Everything(RuleBasedStateMachine):
         age_ns=st.sampled_from([ORDER_AGE_NS, ORDER_AGE_NS + 1, AWAY_NS, AWAY_NS + 1]),
     )
     def an_order_that_was_given_a_while_ago(self, mode: str, holder: str, take: bool, age_ns: int) -> None:
-        """And is repeated since, but the link was cut."""
+        """Give an order that its client has repeated since, but the link was cut."""
         given_ns = self.robot.now - age_ns
         if given_ns > self.newest.get(holder, -1):
             order = ModeCommand(self.robot.now, mode, given_ns, holder, take)  # type: ignore[arg-type]
@@ -93,7 +99,7 @@ class Everything(RuleBasedStateMachine):
             self.give(order)
 
     def give(self, order: ModeCommand) -> None:
-        """An order that the guard does not know."""
+        """Give an order that is new to the guard."""
         mode, holder, take, given_ns = order.mode, order.holder, order.take, order.sequence
         self.newest[holder] = given_ns
         was, leads, last = self.robot.mode, self.leader, self.last
@@ -156,7 +162,7 @@ class Everything(RuleBasedStateMachine):
     def an_order_again(self, data: st.DataObject) -> None:
         order = replace(data.draw(st.sampled_from(self.orders)), stamp_ns=self.robot.now)
         if order.sequence > self.newest.get(order.holder, -1):
-            self.give(order)  # the guard has begun anew
+            self.give(order)  # the guard has restarted
             return
         guard, was, reason = self.robot.guard, self.robot.mode, self.robot.guard.reason
         assert self.robot.hear(order) == ()
@@ -170,7 +176,10 @@ class Everything(RuleBasedStateMachine):
 
     @rule(kept=st.booleans())
     def it_begins_anew(self, kept: bool) -> None:
-        """Whoever orders goes on repeating it; the robot stands, or lies, as it did, and what was in force may be known."""
+        """Restart the guard: clients repeat their orders, and the robot keeps its posture.
+
+        The walk order that was in force may be known.
+        """
         robot = self.robot
         walk, self.last = (robot.guard.walk_order(robot.now), self.last) if kept else (None, None)
         robot.now += CYCLE
@@ -291,7 +300,7 @@ class Everything(RuleBasedStateMachine):
     @precondition(lambda self: self.robot.running)
     @rule(what=st.sampled_from(["own", "searching"]))
     def the_walk_has_its_troubles(self, what: str) -> None:
-        """A step is taken back, or a foot finds no ground."""
+        """Take a step back, or let a foot search for ground."""
         self.robot.own, self.robot.searching = True, what == "searching"
         self.robot.running = not self.robot.searching
 
@@ -310,7 +319,10 @@ class Everything(RuleBasedStateMachine):
         assert self.robot.guard.reason
 
     def teardown(self) -> None:
-        """Nothing has barred the way: whole again, anybody has it walk in a few orders, and anybody stops all in one."""
+        """Check that nothing blocks the robot: after recovery any client can have it walk.
+
+        It takes a few orders, and any client can turn torque off in one.
+        """
         robot = self.robot
         robot.verdict = Verdict()
         rested(robot)

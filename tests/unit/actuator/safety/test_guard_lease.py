@@ -1,4 +1,4 @@
-"""The guard and who orders: who leads and for how long, which order counts, and those who may only stop."""
+"""Guard and lease: holder, duration, orders that count, and clients that may stop."""
 
 from dataclasses import replace
 
@@ -200,7 +200,7 @@ def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -
     assert robot.guard.hear_stop(words[1], robot.now) == (Act.LET_GO,), "forgotten: in doubt it is obeyed"
 
 
-# ------------------------------------------------------------------------------------------------- those who may only stop
+# ---------------------------------------------------------------------------------------------- clients that may only stop
 
 
 @pytest.mark.parametrize("mode", MODES)

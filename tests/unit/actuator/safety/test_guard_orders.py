@@ -1,4 +1,4 @@
-"""The guard and its modes: what turns torque on, what each order does in each mode, and a body that tips."""
+"""Guard and modes: turning torque on, the effect of each order, and tipping."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The guard and its plans, the deadline, and what happens to the robot: what is broken, and what cannot be borne any longer."""
+"""Guard and plans: acceptance, the deadline, faults and unsustainable conditions."""
 
 from dataclasses import replace
 
@@ -75,7 +75,7 @@ def test_a_revision_for_higher_feet_is_refused_once_they_are_in_the_air() -> Non
 
 
 def test_a_step_of_its_own_is_not_revised() -> None:
-    """Feet that are taken back go where they came from, whatever the planner says of the step that was running."""
+    """Check that no plan revises a step that the actuator takes back."""
     robot = in_mode(Mode.WALK)
     robot.own = True
     assert not robot.consider(robot.renewal())
@@ -263,7 +263,7 @@ def test_however_it_came_to_stand_a_fault_lasts_until_its_feet_are_down(way: str
 
 @pytest.mark.parametrize("order", ["off", "ready"])
 def test_legs_that_stopped_in_mid_step_are_in_nobodys_way(order: str) -> None:
-    """A step that will never end must not keep a fault, or an order to sit, from ending."""
+    """Check that an unfinished step blocks neither a fault's end nor an order to sit."""
     robot = in_mode(Mode.WALK)
     robot.verdict = BROKEN
     robot.cycle()
@@ -308,7 +308,7 @@ def test_an_order_to_sit_in_a_fault_can_be_taken_back(order: str, then: Mode) ->
     assert robot.mode is Mode.READY, "it keeps its torque"
 
 
-# ------------------------------------------------------------------------------------- what can be borne no longer
+# ---------------------------------------------------------------------------------------- unsustainable conditions
 
 
 @pytest.mark.parametrize("mode", POWERED)

@@ -1,4 +1,4 @@
-"""The guard and when orders were given: what is late, recorded, put again, or of before torque was ordered off."""
+"""Guard and time of orders: late, recorded and replayed orders, and torque off."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ ALLOWED = "at most 2 s allowed; orders are stamped by the robot's clock"
 )
 def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take: bool, off_ns: int, words: str) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.now += LEASE_NS + 1  # nobody leads
+    robot.now += LEASE_NS + 1  # no client holds the lease
     put_again = ModeCommand(robot.now + off_ns, mode, robot.now, "b", take)  # type: ignore[arg-type]
     assert robot.hear(put_again) == ()
     assert robot.guard.objection == f"`{mode}` of b refused: it is {words}, {ALLOWED}"
     assert robot.mode is Mode.HOLD
     assert robot.guard.lease(robot.now) == ""
-    robot.hear(replace(put_again, stamp_ns=robot.now))  # its number is not used up
+    robot.hear(replace(put_again, stamp_ns=robot.now))  # its sequence number is still unused
     assert robot.guard.objection == ""
     assert robot.guard.lease(robot.now) == "b"
 
@@ -36,7 +36,10 @@ def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take:
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.HOLD])
 @pytest.mark.parametrize("order", ["ready", "stand", "sit"])
 def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_nothing(mode: Mode, order: str) -> None:
-    """It is repeated by who has ordered it, and this process, or the link, began anew since."""
+    """Check that an old order is refused that the client repeats after a restart.
+
+    The actuator, or the link, has restarted since.
+    """
     robot = in_mode(mode)
     robot.now += LEASE_NS + 1
     given = ModeCommand(robot.now, order, robot.now - ORDER_AGE_NS - 1, "b")  # type: ignore[arg-type]
@@ -62,7 +65,7 @@ def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_noth
         (1, 3600, False, False),
         (10, 15, False, False),
         (31, 31, False, False),
-        (31, 29, False, True),  # heard late, over a link that was cut
+        (31, 29, False, True),  # received late, over a link that was cut
     ],
 )
 def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else_by_a_new_one(
@@ -83,7 +86,7 @@ def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else
     "ending", ["stop", "viewer stops", "sit", "stand", "off", "ready", "tips", "spent", "taken over", "away"]
 )
 def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_anew(ending: str) -> None:
-    for heard in (True, False):  # by a guard that has heard the order, and one that has begun anew and has not yet
+    for heard in (True, False):  # by a guard that received the order, and by one that has restarted and has not received it yet
         robot = in_mode(Mode.HOLD)
         robot.order("walk", take=True)
         order = robot.guard.walk_order(robot.now)
@@ -300,8 +303,8 @@ def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> N
         robot.hear(said[-1])
         robot.cycle()
     assert robot.mode is Mode.OFF
-    robot.now += 10 * LEASE_NS  # nobody leads by now
-    if begun_anew:  # it remembers nobody's orders
+    robot.now += 10 * LEASE_NS  # no client holds the lease any more
+    if begun_anew:  # the new guard remembers no orders
         robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False)
     refused = 0
     for again in said[:-1] * 200:

@@ -1,4 +1,4 @@
-"""Health by its laws: who is named when they fall silent, what is reset how often, what lays the robot down."""
+"""Health monitor: silent servos, resets, and conditions that make the robot sit."""
 
 from dataclasses import replace
 from typing import Any
@@ -36,7 +36,7 @@ servos = st.integers(0, 17)
 
 
 class Patient:
-    """Servos whose vitals are told, cycle after cycle."""
+    """Servos with prescribed vitals, cycle after cycle."""
 
     def __init__(self) -> None:
         self.health, self.now, self.verdict = Health(PROFILE, PERIOD), 100.0, Verdict()
@@ -51,7 +51,7 @@ class Patient:
 
 
 def one(servo: int, **changes: Any) -> Vitals:
-    """All well but for something of one servo."""
+    """Return vitals that are normal except for the given fields of one servo."""
     made = {}
     for name, value in changes.items():
         made[name] = getattr(WELL, name).copy()
@@ -166,14 +166,14 @@ def test_other_errors_are_named_but_the_voltage_tells_of_itself() -> None:
 
 
 class Overloaded(Patient):
-    """One servo shuts down whenever it is told to; a reset ends that."""
+    """One servo that shuts down on command; a reset ends the shutdown."""
 
     def __init__(self, servo: int) -> None:
         super().__init__()
         self.servo, self.resets = servo, list[float]()
 
     def shut_down(self, seconds: float = 1.5) -> Verdict:
-        """Until it is reset, or for a while; the last verdict."""
+        """Shut down until a reset or for a while; return the last verdict."""
         until = self.now + seconds
         while self.now < until:
             verdict = self.cycle(one(self.servo, errors=int(ServoError.OVERLOAD)))
@@ -186,7 +186,7 @@ class Overloaded(Patient):
 
 
 @given(servos, st.lists(st.floats(0.5, 200.0), min_size=4, max_size=10))
-@example(servo=0, pauses=[1.0, 1.0, 93.5, 199.5, 1.0])  # the first reset is five minutes old while the fourth shutdown lasts
+@example(servo=0, pauses=[1.0, 1.0, 93.5, 199.5, 1.0])  # the first reset is five minutes old during the fourth shutdown
 @WILD
 def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_then_it_sits(
     servo: int, pauses: list[float]
@@ -215,7 +215,7 @@ def test_a_reset_counts_for_five_minutes(after: float, counts: bool) -> None:
     for _ in range(3):
         patient.shut_down()
         patient.cycle()
-    patient.now = patient.resets[0] + after - 1.0  # it rests for a second before it is reset
+    patient.now = patient.resets[0] + after - 1.0  # the servo rests for a second before its reset
     assert bool(patient.shut_down(1.1).revive) != counts
 
 
@@ -257,7 +257,7 @@ def test_a_servo_that_shut_down_for_its_heat_is_never_reset(torque: bool) -> Non
 # ------------------------------------------------------------------------------------------------------- heat and load
 
 
-_SETTLES_S = 16.0  # in which a temperature that is far above all limits is believed
+_SETTLES_S = 16.0  # [s] after which a temperature far above all limits is accepted
 
 
 @given(servos, st.floats(20.0, 90.0), st.floats(0.0, 10.0))
@@ -363,7 +363,7 @@ def test_a_sag_shorter_than_a_second_lays_nobody_down(voltage: float, seconds: f
 @given(st.floats(0.03, 2.0), servos)
 @WILD
 def test_an_empty_battery_always_does_before_the_servos_cut_off(rate: float, servo: int) -> None:
-    """At any rate [V/s] that a battery, and no short circuit, falls at."""
+    """Check any rate [V/s] at which a battery falls without a short circuit."""
     patient, voltage = Patient(), EMPTY + 0.5
     warned = False
     while not patient.cycle(one(servo, voltage=voltage)).sit:
@@ -408,7 +408,7 @@ def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
 
 
 def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
-    """What was read last, of servos that say nothing more."""
+    """Return the vitals with the given servos silent: their last readings stay."""
     missed = WELL.missed.copy()
     missed[servos] = questions
     return replace(vitals, missed=missed)
@@ -416,7 +416,7 @@ def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
 
 @pytest.mark.parametrize(("low", "quiet"), [(slice(None), 0.2), (slice(7, 8), 0.0)])
 def test_a_sag_in_which_servos_fall_silent_empties_no_battery(low: slice, quiet: float) -> None:
-    """A brown-out: the last that was read is low, and the voltage has long been normal."""
+    """Check a brown-out: the last reading is low, but the voltage is normal again."""
     voltage = WELL.voltage.copy()
     voltage[low] = EMPTY - 1.0
     patient, sagging = Patient(), replace(WELL, voltage=voltage)

@@ -1,4 +1,4 @@
-"""Which plans are refused and in which words, and that what is let through can be finished alone."""
+"""Plan validation: refusals and their reasons; accepted plans can be completed."""
 
 from dataclasses import replace
 from typing import Any
@@ -25,7 +25,7 @@ START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
 FEET = apply(START, REST)
 TRIPOD = np.arange(6) % 2 == 0
 NOBODY = np.zeros(6, dtype=bool)
-ANY = np.full(6, np.inf)  # [m] of clearance: nothing has been lifted
+ANY = np.full(6, np.inf)  # [m] clearance limit: no foot has been lifted
 NOW = 10_000_000_000
 AGE = 0.6
 
@@ -141,7 +141,7 @@ QUICK: dict[str, Any] = {"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0
         ),
         ({"duration": 0.3}, "femur of the left front leg would turn by 73 deg in 0.30 s, at most 58"),
         ({"touchdown": OUT_AND_UP, "duration": 0.3}, "femur of the left front leg would turn by 114 deg in 0.30 s, at most 58"),
-        (QUICK, "tibia of the right rear leg would turn by 60 deg in 0.30 s, at most 58"),  # which stands
+        (QUICK, "tibia of the right rear leg would turn by 60 deg in 0.30 s, at most 58"),  # a standing leg
     ],
 )
 def test_no_joint_is_asked_to_go_or_gather_speed_faster_than_its_servo_does(changes: dict[str, object], words: str) -> None:
@@ -184,9 +184,12 @@ def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
 
 
 def test_a_revision_may_move_a_foot_no_faster_than_the_time_in_the_air_that_is_left_allows() -> None:
-    """A foot that has met ground goes nowhere, and so may be far from where the plan has it."""
+    """Check joint speeds against the remaining time in the air.
+
+    A foot that has met ground does not move, so it may be far from its planned place.
+    """
     where = plan().touchdown
-    now = where + np.array([0.0, 0.0, 0.005]) * TRIPOD[:, None]  # nearly there
+    now = where + np.array([0.0, 0.0, 0.005]) * TRIPOD[:, None]  # nearly at the touchdown
     for left_s, moved, refused in ((0.5, 0.03, False), (0.02, 0.001, False), (0.02, 0.08, True), (np.inf, 0.08, False)):
         left = np.where(TRIPOD, 0.3, np.inf)
         left[0] = left_s
@@ -205,7 +208,10 @@ def test_time_may_begin_with_the_plan() -> None:
 
 
 def test_the_whole_way_of_a_step_may_be_gone_and_no_more() -> None:
-    """From the middle of the standing feet backwards to it, so that nothing but the travel is in question."""
+    """Check the limit of the travel of a step, 0.2 m.
+
+    The test ignores other reasons of refusal.
+    """
     check, where = PlanCheck(PROFILE, AGE), START.copy()
     where[0, 3] = 0.0
     for x, allowed in ((0.2, True), (0.2001, False)):
@@ -232,7 +238,10 @@ def test_a_swinging_foot_comes_down_within_reach_wherever_it_came_from() -> None
 
 
 def with_a_foot_beyond(short: float, turned: float) -> Array:
-    """Feet (6, 3) [m] {odom}: the left front one so far [m] beyond its leg's reach, or so far [rad] beyond its coxa."""
+    """Return feet (6, 3) [m] {odom} with the left front foot out of reach.
+
+    It lies `short` [m] beyond its leg's reach, or `turned` [rad] beyond its coxa's limit.
+    """
     T, links = PROFILE.T_body_coxa[0], PROFILE.links
     x, y, z = apply(inverse(T), REST[0])
     if short:
@@ -249,7 +258,7 @@ def with_a_foot_beyond(short: float, turned: float) -> Array:
     [
         (0.0048, 0.0, True),
         (0.0052, 0.0, False),
-        (0.0, 0.0048 / PROFILE.foot_radii[0], True),  # by so much its foot would be off
+        (0.0, 0.0048 / PROFILE.foot_radii[0], True),  # the foot's distance from the limit is then 4.8 mm
         (0.0, 0.0052 / PROFILE.foot_radii[0], False),
         (0.10, 0.0, False),
     ],
@@ -305,7 +314,10 @@ def test_a_revision_may_not_change_its_mind_about_the_legs() -> None:
 
 
 def test_a_revision_may_not_ask_for_more_clearance_than_the_feet_were_lifted_with() -> None:
-    """It was made before the planner knew which plan of the step was begun: its touchdowns lie behind what is higher."""
+    """Check a revision made before the planner knew which plan of the step was begun.
+
+    Its touchdowns may lie behind higher obstacles than the feet can clear.
+    """
     lifted = plan().clearance
     higher = plan(step=4, clearance=lifted + 0.02 * TRIPOD)
     words = "a revision of step 4 asks for more clearance than its feet were lifted with"
@@ -353,7 +365,7 @@ def test_whatever_is_accepted_ends_in_reach_and_stable(
 
 
 def test_the_property_meets_plans_that_pass() -> None:
-    """So that the property above is not empty."""
+    """Check that the property above is not vacuous: many plans pass."""
     rng = np.random.default_rng(5)
     passed = 0
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""The order to walk that outlives the actuator: what is kept is found again, and what has ended is not."""
+"""Walk authorization: a stored walk order survives a restart until the walk ends."""
 
 from pathlib import Path
 

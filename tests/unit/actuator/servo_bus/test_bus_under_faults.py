@@ -1,4 +1,7 @@
-"""The driver on a bus where everything of the fault grid happens: in time, counted, and nothing wrong believed."""
+"""Servo bus driver under every fault of the grid.
+
+Calls end in time, losses are counted and no wrong reading is accepted.
+"""
 
 import math
 
@@ -21,11 +24,14 @@ IDS = tuple(range(1, 19))
 CYCLE_NS, MS = 20_000_000, 1_000_000
 BUDGET_NS = 6_500_000
 CELLS = sorted(GRID)
-MOVE = 120  # [ticks] that joints swing to either side, once a second
+MOVE = 120  # [ticks] amplitude of the joints' motion, once a second
 
 
 class Rig:
-    """Eighteen servos that swing as they are told, their faults, and a driver that asks and tells them every cycle."""
+    """Eighteen servos that follow their goals, their faults, and a driver.
+
+    The driver reads the servos and sends goals in every cycle.
+    """
 
     def __init__(self, *faults: BusFault, seed: int = 0, echo: bool = False) -> None:
         self.now_ns = 0
@@ -40,10 +46,13 @@ class Rig:
         for fault in faults:
             self.bus.inject(fault, self.now_ns)
         self.true = np.zeros(18, dtype=np.int64)
-        self.off: list[int] = []  # [ticks] of readings that were believed, from what the servos measured
+        self.off: list[int] = []  # [ticks] error of accepted readings against the measured positions
 
     def cycle(self) -> int:
-        """One control cycle; the readings believed. None takes longer than its budget and one timeout."""
+        """Run one control cycle; return the number of accepted readings.
+
+        A cycle takes at most its budget and one timeout.
+        """
         phase = (self.now_ns - self.begin_ns) * 1e-9 * 2.0 * math.pi + np.arange(18)
         goals = np.rint(512 + MOVE * np.sin(phase)).astype(int)
         q = np.array([dxl.angle_from_ticks(ticks) for ticks in goals])
@@ -75,9 +84,9 @@ def test_on_a_clean_bus_nothing_is_doubted() -> None:
     assert set(rig.off) == {0}
 
 
-LATE = 20  # [ticks] that a joint moves in a cycle, in which an answer may come to the question after the one it is to
+LATE = 20  # [ticks] motion of a joint in a cycle, in which a reply may arrive after the next request
 
-# Faults that lie by what they are: a register that is stuck or off, an answer that is an old one.
+# Faults that produce false values by nature: a register that is stuck or wrong, or an old reply.
 LIARS = (("servo", "stuck"), ("servo", "wrong"), ("packets", "stuck"), ("bus", "wrong"))
 
 
@@ -158,7 +167,7 @@ def test_the_loss_is_the_share_of_questions_lost(share: float) -> None:
     for _ in range(300):
         rig.cycle()
         found.append(rig.driver.loss)
-    assert 0.6 * share < np.mean(found[20:]) < 1.6 * share  # a loss takes the time of several questions
+    assert 0.6 * share < np.mean(found[20:]) < 1.6 * share  # a loss takes the time of several requests
 
 
 def test_a_silent_bus_is_lost_within_200_ms_and_a_silent_servo_is_not_the_bus() -> None:
@@ -198,7 +207,7 @@ def test_one_percent_lost_or_broken_makes_readings_no_older_than_two_rotations()
 
 
 def taken(rig: Rig, cycles: int) -> float:
-    """Share of the cycles whose goals are in the servos in the end, all of them right."""
+    """Return the share of cycles after which all servos hold the goals that were sent."""
     good = 0
     for _ in range(cycles):
         rig.cycle()
@@ -211,14 +220,14 @@ def taken(rig: Rig, cycles: int) -> float:
 def test_while_answers_break_goals_are_sent_twice() -> None:
     clean, broken = Rig(), Rig(of("bytes", "garbage", share=0.001, for_s=60.0))
     assert taken(clean, 100) == 1.0
-    assert clean.bus._bus.counts.instructions[dxl.Instruction.SYNC_WRITE] == 101  # and torque
-    assert taken(broken, 1000) > 0.97  # 9 % of these packets are broken, 3 % of the questions
+    assert clean.bus._bus.counts.instructions[dxl.Instruction.SYNC_WRITE] == 101  # one of them for torque
+    assert taken(broken, 1000) > 0.97  # 9 % of these packets are broken, and 3 % of the requests
 
 
 def test_torque_off_reaches_servos_that_have_read_a_wrong_length_and_wait_for_the_rest() -> None:
     rig = Rig(of("packets", "silent", for_s=0.04, share=1.0))
     rig.run(3)
-    rig.bus.receive(b"\xff\xff\x01\xff\x03", rig.now_ns)  # 253 bytes more, it says
+    rig.bus.receive(b"\xff\xff\x01\xff\x03", rig.now_ns)  # its length field announces 253 more bytes
     rig.driver.set_torque(False)
     rig.bus.advance(rig.now_ns + CYCLE_NS)
     assert not rig.bank.tables[:, dxl.TORQUE_ENABLE.address].any()

@@ -1,4 +1,7 @@
-"""The driver whole, against the emulated bus: in memory, over TCP through pyserial, and with everything going wrong."""
+"""Dynamixel bus driver against the emulated bus.
+
+The tests use the bus in memory and over TCP through pyserial, without and with faults.
+"""
 
 import errno
 import math
@@ -33,7 +36,7 @@ IDS = (8, 10, 12, 14, 16, 18, 2, 4, 6, 7, 9, 11, 13, 15, 17, 1, 3, 5)
 
 
 class Rig:
-    """Servos, their bus, a clock in our hand and a driver."""
+    """Servos, their bus, a clock that the test controls, and a driver."""
 
     def __init__(
         self, ids: tuple[int, ...] = IDS, *, echo: bool = False, driver_echo: bool | None = None, usb_ms: float = 1.0
@@ -45,7 +48,7 @@ class Rig:
         self.driver = ServoBus(self.port, ids, self.port.now_ns, echo=echo if driver_echo is None else driver_echo)
 
     def settle(self) -> None:
-        """Let simulated time catch up with the bus, and what was written arrive."""
+        """Let simulated time catch up with the bus, so that written packets arrive."""
         self.now_ns = self.port.now_ns() + 2_000_000
         self.bus.advance(self.now_ns)
 
@@ -86,7 +89,7 @@ def test_setup_takes_the_return_delay_away_and_leaves_torque_alone(rig: Rig) -> 
     assert (rig.bank.tables[:, dxl.TORQUE_ENABLE.address] == 0).all()
     assert not rig.driver.lost
     writes = rig.bus.counts.instructions[dxl.Instruction.WRITE]
-    rig.driver.setup()  # nothing to change: the EEPROM is spared
+    rig.driver.setup()  # nothing to change, so the EEPROM is not written
     assert rig.bus.counts.instructions[dxl.Instruction.WRITE] == writes
 
 
@@ -152,7 +155,7 @@ def test_urgent_servos_are_read_in_every_call_and_the_others_in_turn() -> None:
     rig = Rig()
     rig.driver.setup()
     urgent, seen = [4, 10], []
-    while rig.driver.ages().max() > 1.0:  # whom nobody has asked comes first
+    while rig.driver.ages().max() > 1.0:  # servos that have never been read come first
         rig.settle()
         rig.driver.poll(6_500_000)
     first = rig.driver._next
@@ -170,7 +173,10 @@ def test_urgent_servos_are_read_in_every_call_and_the_others_in_turn() -> None:
 @pytest.mark.parametrize("usb_ms", [0.2, 1.0, 1.3, 2.0])
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_nobody_waits_long_for_a_question_whoever_is_urgent(usb_ms: float, count: int) -> None:
-    """A servo that falls silent is found out by four questions in a row, and the robot is to hold within 250 ms."""
+    """Check that the robot can hold within 250 ms after a servo stops responding.
+
+    Silence is detected after four requests in a row.
+    """
     rig = Rig(usb_ms=usb_ms)
     rig.driver.setup()
     urgent, began_ns, longest = [3 * leg + 1 for leg in range(count)], rig.port.now_ns(), 0.0
@@ -208,7 +214,10 @@ def test_a_silent_servo_is_found_out_within_a_quarter_of_a_second(servo: int) ->
 
 
 def test_six_servos_fit_a_50_hz_cycle() -> None:
-    """Sync write 0.98 ms, then 1.22 ms a servo: request 0.08, answer 0.14, USB 1.00."""
+    """Check the time budget: sync write 0.98 ms, then 1.22 ms per servo.
+
+    A servo takes 0.08 ms for the request, 0.14 ms for the reply and 1.00 ms for USB.
+    """
     rig = Rig()
     rig.driver.setup()
     rig.settle()
@@ -371,7 +380,7 @@ def test_a_broken_answer_is_asked_for_again_at_once() -> None:
     readings = driver.poll(12_000_000)
     assert [r.index for r in readings][:2] == [0, 1]
     assert driver.lost == {Dropped.CHECKSUM: 1, Dropped.NOISE: 13, Lost.TIMEOUT: 1}
-    assert rig.port.now_ns() - start <= 12_000_000  # it was not waited for
+    assert rig.port.now_ns() - start <= 12_000_000  # the driver did not wait for it
     assert driver.loss == pytest.approx(1 / (len(readings) + 1))
 
 
@@ -397,7 +406,7 @@ def test_whatever_comes_in_nothing_is_raised_and_what_is_read_is_real(garbage: l
     for _ in range(6):
         for reading in driver.poll(10_000_000):
             assert reading.position_ticks == 512
-    for _ in range(40):  # and it recovers, silence being asked less often meanwhile
+    for _ in range(40):  # and it recovers, though silent servos are read less often in the meantime
         driver.poll(30_000_000)
     assert driver.ages().max() < math.inf
 
@@ -452,7 +461,7 @@ def test_over_tcp_as_on_a_serial_device() -> None:
         readings = {r.servo_id: r for _ in range(3) for r in driver.poll(20_000_000)}
         assert [readings[i].position_ticks for i in (1, 2, 3)] == [dxl.ticks_from_angle(0.1 * i) for i in (1, 2, 3)]
         driver.sync_write_goals([400, 500, 600])
-        assert driver.read(1, dxl.GOAL_POSITION) == 400  # behind the sync write on the wire
+        assert driver.read(1, dxl.GOAL_POSITION) == 400  # after the sync write on the bus
         with server.lock:
             bus.advance(time.monotonic_ns())
         assert bank.tables.view("<u2")[:, 15].tolist() == [400, 500, 600]
@@ -463,7 +472,7 @@ def test_over_tcp_as_on_a_serial_device() -> None:
 
 
 def test_no_answer_is_lost_where_simulated_time_runs_by_fits_and_starts(tmp_path: Path) -> None:
-    """As on a busy computer, where the simulator stands still for longer than a servo may take to answer."""
+    """Check a busy computer, where the simulator pauses longer than a reply may take."""
     time_ = SimulatedTime.create(tmp_path / "time", [SERVO_BUS])
     bank, over = ServoBank((1, 2, 3)), threading.Event()
 
@@ -505,7 +514,7 @@ def test_what_is_no_address_is_answered_by_what_is(url: str) -> None:
 
 @pytest.mark.parametrize("vanished", [False, True])
 def test_a_port_over_tcp_closes_at_once(vanished: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The control cycle in which a bus vanishes has no time to wait."""
+    """Check that closing a port does not sleep: a control cycle cannot wait."""
     with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
         port = open_port(server.url)
         if vanished:

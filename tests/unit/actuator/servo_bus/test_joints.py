@@ -1,4 +1,4 @@
-"""The joints behind the emulated bus, byte for byte: taken over, behind with goals."""
+"""Joints on the emulated bus, at packet level: start-up and missed goals."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
-# ---------------------------------------------------------------------------------------------------------- a beginning
+# ------------------------------------------------------------------------------------------------------------- start-up
 
 
 @pytest.mark.parametrize("torque", [True, False])

@@ -1,4 +1,7 @@
-"""Joints that are lost and found, byte for byte: a port that goes and is back, servos that go limp and are woken."""
+"""Joints that are lost and found again, at packet level.
+
+The port disconnects and returns; servos lose torque and are enabled again.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction, Register
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
-# ------------------------------------------------------------------------------------------------------ a port that goes
+# ----------------------------------------------------------------------------------------------- a port that disconnects
 
 
 def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands() -> None:
@@ -25,8 +28,8 @@ def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands
     rig.until(lambda: rig.joints.gone != "")
     assert rig.joints.vitals.trouble == rig.joints.gone != ""
     assert rig.joints.vitals.loss == 0.0
-    rig.joints.write(rig.joints.goals + 0.5)  # to nobody
-    rig.joints.load[:] = 0.7  # [N m] of legs that moved when they were last heard
+    rig.joints.write(rig.joints.goals + 0.5)  # with no receiver
+    rig.joints.load[:] = 0.7  # [N m] load of legs that moved at the last reading
     rig.until(lambda: rig.joints.gone == "")
     assert np.abs(rig.joints.load).max() < 0.1
     assert 1.0e9 <= rig.now_ns - begin < 1.5e9
@@ -42,7 +45,7 @@ def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands
 def test_whatever_is_said_to_a_port_that_has_just_gone_is_no_error(act: str) -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "gone", 1.0)
-    for _ in range(2):  # the first finds it gone
+    for _ in range(2):  # the first call detects the lost port
         match act:
             case "write":
                 rig.joints.write(rig.joints.goals)
@@ -144,13 +147,13 @@ def test_a_port_that_is_back_under_another_name_is_found_there(monkeypatch: pyte
         rig.until(lambda: rig.joints.gone != "")
         rig.until(lambda: rig.joints.gone == "" or "expected, found 2" in rig.joints.gone)
         if rig.joints.gone:
-            return  # there is no third name
+            return  # a third name does not exist
         rig.cycle(8)
         assert rig.joints.vitals.newest < 0.05
     raise AssertionError("the second new name was none of those that were given")
 
 
-# -------------------------------------------------------------------------------------------------------- limp servos
+# ---------------------------------------------------------------------------------------------- servos without torque
 
 
 @pytest.mark.parametrize("cable", [True, False])
@@ -189,7 +192,7 @@ def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> 
     rig.cycle(8)
     rig.suffer("servo", "silent", 0.5, servo=IDS[SERVO], cable=True)
     rig.until(lambda: bool(rig.joints.vitals.limp.any()))
-    rig.q[SERVO] += 0.3  # it has sunk
+    rig.q[SERVO] += 0.3  # the joint has sunk
     rig.cycle(8)
     before, heard = rig.joints.goals.copy(), len(rig.bus.said)
     rig.joints.grip()
@@ -207,7 +210,7 @@ def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> 
 
 
 def overloaded() -> JointsRig:
-    """One servo has shut down and hangs 0.3 rad below where it was told to be."""
+    """Return a rig with one servo shut down and hanging 0.3 rad below its goal."""
     rig = JointsRig().start()
     rig.cycle(8)
     rig.put(SERVO, dxl.TORQUE_LIMIT, 0)
@@ -277,7 +280,7 @@ def test_a_port_behind_which_a_bridge_stands_comes_back_too() -> None:
     assert rig.joints.trouble == ""
 
 
-# ---------------------------------------------------------------------------------------------- servos that do not pull
+# ------------------------------------------------------------------------------------------ servos with torque disabled
 
 
 @pytest.mark.parametrize("servo", [None, SERVO])
@@ -316,7 +319,7 @@ def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held
     hears, deaf_for = rig.bus.receive, [2]
 
     def spoil(data: bytes, now_ns: int) -> list[Reply]:
-        """The first two packets that turn torque off are lost."""
+        """Drop the first two packets that turn torque off."""
         if deaf_for[0] and data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\x00"):
             deaf_for[0] -= 1
             return []

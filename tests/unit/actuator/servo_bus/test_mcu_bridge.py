@@ -1,4 +1,7 @@
-"""The bridge whole: driver, wire, reference firmware and emulated servos; and what happens when one of them fails."""
+"""MCU bridge: driver, protocol, reference firmware and emulated servos.
+
+The tests cover normal operation and the failure of each part.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +31,7 @@ HERE = np.full(18, 512)
 
 
 class Rig:
-    """Servos that go where they are told, a board before them, a clock in our hand and a driver."""
+    """Servos that follow their goals, a board, a clock set by the test, and a driver."""
 
     def __init__(self, ids: tuple[int, ...] = IDS, torque: bool = False) -> None:
         self.now_ns = 0
@@ -40,7 +43,7 @@ class Rig:
         self.plug_in()
 
     def plug_in(self, tamper: Callable[[bytes], bytes] | None = None) -> None:
-        """A new driver on a new port."""
+        """Connect a new driver to a new port."""
         self.port = MemoryPort(self.board, lambda: self.now_ns, READ_NS * 1e-9)
         if tamper is not None:
             read = self.port.read
@@ -66,7 +69,7 @@ class Rig:
         return self.driver.state.mode
 
     def pass_time(self, count: int = 1) -> None:
-        """Let the board and the servos be by themselves for cycles."""
+        """Advance the board and the servos for some cycles without the host."""
         for _ in range(count):
             self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
             self.board.advance(self.now_ns)
@@ -76,7 +79,7 @@ class Rig:
             self.written.append(self.goals)
 
     def cycle(self, count: int = 1, goals: np.ndarray | None = None) -> int:
-        """Cycles of an actuator; the readings of the last."""
+        """Run cycles of an actuator; return the number of readings in the last one."""
         readings = 0
         for _ in range(count):
             self.pass_time()
@@ -87,7 +90,7 @@ class Rig:
 
 
 def walking() -> Rig:
-    """Torque on and goals that are passed on."""
+    """Return a rig with torque on that forwards goals."""
     rig = Rig(torque=True).ready()
     rig.cycle(4, HERE)
     assert rig.mode is Mode.ON
@@ -135,7 +138,10 @@ def test_all_servos_are_read_in_every_cycle_with_their_times() -> None:
 
 
 def test_a_reading_says_which_goals_its_servo_had_by_the_board_s_own_clock() -> None:
-    """They are taken 1.1 ms after they were sent, told to a millisecond; states, of 4 ms, seem to take none: 7 ms."""
+    """Check the time of a reading's goals by the board's clock, within 8 ms.
+
+    Goals arrive 1.1 ms after they were sent, and the board rounds to 1 ms. States take 4 ms, which count as none: 7 ms.
+    """
     rig, sent_ns, ages = walking(), list[int](), list[int]()
     for half in range(40):
         rig.now_ns = max(rig.now_ns + PERIOD // 2, rig.port.now_ns())
@@ -168,7 +174,7 @@ def test_a_board_that_starts_anew_and_ages_in_whole_milliseconds_do_not_confuse_
     rig.driver.poll(BUDGET)
     begin_us = seen.time_us + 100_000
     assert since_ms(begin_us, 1, 9, 2.0) == pytest.approx(7.5)
-    for later_ms, sequence, age_ms in ((10, 2, 20), (20, 3, 29)):  # the same goals, to a millisecond
+    for later_ms, sequence, age_ms in ((10, 2, 20), (20, 3, 29)):  # the same goals, with one millisecond of rounding
         assert since_ms(begin_us + 1000 * later_ms, sequence, age_ms, 2.0) == pytest.approx(7.5 + later_ms, abs=1.0)
     for later_ms, sequence in ((0, 4), (1, 5)):
         found_ms = since_ms(begin_us + 30_000 + 1000 * later_ms, sequence, 8, 11.0)
@@ -287,7 +293,7 @@ def test_the_cable_is_pulled_and_comes_back() -> None:
         rig.driver.poll(BUDGET)
     with pytest.raises(BusGone, match="port is gone"):
         rig.driver.sync_write_goals(HERE)
-    rig.pass_time(100)  # 2 s, in which nobody reads what the board says
+    rig.pass_time(100)  # 2 s in which the host reads nothing from the board
     assert rig.torque.all()
     rig.plug_in()
     rig.ready()
@@ -353,7 +359,7 @@ def test_orders_that_waited_in_a_buffer_are_refused_for_their_age() -> None:
     rig.port.write = lambda data: held.append(data) or len(data)  # type: ignore[method-assign,func-returns-value]
     rig.cycle(30, HERE + 4)
     rig.port.write = write  # type: ignore[method-assign]
-    late = held[:15]  # the youngest is 300 ms old
+    late = held[:15]  # the newest is 300 ms old
     write(b"".join(late))
     rig.cycle(2)
     assert rig.driver.state.refusal is Refusal.AGE  # type: ignore[union-attr]
@@ -362,7 +368,7 @@ def test_orders_that_waited_in_a_buffer_are_refused_for_their_age() -> None:
 
 def test_states_that_waited_in_a_buffer_have_their_true_times() -> None:
     rig = walking()
-    rig.now_ns += 60_000_000  # the host is away
+    rig.now_ns += 60_000_000  # the host is stopped
     rig.board.advance(rig.now_ns)
     old = rig.driver.ages()
     rig.driver.poll(BUDGET)

@@ -1,4 +1,7 @@
-"""What a servo can have measured: leaps are believed only when they are said twice, and what no servo has, never."""
+"""Validation of servo readings.
+
+A jump is accepted once a second reading confirms it. Values that no servo can report are never accepted.
+"""
 
 from dataclasses import dataclass
 
@@ -18,7 +21,7 @@ USUAL = State(0, position=500, speed=5, load=100, voltage=120, temperature=40, e
 
 @dataclass
 class Judge:
-    """One servo that has said the usual, and a clock."""
+    """One servo that has reported its usual values, and a clock."""
 
     noisy: bool = False
 
@@ -62,7 +65,7 @@ def test_a_leap_is_believed_when_it_is_said_twice(said: dict[str, int], doubt: D
     assert not judge.believes(**said)
     assert judge.believes(after_ms=1.2, **said)
     assert not judge.of.refused
-    assert judge.believes(after_ms=1.2, **said)  # and is then the usual
+    assert judge.believes(after_ms=1.2, **said)  # and it is the usual value from now on
 
 
 @pytest.mark.parametrize(("said", "doubt"), LEAPS)
@@ -98,7 +101,7 @@ def test_a_servo_is_expected_at_its_last_three_goals_and_as_fast_as_it_turns() -
     judge.goal(500)
     judge.goal(500)
     assert judge.believes(position=500)
-    assert not judge.believes(position=560)  # nobody sends it there any more
+    assert not judge.believes(position=560)  # no recent goal is near this position
     fast = Judge()
     fast.goal(1000)
     assert not fast.believes(after_ms=20.0, position=900)  # 2 rad in 20 ms
@@ -109,10 +112,10 @@ def test_a_joint_that_hangs_beside_its_goal_may_go_on_hanging() -> None:
     for ticks in (480, 480, 480):
         judge.goal(ticks)
     assert not judge.believes(position=495)
-    assert judge.believes(after_ms=1.2, position=495)  # it is blocked, then
+    assert judge.believes(after_ms=1.2, position=495)  # confirmed: the joint is blocked
     for ticks in (470, 460, 450):
         judge.goal(ticks)
-    assert judge.believes(position=485)  # 15 beside, as before
+    assert judge.believes(position=485)  # 15 ticks off its goal, as before
     assert not judge.believes(position=500)
 
 
@@ -141,7 +144,7 @@ def test_the_same_again_of_a_joint_that_moves_is_strange_and_of_one_that_stands_
     judge.goal(540)
     assert judge.believes(after_ms=1.2, position=530, speed=290)
     assert judge.of.refused == {Doubt.AGAIN: 1}
-    assert judge.believes(after_ms=1.2, position=530, speed=290)  # too soon to have moved
+    assert judge.believes(after_ms=1.2, position=530, speed=290)  # too soon for the joint to have moved
 
 
 def test_all_servos_share_one_supply() -> None:
@@ -151,7 +154,7 @@ def test_all_servos_share_one_supply() -> None:
     sagged = USUAL._replace(stamp_ns=80 * MS, voltage=100)
     assert not judge.believes(0, sagged, False)
     assert judge.believes(0, sagged, False)
-    assert judge.believes(1, sagged, False)  # known from the other
+    assert judge.believes(1, sagged, False)  # already known from the other servo
 
 
 SAID = st.builds(
@@ -171,7 +174,7 @@ SAID = st.builds(
 def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[tuple[State, int, bool, int]]) -> None:
     judge, now_ns = Plausibility(1), 0
     believed: State | None = None
-    unborne: State | None = None  # what was said last and is neither impossible nor believed
+    unborne: State | None = None  # last reading that is possible but was not accepted
     goals: list[int] = []
     aside = 0
     for state, after_ms, noisy, goal in said:
@@ -203,7 +206,7 @@ def test_the_loss_is_that_of_the_window() -> None:
     assert loss.share(189 * MS) == 0.0
     loss.note(195 * MS, True)
     assert loss.share(195 * MS) == pytest.approx(1 / 11)
-    assert loss.share(290 * MS) == 1.0  # the last question's, while nothing is asked
+    assert loss.share(290 * MS) == 1.0  # the loss of the last request remains without new requests
     assert loss.share(9000 * MS) == 1.0
     assert loss.within(294 * MS, 100 * MS)
     assert not loss.within(295 * MS, 100 * MS)

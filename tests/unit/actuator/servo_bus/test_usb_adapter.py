@@ -1,4 +1,4 @@
-"""The latency timer is set by whichever way is open, and where none is the command is told."""
+"""Latency timer of the USB adapter: set by flag or file, or the command is named."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from sextant.services.actuator.servo_bus import usb_adapter
 
 
 class Port:
-    """A pyserial port whose driver heeds the low latency flag, or refuses it."""
+    """A pyserial port whose driver accepts the low latency flag or refuses it."""
 
     def __init__(self, timer: Path, error: Exception | None = None) -> None:
         self.timer, self.error = timer, error
@@ -29,7 +29,7 @@ def timer(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def link(tmp_path: Path) -> str:
-    """As /dev/serial/by-id has them."""
+    """Return a link to the device as in /dev/serial/by-id."""
     device, link = tmp_path / "ttyUSB0", tmp_path / "usb-FTDI_USB_Serial-if00-port0"
     device.touch()
     link.symlink_to(device)

@@ -1,4 +1,7 @@
-"""Laws of the height map as a whole: seeding, a scene of low blocks, other resolutions, touches, and wrong settings."""
+"""Elevation grid as a whole.
+
+The tests cover seeding, low blocks, other resolutions, foot contacts, and invalid settings.
+"""
 
 import math
 
@@ -46,7 +49,7 @@ def test_seeded_plane_fills_the_unseen_inside_only_and_yields_to_measurement() -
     assert np.isnan(grid.heights([[-0.005, 0.0], [0.105, 0.0]])).all()
     assert snapshot.assumed.sum() == 199
     assert np.sqrt(snapshot.variance[snapshot.assumed == 1]) == pytest.approx(0.02)
-    scan(grid, np.array([[0.015, -0.095]]), 0.04)  # replaced outright, not averaged
+    scan(grid, np.array([[0.015, -0.095]]), 0.04)  # replaced entirely, not averaged
     assert grid.heights([0.015, -0.095]) == pytest.approx(0.04)
     assert grid.snapshot().assumed.sum() == 198
     assert grid.seed_plane(square, (0.5, 0.0, 0.0)) == 0
@@ -78,7 +81,10 @@ def true_height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.fl
 def block_scan(
     p_camera: NDArray[np.float64], pitch: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """One 320x240 depth image with PrimeSense noise, reduced to a point per cell, the upper cluster at edges."""
+    """Return points, counts and spreads of a 320x240 image with PrimeSense noise.
+
+    The image is reduced to a point per cell, the upper cluster at edges.
+    """
     sensor, fx = DepthSensor(), 262.5
     u, v = (np.mgrid[:320, :240].reshape(2, -1) - np.array([[159.5], [119.5]])) / fx
     forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
@@ -91,7 +97,7 @@ def block_scan(
             t1 = (np.array([x1, y1, top]) - p_camera) / ray
         enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
         depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
-    disparity_scale = 2 * fx * sensor.baseline  # a 640 wide image has twice the focal length
+    disparity_scale = 2 * fx * sensor.baseline  # a 640 pixel wide image has twice the focal length
     seen = (depth > sensor.min_range) & (depth < 2.0)
     depth, ray = depth[seen], ray[seen]
     disparity = disparity_scale / depth + rng.normal(0.0, sensor.disparity_sigma, len(depth))
@@ -133,7 +139,7 @@ def test_low_blocks_come_out_crisp_with_true_poses() -> None:
     inside = seen & ~edge
     assert np.sqrt((error[inside] ** 2).mean()) < 0.003
     assert abs(error[inside].mean()) < 0.0005
-    for x0, y0, x1, y1, top in BLOCKS:  # each block's top stands at its height, block by block
+    for x0, y0, x1, y1, top in BLOCKS:  # the top of each block is at its height
         on_top = inside & (x > x0) & (x < x1) & (y > y0) & (y < y1)
         assert np.count_nonzero(on_top) > 50
         assert np.median(snapshot.elevation[on_top]) == pytest.approx(top, abs=0.001)
@@ -149,14 +155,14 @@ def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(
     low, high = grid.origin - resolution / 2, grid.origin + (np.array(grid.shape) - 0.5) * resolution
     x, y = (np.arange(low[k] + 0.005, high[k], 0.01) for k in (0, 1))
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    slope = rng.uniform(-0.19, 0.19, 2)  # 15 deg at most
+    slope = rng.uniform(-0.19, 0.19, 2)  # at most 15 deg
     report = grid.fuse(
         scan_of(np.column_stack([xy, xy @ slope]), np.full(len(xy), 4), np.zeros(len(xy)), np.array([-0.5, 0.0, 0.5]))
     )
     assert report.updated == 600
     snapshot = grid.snapshot()
     error = snapshot.elevation.ravel() - centres(grid) @ slope
-    assert np.abs(error).max() < 0.25 * resolution * np.abs(slope).sum() + 1e-4  # points of one cell weigh nearly alike
+    assert np.abs(error).max() < 0.25 * resolution * np.abs(slope).sum() + 1e-4  # points of a cell have similar weights
     strays = np.linalg.norm(slope) * resolution / math.sqrt(12.0)
     claimed = np.sqrt(np.median(snapshot.variance))
     assert 0.4 * strays < claimed < math.hypot(strays, 4e-3)

@@ -1,4 +1,4 @@
-"""What measurements of one cell come to: convergence, variance, and what is believed against what was there."""
+"""Fusion of measurements in a cell: convergence, variance and changed ground."""
 
 import math
 
@@ -42,7 +42,7 @@ def test_first_measurement_is_taken_as_it_is() -> None:
 
 @given(st.permutations(list(range(6))))
 def test_order_of_consistent_measurements_does_not_matter(order: list[int]) -> None:
-    model = FusionModel(floor_sigma=1e-7, quantisation_sigma=0.0, gate=100.0)  # the floor is not reached
+    model = FusionModel(floor_sigma=1e-7, quantisation_sigma=0.0, gate=100.0)  # a floor that is never reached
     heights = np.random.default_rng(7).normal(0.02, 1e-3, 6)
     counts = [1, 2, 5, 8, 3, 1]
     xy = np.array([[0.1, 0.05]])
@@ -70,11 +70,14 @@ def test_more_pixels_and_a_nearer_camera_weigh_more_but_never_beat_the_floor() -
     height, tilt, aside = np.diag([0, 0, 1e-4, 0, 0, 0]), np.diag([0, 0, 0, 0, 1e-4, 0]), np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4])
     assert total(near, one, height) == pytest.approx(total(near, one) + 1e-4)
     assert total(far, one, tilt) == pytest.approx(total(far, one) + 1e-4 * 1.5**2)
-    assert total(far, one, aside) == pytest.approx(total(far, one))  # level ground shows no shift
+    assert total(far, one, aside) == pytest.approx(total(far, one))  # a shift does not change level ground
 
 
 def random_covariance(rng: np.random.Generator) -> NDArray[np.float64]:
-    """A pose covariance of millimetres and tenths of a degree, with correlations."""
+    """Return a random pose covariance of millimetres and tenths of a degree.
+
+    Its components are correlated.
+    """
     L = np.tril(rng.normal(size=(6, 6))) * np.array([2e-3, 2e-3, 1e-3, 2e-3, 2e-3, 3e-3])[:, None]
     return np.asarray(L @ L.T)
 
@@ -90,7 +93,7 @@ def test_the_variance_by_the_pose_is_that_of_many_wrong_poses(slope: tuple[float
     _, predicted = model.height_variance(points, np.ones(3), np.zeros(3), camera, S, np.tile(slope, (3, 1)))
     twist = rng.multivariate_normal(np.zeros(6), S, 20_000)
     moved = points + twist[:, None, :3] + np.cross(twist[:, None, 3:], points - camera)
-    error = moved[..., 2] - moved[..., :2] @ slope  # of the height noted at the place where the point comes to lie
+    error = moved[..., 2] - moved[..., :2] @ slope  # error of the height stored where the moved point lies
     np.testing.assert_allclose(error.var(axis=0), predicted, rtol=0.05)
 
 
@@ -108,7 +111,10 @@ def test_an_unknown_slope_counts_with_its_spread() -> None:
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1)])
 def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradient: tuple[float, float]) -> None:
-    """The squared error over the variance claimed is 1 in the mean, over many maps of a plane, after a second look."""
+    """Check that squared error over claimed variance is 1 on average.
+
+    The average is over many maps of a plane after a second scan.
+    """
     rng = np.random.default_rng(4)
     model = FusionModel(depth_sigma=2e-3, quantisation_sigma=0.0, floor_sigma=1e-6, terrain_slope=0.0, gate=10.0)
     S = random_covariance(rng)
@@ -117,7 +123,7 @@ def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradi
         grid = ElevationGrid(size=16, model=model)
         xy = centres(grid)
         truth = xy @ gradient
-        # The exact map lends the slope; then its cells are made as good as new.
+        # The exact map provides the slope; then its cells are made as good as new.
         grid.fuse(
             scan_of(np.column_stack([xy, truth]), np.full(len(xy), 8), np.zeros(len(xy)), camera, pose_covariance=np.eye(6))
         )
@@ -125,7 +131,7 @@ def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradi
         points = np.column_stack([xy, truth])
         n = np.append(-np.array(gradient), 1.0)
         ray = points - camera
-        # Noise along the ray, as the height at the place shows it on level ground.
+        # Noise along the ray, projected to the height that level ground shows at the place.
         noise = 2e-3 * (ray**2).sum(axis=1) * np.abs(ray[:, 2]) / np.linalg.norm(ray, axis=1) * rng.normal(size=len(xy))
         points[:, 2] += (v + np.cross(w, ray)) @ n + noise
         grid.fuse(scan_of(points, np.ones(len(xy)), np.zeros(len(xy)), camera, pose_covariance=S))
@@ -142,7 +148,7 @@ def test_model_of_a_sensor_has_its_depth_noise() -> None:
     assert at_one_metre == pytest.approx(float(sensor.sigma(np.array([1.0]), 525.0)[0]))
 
 
-@pytest.mark.parametrize("sigma", [0.001, 0.002, 0.006])  # the model expects about 1 mm here: also badly understated
+@pytest.mark.parametrize("sigma", [0.001, 0.002, 0.006])  # the model expects about 1 mm here, so 6 mm is far above it
 def test_noisy_plane_stays_unbiased(sigma: float) -> None:
     rng = np.random.default_rng(3)
     grid = ElevationGrid(size=64)
@@ -168,7 +174,7 @@ def test_what_came_or_went_is_taken_over_within_the_patience(step: float) -> Non
         assert np.abs(grid.heights(xy)).max() < 0.005, f"dragged after {k} scans"
         np.testing.assert_array_equal(grid.heights(xy), before)
         scan(grid, xy, step + rng.normal(0.0, 0.001, len(xy)))
-    # A rival can lose a vote to its own 3 sigma noise, so a few cells in a thousand take a scan or two longer.
+    # A rival can lose a vote to its own 3 sigma noise, so a few cells in a thousand take one or two more scans.
     assert (np.abs(grid.heights(xy) - step) < 0.005).mean() > 0.97
     for _ in range(3):
         scan(grid, xy, step + rng.normal(0.0, 0.001, len(xy)))

@@ -1,4 +1,4 @@
-"""A drift of the pose's height is taken out of the map, and nothing else is taken for one."""
+"""Height drift of the pose is compensated; other height changes are not."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,10 @@ from tests.support.grid_scans import centres, take
 def drifting_walk(
     rate: float, scans: int = 150, step: float = 0.004, jump_at: int = -1
 ) -> tuple[ElevationGrid, NDArray[np.float64]]:
-    """A walk over waves with a pose that rises by a rate [m] each scan, or once by 12 mm; the grid, and its errors."""
+    """Walk over waves with a pose that drifts in height; return grid and errors.
+
+    The pose rises by `rate` [m] per scan, or once by 12 mm.
+    """
     rng = np.random.default_rng(9)
     grid, drift = ElevationGrid(size=300), 0.0
 
@@ -52,7 +55,7 @@ def test_without_drift_nothing_is_compensated() -> None:
 def test_a_leap_of_the_pose_is_no_drift() -> None:
     grid, error = drifting_walk(0.0, scans=80, jump_at=50)
     assert grid.height_drift == 0.0
-    assert np.median(error[error > 0.006]) == pytest.approx(0.012, abs=1e-3)  # what is in view is where the pose now has it
+    assert np.median(error[error > 0.006]) == pytest.approx(0.012, abs=1e-3)  # ground in view is at the height of the new pose
 
 
 def test_a_box_that_comes_is_no_drift() -> None:

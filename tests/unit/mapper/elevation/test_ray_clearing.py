@@ -1,4 +1,7 @@
-"""What is looked through is cleared and what still stands stays: a camera before blocks, its scans made ray by ray."""
+"""Ray clearing: rays remove what they pass through, and standing objects remain.
+
+A camera in front of blocks makes the scans ray by ray.
+"""
 
 import math
 
@@ -19,7 +22,10 @@ def look(
     rng: np.random.Generator | None = None,
     ground: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Points (n, 3), one per centimetre cell, the highest, of blocks (k, 5) x0 y0 x1 y1 top on a floor (-inf for none)."""
+    """Return the highest point (n, 3) of each centimetre cell in view.
+
+    The scene consists of blocks (k, 5) x0 y0 x1 y1 top on a floor (-inf for none).
+    """
     forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
     down = np.array([-math.sin(pitch), 0.0, -math.cos(pitch)])
     ray = forward + RAYS_U[..., None] * np.array([0.0, -1.0, 0.0]) + RAYS_V[..., None] * down
@@ -47,7 +53,10 @@ WHERE_THE_BOX_WAS = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(
 
 @pytest.mark.parametrize("measured", [1.0, 0.3, 0.0])
 def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured(measured: float) -> None:
-    """While the camera stands: of the ground where it was, as on dark or grazed floor, only a share of cells returns."""
+    """Check a box that is removed while the camera stands still.
+
+    Only a share of the cells at its place returns a measurement, as on a dark floor or at a grazing angle.
+    """
     rng = np.random.default_rng(6)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     for _ in range(20):
@@ -60,7 +69,7 @@ def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured
         on_spot = (points[:, 0] > 0.88) & (points[:, 0] < 1.12) & (np.abs(points[:, 1]) < 0.17)
         i, j = np.floor(points[:, :2] / 0.01).astype(int).T
         cleared += take(grid, points[~(on_spot & dark[i % 400, j % 400])], camera).cleared
-    # Where nothing returns from the spot, no line of sight to what lies behind passes well below the box's front.
+    # Without returns from the place, no ray to the ground behind it passes well below the box's front.
     after = grid.heights(WHERE_THE_BOX_WAS)[4 if measured == 0.0 else 0 :]
     assert not (after > 0.02).any()
     known = np.isfinite(after)
@@ -73,10 +82,10 @@ def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     near = np.array([[0.42, -0.05, 0.52, 0.05, 0.10]])
     for k in range(20):
-        above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is met
+        above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is hit
         take(grid, look(np.concatenate([BOX, near]), above, ground=-9.0), above)
     assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
-    beyond = look(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # where the pictures show nothing, somewhere below
+    beyond = look(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # ends of rays below, where pictures show nothing
     for _ in range(60):
         take(grid, np.empty((0, 3)), camera, sights=beyond, nearest=0.6)
     assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
@@ -84,14 +93,17 @@ def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_
 
 
 def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> None:
-    """Of 90 million cells on the way from the further camera the window has 400: to follow all would not end."""
+    """Check that clearing ends, with the same result, at any distance of the camera.
+
+    Of 90 million cells on the way from the further camera, the window has 400.
+    """
     y = np.arange(-0.245, 0.25, 0.001)
     level = np.column_stack([np.full(len(y), 1.9), y, np.full(len(y), 0.03)])
     left = []
     for away in (2.0, 9e5):
         grid = ElevationGrid(size=400)
         for k in range(20):
-            above = np.array([0.0, 0.0, 0.4 + 0.003 * k])  # so that every cell is met
+            above = np.array([0.0, 0.0, 0.4 + 0.003 * k])  # so that every cell is hit
             take(grid, look(BOX, above), above)
         for _ in range(60):
             take(grid, np.empty((0, 3)), np.array([-away, 0.0, 0.05]), sights=level)
@@ -104,7 +116,7 @@ def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> 
 
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> None:
-    """Whether the box went by measurement of the floor or, that being dark at first, by lines of sight."""
+    """Check a post where a box was cleared by floor measurements or, if dark, by rays."""
     rng = np.random.default_rng(6)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     for _ in range(20):
@@ -124,7 +136,7 @@ def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> No
     np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
 
 
-STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along their faces, a stair
+STILL = np.array(  # pillars of 5 cm and 2 cm, a wall of one cell, boxes seen along their faces, and a stair
     [
         [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],
         [0.95, -0.2, 1.1, -0.05, 0.05], [1.3, -0.6, 2.2, 0.6, 0.06], [1.5, -0.6, 2.2, 0.6, 0.12],
@@ -133,9 +145,10 @@ STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along
 
 
 def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
-    """Grazing rays over edges, along faces and past pillars, with a pose that errs by millimetres and tenths of a degree.
+    """Check grazing rays over edges, along faces and past pillars, with a noisy pose.
 
-    Only single cells fall, which fewer scans have measured than have looked past what fills them in part.
+    The pose errs by millimetres and tenths of a degree. Only single cells are lost: an object fills them in part, and more
+    scans have looked past it than have measured it.
     """
     rng = np.random.default_rng(8)
     grid = ElevationGrid(size=400)
@@ -154,13 +167,16 @@ def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk()
 
 
 def legs_at(y: float) -> NDArray[np.float64]:
-    """Two legs of a person, 12 cm thick, as blocks; in the picture as high as the camera."""
+    """Return two legs of a person as blocks 12 cm thick, as high as the camera."""
     return np.array([[0.94, y + a - 0.06, 1.06, y + a + 0.06, 0.9] for a in (-0.1, 0.1)])
 
 
 @pytest.mark.parametrize("above", [5e-324, 1e-300, 1e-12])
 def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
-    """They rise above everything only after 1e320 cells, or more than a whole number can hold."""
+    """Check rays that would leave the window's heights only after 1e320 cells.
+
+    An integer cannot hold that number.
+    """
     grid = ElevationGrid(size=400)
     for k in range(20):
         p_camera = np.array([0.0, 0.0, 0.4 + 0.003 * k])
@@ -173,7 +189,10 @@ def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
 
 
 def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_hardly_seen() -> None:
-    """A person crosses before the camera within 2 s; behind two low blocks the ground is hidden from it."""
+    """Check a person who crosses in front of the camera within 2 s.
+
+    Two low blocks hide the ground behind them.
+    """
     rng = np.random.default_rng(9)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.25])
     low = np.array([[0.85, -0.3, 0.95, -0.1, 0.04], [0.85, 0.1, 0.95, 0.3, 0.04]])

@@ -1,4 +1,4 @@
-"""Scans are checked on the way in: what is outside or empty does nothing, what makes no sense is refused."""
+"""Validation of scans: empty or outside scans do nothing, bad ones are refused."""
 
 from typing import Any
 

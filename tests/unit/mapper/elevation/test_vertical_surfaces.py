@@ -1,4 +1,4 @@
-"""A wall in the map is as high as what has been seen of it, until it is gone."""
+"""Vertical surfaces: a wall keeps its highest measured top until it is removed."""
 
 import numpy as np
 import pytest
@@ -12,20 +12,23 @@ from sextant.services.mapper.elevation.vertical_surfaces import RIM, TALL
 from sextant.shared.geometry import Array
 
 CAMERA = np.array([0.0, 0.0, 0.26])
-WALL_X = 0.805  # [m] middle of the cells that hold the wall's face
+WALL_X = 0.805  # [m] x of the cells that contain the wall's face
 ACROSS = np.arange(-0.095, 0.1, 0.01)  # [m]
 BEFORE = np.arange(0.605, 0.80, 0.01)
 BEYOND = np.arange(0.815, 1.0, 0.01)
 
 
 def ground(x: NDArray[np.float64]) -> Array:
-    """Points (n, 4) x, y, z and spread [m] of flat ground at z = 0."""
+    """Return points (n, 4) x, y, z and spread [m] of flat ground at z = 0."""
     xy = np.stack(np.meshgrid(x, ACROSS, indexing="ij"), axis=-1).reshape(-1, 2)
     return np.column_stack([xy, np.zeros((len(xy), 2))])
 
 
 def face(top: float) -> Array:
-    """Points (n, 4) of the wall as far as it is in the picture, which tells the top of that and its spread."""
+    """Return points (n, 4) of the part of the wall that is in the picture.
+
+    The highest part in the picture, `top` [m], sets the points' height and spread.
+    """
     column = ground(np.array([WALL_X]))
     column[:, 2:] = top - 0.004, top
     return column
@@ -56,7 +59,7 @@ def test_a_wall_is_never_lower_than_what_has_been_seen_of_it(tops: list[float], 
         see(grid, ground(BEFORE), face(top))
         highest = max(highest, top)
         assert wall_of(grid).min() > highest - RIM - 0.004
-    for _ in range(feet):  # of the cells that hold its face, only the ground before it is in the picture
+    for _ in range(feet):  # of the cells with the face, only the ground in front of it is in the picture
         see(grid, ground(np.append(BEFORE, WALL_X)))
     assert wall_of(grid).min() > highest - RIM - 0.004
     assert np.abs(grid.heights(np.column_stack([BEFORE, np.zeros(len(BEFORE))]))).max() < 0.001
@@ -102,7 +105,10 @@ def test_a_riser_that_legs_climb_is_no_face_and_a_pose_that_is_far_off_makes_non
 
 
 def post(x: float, top: float) -> Array:
-    """Points (4, 4) of a post 2 cm wide whose nearer side is at x, as far as it is in the picture."""
+    """Return points (4, 4) of the part of a post, 2 cm wide, that is in the picture.
+
+    Its near side is at x.
+    """
     xy = np.array([[x + a, b] for a in (0.0, 0.01) for b in (-0.005, 0.005)])
     return np.column_stack([xy, np.full(4, top - 0.004), np.full(4, top)])
 
@@ -113,7 +119,7 @@ def test_what_is_gone_is_cleared_by_rows_that_skip_cells(apart: float) -> None:
     for _ in range(8):
         see(grid, ground(BEFORE), post(WALL_X, 0.3))
     assert grid.heights([WALL_X, 0.005]) > 0.29
-    for k in range(60):  # walking, 3 mm a scan
+    for k in range(60):  # the robot walks 3 mm per scan
         rows = np.arange(0.6, 1.0, apart) + 0.003 * k % apart
         see(grid, ground(rows))
     around = np.stack(np.meshgrid(WALL_X + np.arange(-1, 3) * 0.01, ACROSS), axis=-1)
@@ -126,7 +132,7 @@ def test_a_thin_wall_that_is_seen_from_both_sides_stays() -> None:
         for side, x in ((BEFORE, 0.0), (BEYOND, 2.0 * WALL_X)):
             camera = np.array([x, 0.0, CAMERA[2]])
             see(grid, ground(side), face(0.15), camera=camera)
-            for _ in range(6):  # from near, of the wall's cells only the ground before it
+            for _ in range(6):  # from close by, only the ground in front of the wall is in view
                 see(grid, ground(np.append(side, WALL_X)), camera=camera)
     assert wall_of(grid).min() > 0.12
 
@@ -145,7 +151,10 @@ def test_a_post_hides_the_ground_behind_it_and_stays_when_its_foot_alone_is_seen
 
 
 def window_edges() -> tuple[ElevationGrid, Array, Array]:
-    """A grid whose buffer wraps inside the window, its first and its last row of cells (n, 2) [m]."""
+    """Return a grid that wraps inside its window, and its edge rows.
+
+    The rows are the first and the last one of the window, as cells (n, 2) [m].
+    """
     grid = ElevationGrid(size=32)
     grid.move_to([0.105, 0.0])
     y = grid.origin[1] + 0.01 * np.arange(32)

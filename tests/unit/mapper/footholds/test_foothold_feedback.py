@@ -1,4 +1,4 @@
-"""What feet find: once per stance, while they must carry."""
+"""Foothold feedback: one touch per stance, measured under load."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ ODD, EVEN = np.array([True, False] * 3), np.array([False, True] * 3)
 
 
 def walk(watch: TouchWatch, steps: int, **changes: object) -> list[list[Touch]]:
-    """Touches of each step; legs swing by turns."""
+    """Return the touches of each step; the legs swing in turn."""
     found = []
     for step in range(steps):
         swing = ODD if step % 2 == 0 else EVEN

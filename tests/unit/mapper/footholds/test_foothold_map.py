@@ -1,4 +1,4 @@
-"""Laws of Masri's foothold map: closing, signed Manhattan distance, and what is never a foothold."""
+"""Foothold map of Masri: closing, signed Manhattan distance, and excluded cells."""
 
 import cv2
 import numpy as np
@@ -23,7 +23,7 @@ Mask = NDArray[np.uint8]
 
 @st.composite
 def masks(draw: st.DrawFn, most: int = 24) -> Mask:
-    """Random blocks and specks, from nearly empty to nearly full."""
+    """Draw a mask of random blocks and specks, from nearly empty to nearly full."""
     shape = draw(st.tuples(st.integers(1, most), st.integers(1, most)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     mask = (rng.random(shape) < draw(st.sampled_from([0.0, 0.02, 0.5, 0.98, 1.0]))).astype(np.uint8)
@@ -34,7 +34,7 @@ def masks(draw: st.DrawFn, most: int = 24) -> Mask:
 
 
 def brute_force(mask: Mask, bound: int, reach: int) -> NDArray[np.int64]:
-    """Eq. (4.8) for every pair of cells, the ring around the map being 0."""
+    """Compute (4.8) over every pair of cells, with a ring of zeros around the map."""
     padded = np.pad(mask, 1)
     i, j = np.nonzero(padded == 0)
     k, m = np.nonzero(padded == 1)
@@ -47,7 +47,7 @@ def brute_force(mask: Mask, bound: int, reach: int) -> NDArray[np.int64]:
     return out
 
 
-# ---- the distance
+# ---- distance
 
 
 @given(masks(), st.integers(1, 30), st.integers(1, 30))
@@ -70,7 +70,7 @@ def test_signs_and_steps(mask: Mask) -> None:
     np.testing.assert_array_equal(F < 0, mask == 1)
     assert (F != 0).all()
     if mask.any():
-        # From -1 to 1 is one step; else neighbours differ by one at most. So greedy descent never jumps.
+        # From -1 to 1 is one step; other neighbours differ by at most one. So greedy descent never skips a value.
         rank = np.where(F > 0, F - 1, F)
         for axis in (0, 1):
             assert (np.abs(np.diff(rank, axis=axis)) <= 1).all()
@@ -89,11 +89,14 @@ def test_the_threshold_only_cuts_off(mask: Mask, bound: int) -> None:
     np.testing.assert_array_equal(signed_manhattan(mask, bound, 126), np.maximum(signed_manhattan(mask, 126, 126), -bound))
 
 
-# ---- the closing
+# ---- closing
 
 
 def definition(mask: Mask, half: int) -> Mask:
-    """Eq. (4.5)-(4.7) as unions and intersections of translations, on a plane that is empty beyond the map."""
+    """Compute (4.5)-(4.7) by unions and intersections of translated masks.
+
+    The plane is empty outside the map.
+    """
     k = 2 * half
     wide = np.pad(mask, 2 * k).astype(bool)
     steps = [(i, j) for i in range(-half, half + 1) for j in range(-half, half + 1)]
@@ -107,10 +110,10 @@ def definition(mask: Mask, half: int) -> Mask:
 def test_the_closing_is_that_of_the_equations_and_keeps_its_laws(mask: Mask, half: int, seed: int) -> None:
     once = closed(mask, half)
     np.testing.assert_array_equal(once, definition(mask, half))
-    assert (once >= mask).all()  # it only adds
-    np.testing.assert_array_equal(closed(once, half), once)  # once is enough
+    assert (once >= mask).all()  # it only adds cells
+    np.testing.assert_array_equal(closed(once, half), once)  # it is idempotent
     more = mask | (np.random.default_rng(seed).random(mask.shape) < 0.1)
-    assert (closed(more.astype(np.uint8), half) >= once).all()  # it is monotone
+    assert (closed(more.astype(np.uint8), half) >= once).all()  # it is monotonic
 
 
 @pytest.mark.parametrize(("gap", "bridged"), [(1, True), (4, True), (5, False), (8, False)])
@@ -121,7 +124,7 @@ def test_gaps_below_five_centimetres_are_bridged(gap: int, bridged: bool) -> Non
     assert closed(mask, 2)[10, 15] == bridged
 
 
-# ---- the evaluation function
+# ---- evaluation function
 
 
 def evaluate(accessible: Mask, refused: Mask | None = None, known: Mask | None = None, rules: FootholdRules | None = None):
@@ -157,10 +160,10 @@ def test_a_crack_between_two_blocks_is_no_ground_where_the_thesis_s_closing_brid
     known = np.zeros((40, 40), dtype=np.uint8)
     known[5:35, 10:30] = 1
     known[20 : 20 + width] = 0
-    known[22, 15:18] = 1  # what flies between the two
+    known[22, 15:18] = 1  # specks in the air between the blocks
     assert published_evaluation(known, 2, 5, 15)[20 + width // 2, 20] < 0 or width < 3
     F = evaluate(known, None, known)
-    assert (F[18:20, 10:30] > 0).all()  # the clearance of what is vacant
+    assert (F[18:20, 10:30] > 0).all()  # the clearance from the vacant crack
     assert (F[20 + width : 22 + width, 10:30] > 0).all()
     assert (F[20 : 20 + width] > 0).all()
     assert F[14, 20] == -4
@@ -175,7 +178,7 @@ def test_a_hole_is_small_and_surrounded(mask: Mask, widest: int) -> None:
     shifts = [
         np.roll(padded, s, (0, 1))[1:-1, 1:-1] for s in [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
     ]
-    assert np.logical_and.reduce(shifts)[found == 1].all()  # ground, or the same hole, all around
+    assert np.logical_and.reduce(shifts)[found == 1].all()  # ground or the same hole on all sides
     for run in (found, found.T):
         lengths = [len(part) for row in run for part in "".join(map(str, row)).split("0")]
         assert max(lengths, default=0) <= widest
@@ -203,7 +206,10 @@ def test_a_vacant_cell_takes_nothing_from_its_neighbours_and_a_vacant_region_kee
 
 
 def test_the_numbers_of_the_thesis_are_lengths() -> None:
-    """Ground twice as coarse has half the cells: -5 cm is -5 cells of 1 cm, -10 of 5 mm, and so with the square."""
+    """Check that the thesis's numbers scale with the resolution.
+
+    The bound of -5 cm is -5 cells of 1 cm and -10 cells of 5 mm. The square of the closing scales in the same way.
+    """
     for resolution, bound, half in ((0.01, 5, 2), (0.005, 10, 4), (0.02, 2, 1)):
         e = EvaluationFunction(resolution)
         n = round(0.6 / resolution)

@@ -1,4 +1,4 @@
-"""Small holes in the map are bridged where the ground around them agrees, and nowhere else."""
+"""Hole filling: small holes are bridged only where the ground around them agrees."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 
 def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched() -> None:
     i, j = np.mgrid[:30, :40]
-    plane = (0.0027 * i - 0.001 * j + 0.5).astype(np.float32)  # 15 degrees and more
+    plane = (0.0027 * i - 0.001 * j + 0.5).astype(np.float32)  # 15 deg and more
     holed = plane.copy()
     holed[5, 5] = holed[10, 20:22] = np.nan
     holed[0, 20] = np.nan
@@ -37,5 +37,5 @@ def test_holes_across_an_edge_and_the_frontier_stay_unknown() -> None:
 def test_a_trench_between_blocks_of_about_one_height_is_no_hole(second: float) -> None:
     blocks = np.full((12, 12), 0.029, dtype=np.float32)
     blocks[6:] = second
-    blocks[6] = np.nan  # in the shadow of the nearer block
+    blocks[6] = np.nan  # in the shadow of the near block
     np.testing.assert_array_equal(np.isnan(fill_small_holes(blocks)), np.isnan(blocks))

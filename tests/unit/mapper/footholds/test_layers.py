@@ -1,4 +1,7 @@
-"""The layers of a map that grows and moves: the same as made anew, wider margins, and what each thesis refuses."""
+"""Foothold layers of a map that grows and moves.
+
+Updates equal a complete computation. The margin widens with doubt. Each thesis has its own refusals.
+"""
 
 import math
 from itertools import pairwise
@@ -25,13 +28,13 @@ def layers(margin: Margin | None = None, n: int = N) -> FootholdLayers:
 
 
 def of(z: NDArray[np.floating], sigma: float = 0.0, body: float = math.inf, **options: float) -> Layers:
-    """The layers of one map whose heights are known to the millimetre."""
+    """Return the layers of one map with heights known to the millimetre."""
     h = z.astype(np.float32)
     maker = FootholdLayers((h.shape[0], h.shape[1]), 0.01, Margin(**options), WEIGHTS)
     return maker.update(h, np.where(np.isnan(h), np.float32(np.nan), np.float32(1e-6)), ORIGIN, body, sigma)
 
 
-# ---- only what changed
+# ---- partial updates
 
 
 @given(st.integers(0, 2**32), st.integers(3, 12))
@@ -60,7 +63,7 @@ def test_a_map_that_grows_and_moves_has_the_layers_of_one_made_anew(seed: int, r
 @pytest.mark.parametrize("resolution", [0.001, 0.004, 0.01, 0.02, 0.05, 1.0])
 @pytest.mark.parametrize("shape", [(40, 90), (90, 40)])
 def test_any_size_and_resolution(shape: tuple[int, int], resolution: float) -> None:
-    """A wall is refused and level ground is not, in cells of a millimetre as of a metre."""
+    """Check that a wall is refused and level ground accepted at any cell size."""
     z = np.zeros(shape, dtype=np.float32)
     z[:, shape[1] // 2 :] = 0.5
     made = FootholdLayers(shape, resolution, None, WEIGHTS).update(z, np.zeros_like(z), ORIGIN)
@@ -94,7 +97,7 @@ def test_later_calls_do_not_disturb_earlier_results() -> None:
     np.testing.assert_array_equal(before.evaluation, evaluation)
 
 
-# ---- the foothold map
+# ---- foothold map
 
 
 def test_level_ground_is_accessible_up_to_the_clearance_from_what_is_unknown() -> None:
@@ -147,11 +150,11 @@ def test_unknown_cells_are_footholds_by_no_layer() -> None:
     assert (made.evaluation[4:-4, 4:34][~unknown[4:-4, 4:34]] < 0).mean() > 0.95  # specks are bridged
 
 
-# ---- the margin
+# ---- margin
 
 
 def edge_distance(layer: NDArray[np.bool_]) -> float:
-    """Distance [m] from the step in the middle to the nearest foothold of a column."""
+    """Return the distance [m] from the middle step to a column's nearest foothold."""
     rows = np.flatnonzero(layer[:, N // 2])
     return float(np.abs(rows - N // 2 + 0.5).min()) * 0.01
 
@@ -164,8 +167,8 @@ def test_footholds_keep_the_margin_from_edges_in_both_layers(foot: float, sigma:
     made = of(z, sigma, foot_radius=foot)
     for layer in (made.score <= 1, made.evaluation < 0):
         kept = edge_distance(layer)
-        assert kept >= foot + 2 * sigma - 0.005  # a foot aimed at a cell may be meant for its border
-        assert kept <= max(0.025, foot + 2 * sigma + 0.011)  # and no more is given away
+        assert kept >= foot + 2 * sigma - 0.005  # a foot aimed at a cell may land on the cell's border
+        assert kept <= max(0.025, foot + 2 * sigma + 0.011)  # and the margin is not larger than necessary
 
 
 def test_uncertain_ground_widens_the_margin_where_it_is() -> None:
@@ -213,7 +216,10 @@ def test_a_place_known_too_badly_is_a_foothold_by_no_layer(resolution: float) ->
 
 
 def test_doubt_widens_the_margin_on_ground_that_only_one_layer_takes() -> None:
-    """35 degrees: too steep for Lotriet's score, but not for Masri's map; it ends at unknown ground."""
+    """Check ground of 35 deg, which only Masri's map accepts, next to unknown ground.
+
+    It is too steep for Lotriet's score.
+    """
     z = 0.7 * 0.01 * np.arange(N)[:, None] * np.ones(N)
     z[:, N // 2 :] = np.nan
     assert not (of(z).score <= 1).any()
@@ -222,7 +228,10 @@ def test_doubt_widens_the_margin_on_ground_that_only_one_layer_takes() -> None:
 
 
 def test_the_published_score_is_ours_without_the_third_term() -> None:
-    """On known ground slope and proximity are the thesis's with two constants fixed."""
+    """Check that slope and proximity equal the thesis's on known ground.
+
+    The comparison fixes two of the constants.
+    """
     rng = np.random.default_rng(2)
     z = np.kron(rng.choice([0.0, 0.02, 0.05], (6, 6)), np.ones((8, 8))).astype(np.float32)
     weights = ScoreWeights(roughness=0.0)

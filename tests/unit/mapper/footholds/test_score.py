@@ -1,4 +1,7 @@
-"""Laws of the walkability score: invariances, slopes, steps, the cases the signed mean misses, and unknown cells."""
+"""Walkability score: invariances, slopes, steps, and unknown cells.
+
+Some cases are missed by the signed mean of the thesis.
+"""
 
 import math
 from typing import NamedTuple
@@ -52,7 +55,7 @@ def plane(degrees: float, heading: float = 0.0, size: int = 41) -> NDArray[np.fl
 
 
 def terrain(seed: int, shape: tuple[int, int] = (40, 52)) -> NDArray[np.float64]:
-    """Blocks, a ramp, noise of a millimetre and unknown cells."""
+    """Return blocks, a ramp, millimetre noise and unknown cells."""
     rng = np.random.default_rng(seed)
     z = rng.normal(0.0, 0.001, shape)
     for _ in range(5):
@@ -64,7 +67,10 @@ def terrain(seed: int, shape: tuple[int, int] = (40, 52)) -> NDArray[np.float64]
 
 
 def steps_from_edge(size: int = 40, edge: int = 20) -> NDArray[np.float64]:
-    """(size,) [m] distance of the cell centres from a step between the cells edge - 1 and edge."""
+    """Return the distance (size,) [m] of cell centres from a step.
+
+    The step lies between the cells `edge - 1` and `edge`.
+    """
     return np.asarray(np.abs(np.arange(size) - edge + 0.5) * RESOLUTION)
 
 
@@ -86,7 +92,7 @@ def test_turned_and_mirrored_ground_has_the_turned_score(turn: object) -> None:
     for seed in range(5):
         z = terrain(seed)
         a, b = score(z), score(np.ascontiguousarray(turn(z)))
-        # The root of a difference with the noise magnifies rounding where the two are nearly equal.
+        # The roughness is the root of a difference from the noise, so rounding grows if both are nearly equal.
         for name, tolerance in (("score", 0.01), ("slope", 1e-5), ("proximity", 1e-6), ("roughness", 2e-5)):
             np.testing.assert_allclose(turn(getattr(a, name)), getattr(b, name), atol=tolerance)
 
@@ -153,7 +159,7 @@ def test_corners_and_slanted_edges_too(height: float) -> None:
         grounds += [np.where(side >= 0, height, 0.0)]
     for ground in grounds:
         for k, m in np.argwhere(score(ground).acceptable[2:-2, 2:-2]) + 2:  # where the whole window is known
-            other = np.abs(ground - ground[k, m]) > 1e-6  # to the nearest side or corner of a cell of another height
+            other = np.abs(ground - ground[k, m]) > 1e-6  # cells of another height: distance to the nearest side or corner
             gap = np.hypot(np.maximum(np.abs(i - k) - 0.5, 0.0), np.maximum(np.abs(j - m) - 0.5, 0.0))
             assert gap[other].min() * RESOLUTION >= 0.02, (k, m)
 
@@ -174,7 +180,7 @@ def test_steps_of_a_few_millimetres_are_walked_over() -> None:
     assert score(z).acceptable[1:-1, 1:-1].all()
 
 
-# ---- what cancels in the signed mean
+# ---- steps that cancel in the signed mean
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
@@ -186,7 +192,7 @@ def test_a_narrow_tread_between_a_step_up_and_a_step_down_is_refused(width: int)
     assert not s.acceptable[16 : 20 + width].any()
     if width % 2:
         centre = 18 + width // 2
-        assert s.proximity[centre, 20] == pytest.approx(0.0, abs=1e-6)  # which is why the third term is there
+        assert s.proximity[centre, 20] == pytest.approx(0.0, abs=1e-6)  # the reason for the third term
 
 
 def test_a_wide_tread_is_accepted_in_its_middle() -> None:

@@ -1,4 +1,4 @@
-"""Firm, water or loose: what colours, shape and feet say of the ground, and how they agree."""
+"""Terrain type: firm, water or loose ground, from colour, shape and feet."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def square(x: float, y: float, half: float) -> NDArray[np.bool_]:
 def painted(
     ground: tuple[int, int, int], *patches: tuple[NDArray[np.bool_], tuple[int, int, int]], seed: int = 0
 ) -> TerrainType:
-    """Ground that has been seen in a few pictures under light that varies."""
+    """Return ground that was seen in a few pictures under varying light."""
     rng = np.random.default_rng(seed)
     known = TerrainType((N, N), R, np.full(2, -N // 2))
     for _ in range(4):
@@ -87,7 +87,7 @@ def test_another_material_is_no_hazard() -> None:
 
 
 def test_colours_are_judged_by_the_ground_that_carried() -> None:
-    """On a blue floor blue is firm."""
+    """Check that blue is firm on a blue floor."""
     known = painted(BLUE)
     known.stand_on(ALL)
     assert not judged(known).hazard.any()
@@ -116,7 +116,7 @@ def test_one_foot_that_sank_tells_of_all_ground_of_that_colour() -> None:
 
 
 def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> None:
-    """Maps, poses and joints err by some millimetres, foot after foot."""
+    """Check small errors of map, pose and joints: some millimetres, foot after foot."""
     known = painted(GREY, (POOL, TAN))
     known.stand_on(~POOL)
     rng = np.random.default_rng(0)
@@ -129,7 +129,7 @@ def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> Non
 @pytest.mark.parametrize(("sigma", "outliers"), [(0.006, 0.0), (0.003, 0.05), (0.006, 0.05)])
 @pytest.mark.parametrize("seed", range(3))
 def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, outliers: float, seed: int) -> None:
-    """Errors as the model itself takes them for, on ground that is new at every touch."""
+    """Check errors as the model assumes them, on ground that is new at every touch."""
     rng = np.random.default_rng(seed)
     known = painted(GREY)
     assert known.stand_on(ALL)

@@ -1,4 +1,7 @@
-"""Moving least squares by its laws: planes stay, noise falls, edges further than the radius stay, turning changes nothing."""
+"""Moving least squares: planes and distant edges stay, and noise falls.
+
+The result does not depend on orientation.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is seen from where by its laws, and the proposed look proved by a simulated picture from there."""
+"""Next best view: predicted visibility, verified by simulated pictures."""
 
 import math
 from dataclasses import replace
@@ -44,7 +44,10 @@ GAP = (
 
 
 def known(strip: Strip = STRIP, block: tuple[float, float, float] | None = None) -> PassageGrid:
-    """Level ground, all known, with a block of a height from one distance to another, 0.3 m wide."""
+    """Return level ground, all known, with a block 0.3 m wide.
+
+    `block` is the block's begin, end and height [m].
+    """
     shape = local_centres(strip, 0.01).shape[:2]
     elevation = np.zeros(shape, dtype=np.float32)
     if block is not None:
@@ -135,7 +138,7 @@ def test_the_poses_are_within_what_the_legs_allow() -> None:
 
 
 class Look:
-    """A robot before a scene, what it has mapped of it so far, and what it thinks of that."""
+    """A robot in front of a scene, its map, and its view planner."""
 
     def __init__(self, *parts: Part, heading: float = 0.0):
         self.terrain: Terrain = build_terrain(Scenario("look", parts, Goal(1.0)), np.random.default_rng(0))
@@ -175,7 +178,7 @@ class Look:
         ((Plane(),), 0.0, 0.98),
         ((Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08)), 0.0, 0.93),
         ((Plane(), Box((0.75, 0.4), (0.1, 0.3), 0.10)), 0.6, 0.93),
-        (GAP, 0.0, 0.6),  # what lies beside the picture, where the ground breaks off, is anybody's guess
+        (GAP, 0.0, 0.6),  # nothing is known outside the picture, where the ground breaks off
     ],
     ids=["level", "block", "turned", "gap"],
 )
@@ -188,7 +191,7 @@ def test_a_picture_from_the_proposed_pose_shows_what_was_promised(parts: tuple[P
     for pose in (robot.T, T):
         robot.look(pose)
         shown.append(np.mean(~robot.mapped().unseen[promised]))
-    assert shown[0] < 0.1  # from where it stands there is nothing to be gained
+    assert shown[0] < 0.1  # the present pose shows nothing new
     assert shown[1] > kept
 
 

@@ -1,4 +1,7 @@
-"""The passage map: heights, normals and roughness of the cloud in a turned frame; unknown stays unknown."""
+"""Passage grid: heights, normals and roughness of the cloud in a turned frame.
+
+Unknown cells stay unknown.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ def strip(heading: float, length: float = 0.8, width: float = 0.5) -> Strip:
 
 
 def ground(where: Strip, height: object = 0.0) -> Array:
-    """A point somewhere in each cell of the world on and around a strip, as scans have them."""
+    """Return a random point in each {world} cell on and around a strip, as in scans."""
     rng = np.random.default_rng(0)
     low, high = where.corners(0.06).min(axis=0), where.corners(0.06).max(axis=0)
     i, j = np.meshgrid(

@@ -1,4 +1,7 @@
-"""A survey of pillars in a gap, from simulated pictures: what may be stepped on is there, and a look shows more of it."""
+"""Passage mapping of pillars in a gap, from simulated pictures.
+
+The map contains the footholds, and each look shows more of it.
+"""
 
 import math
 from dataclasses import replace
@@ -31,7 +34,7 @@ GAP = (
 
 
 class Robot:
-    """A robot that stands before the gap and looks."""
+    """A robot that stands in front of the gap and looks."""
 
     def __init__(self) -> None:
         self.terrain = build_terrain(Scenario("gap", GAP, Goal(2.0)), np.random.default_rng(0))

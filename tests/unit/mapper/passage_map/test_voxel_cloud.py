@@ -1,4 +1,7 @@
-"""The merged cloud: centroids weighted by pixels, nothing twice, nothing beside the strip, and what is gone leaves."""
+"""Voxel cloud: centroids weighted by pixels, limited to the strip.
+
+Repeated scans add nothing, and removed objects disappear.
+"""
 
 import numpy as np
 import pytest
@@ -28,7 +31,7 @@ def ground(z: float = 0.0, x: tuple[float, float] = (0.0, 1.0), y: tuple[float, 
 def test_a_voxel_is_the_centroid_of_what_fell_into_it(points: list[tuple[float, float, float, int]], cuts: list[int]) -> None:
     rows = np.array(points, dtype=np.float64)
     cloud = VoxelCloud(Strip((-0.3, 0.0), 0.0, 0.6, 0.6), 0.05, see_through=10.0)
-    for part in np.split(rows, sorted(c for c in cuts if c < len(rows))):  # in how many scans does not matter
+    for part in np.split(rows, sorted(c for c in cuts if c < len(rows))):  # the number of scans does not matter
         cloud.insert(part[:, :3], part[:, 3])
     snapshot = cloud.snapshot()
     keys = np.floor(rows[:, :3] / 0.05)

@@ -1,4 +1,4 @@
-"""A small camera for the tests of drivers: a profile, pictures that differ from each other, and a clock that is set by hand."""
+"""Shared test kit for camera drivers: a small camera, pictures and a manual clock."""
 
 from dataclasses import dataclass, replace
 
@@ -15,7 +15,7 @@ SMALL = Intrinsics(64, 48, 58.5, 58.5, 31.5, 23.5)
 
 @dataclass
 class Clock:
-    """Time [ns] that passes when a test lets it."""
+    """A clock [ns] that advances only on request."""
 
     now_ns: int = 1_000_000_000
 
@@ -28,13 +28,13 @@ class Clock:
 
 @dataclass(frozen=True)
 class Kit:
-    """What the tests of this folder share, given through a fixture."""
+    """Shared test kit, provided by a fixture."""
 
     clock: Clock
     profile: RobotProfile
 
     def ground(self, seed: int = 0) -> NDArray[np.uint16]:
-        """A picture (48, 64) of ground that slopes away, with the noise of a sensor."""
+        """Return a picture (48, 64) of ground that slopes away, with sensor noise."""
         rng = np.random.default_rng(seed)
         rows = np.linspace(2000.0, 700.0, 48)[:, None]
         return np.asarray(np.rint(rows + rng.normal(0, 3, (48, 64))), dtype=np.uint16)

@@ -1,4 +1,7 @@
-"""What a device says of itself is compared with the profile, and its stamps become times of this machine."""
+"""Camera base: check of the device against the profile, and conversion of stamps.
+
+Device stamps become times of this machine.
+"""
 
 from dataclasses import replace
 
@@ -46,7 +49,7 @@ def test_stamps_keep_the_devices_spacing_and_never_lie_in_the_future(late_s: lis
     arrived = [origin_ns + stamp + round(late * 1e9) for stamp, late in zip(device, late_s, strict=True)]
     found = [clock.host_ns(stamp, at) for stamp, at in zip(device, arrived, strict=True)]
     assert all(stamp <= at for stamp, at in zip(found, arrived, strict=True))
-    settled = int(np.argmin(late_s))  # from the least late picture on nothing is to be learnt any more
+    settled = int(np.argmin(late_s))  # after the picture with the least delay the estimate does not change
     assert set(np.diff(found[settled:]).tolist()) <= {33_000_000}
 
 

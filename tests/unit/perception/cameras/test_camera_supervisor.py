@@ -1,4 +1,7 @@
-"""A camera that fails is named, let go, and tried again, ever later; a hopeless one is not tried in a tight loop."""
+"""Camera supervisor: a failed camera is named, closed and opened again.
+
+The delay grows with each attempt, so that a dead camera causes no busy loop.
+"""
 
 from collections.abc import Iterator
 
@@ -11,7 +14,7 @@ from sextant.services.perception.cameras.image_quality import Watch
 
 
 class Script:
-    """A camera that does what a test says: a picture, nothing, or an error at every look."""
+    """A camera that returns scripted pictures, nothing, or errors."""
 
     about = "scripted camera"
     recorded = False
@@ -50,7 +53,7 @@ class Rig:
         self.keeper = Keeper("scripted", opens, watch, kit.clock)
 
     def pictures(self, make):  # type: ignore[no-untyped-def]
-        """An endless stream of pictures, each of its moment."""
+        """Yield endless pictures, each stamped with the current time."""
         k = 0
         while True:
             made = make(k)
@@ -58,7 +61,7 @@ class Rig:
             k += 1
 
     def run(self, seconds: float) -> int:
-        """Look thirty times a second; how many pictures were handed out."""
+        """Read thirty times a second; return the number of pictures."""
         handed = 0
         for _ in range(round(30 * seconds)):
             handed += self.keeper.read(False) is not None
@@ -143,7 +146,7 @@ def test_what_is_of_no_use_is_held_back_until_good_pictures_come(kit) -> None:  
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_one_that_sees_next_to_nothing_is_held_back_and_stays_open(kit, share: float) -> None:  # type: ignore[no-untyped-def]
-    """As before a wall that is nearer than it measures."""
+    """Check a picture of a wall nearer than the sensor's range."""
     rig = Rig(kit)
 
     def picture(k):  # type: ignore[no-untyped-def]

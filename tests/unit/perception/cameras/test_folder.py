@@ -1,4 +1,4 @@
-"""A recorded folder as a camera: at its own pace or as fast as asked, once or again and again, with its colour."""
+"""Recorded folder as a camera: pace, loop and colour."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def add_color(folder: Path, shape: tuple[int, int, int] = (48, 64, 3)) -> None:
     (folder / "rgb").mkdir()
     lines = []
     for k, stamp in enumerate(STAMPS[:3]):  # the last picture has no colour
-        image = np.full(shape, (30, 20, 10 + k), dtype=np.uint8)  # blue, green, red, as OpenCV has it
+        image = np.full(shape, (30, 20, 10 + k), dtype=np.uint8)  # blue, green, red: the order of OpenCV
         cv2.imwrite(str(folder / "rgb" / f"{k}.png"), image)
         lines.append(f"{(stamp + 4_000_000) * 1e-9:.6f} rgb/{k}.png\n")
     (folder / "rgb.txt").write_text("# timestamp filename\n" + "".join(lines))
@@ -67,7 +67,7 @@ def test_it_begins_anew_or_ends(folder: Path, kit) -> None:  # type: ignore[no-u
 
 
 def read_all(camera: FolderCamera, kit, color: bool = False):  # type: ignore[no-untyped-def]
-    """Every picture of a round, each read as it is due."""
+    """Return every picture of one loop, each read when it is due."""
     frames = []
     for before, stamp in zip([STAMPS[0], *STAMPS], STAMPS, strict=False):
         kit.clock.pass_s((stamp - before) * 1e-9)

@@ -1,4 +1,4 @@
-"""What is wrong with pictures is named; what is right with them is not."""
+"""Image quality: faulty pictures are named, and good ones pass."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def look(kit, pictures) -> list[str]:  # type: ignore[no-untyped-def]
 
 
 def first_s(words: list[str]) -> float:
-    """When the first complaint came [s]."""
+    """Return the time [s] of the first complaint."""
     return next(k for k, said in enumerate(words) if said) * PERIOD * 1e-9
 
 
@@ -25,7 +25,7 @@ def test_good_pictures_raise_no_complaint(kit) -> None:  # type: ignore[no-untyp
     assert not any(look(kit, (kit.ground(k) for k in range(100))))
 
 
-@pytest.mark.parametrize("value", [0, 400, 65535])  # no return, nearer than it can measure, and what NaN becomes
+@pytest.mark.parametrize("value", [0, 400, 65535])  # no return, nearer than the range, and the value that NaN becomes
 def test_a_camera_that_measures_nothing_is_named_after_a_while(kit, value: int) -> None:  # type: ignore[no-untyped-def]
     words = look(kit, [kit.ground(0)] + [np.full((48, 64), value, np.uint16)] * 100)
     assert 1.9 < first_s(words) < 2.2

@@ -1,4 +1,7 @@
-"""The OpenNI2 driver against a stand-in for the openni binding with the calls, and the errors, of version 2.3."""
+"""OpenNI2 driver against a substitute of the openni binding, version 2.3.
+
+The substitute has the calls and the errors of the binding.
+"""
 
 import ctypes
 import math
@@ -110,7 +113,7 @@ class Device(Handle):
 
 
 class Library(ModuleType):
-    """What of openni.openni2 the driver uses."""
+    """The part of openni.openni2 that the driver uses."""
 
     PIXEL_FORMAT_DEPTH_1_MM, PIXEL_FORMAT_DEPTH_100_UM, PIXEL_FORMAT_RGB888 = "1 mm", "100 um", "rgb"
     IMAGE_REGISTRATION_DEPTH_TO_COLOR = REGISTRATION
@@ -223,7 +226,7 @@ def test_another_lens_or_scale_than_the_profiles_is_refused(kit, lib: Library) -
     lib.focal = 70.0
     with pytest.raises(CameraError, match=r"fx 58\.5.*expected.*fx 70\.0"):
         OpenNI(kit.profile.camera, kit.clock)
-    lib.focal = 57.6  # the data sheet's, where the profile has a calibrated one
+    lib.focal = 57.6  # the data sheet's field of view; the profile has a calibrated one
     OpenNI(kit.profile.camera, kit.clock)
     sensor = replace(kit.profile.camera.sensor, depth_scale=500.0)
     with pytest.raises(CameraError, match="depth_scale of 1000 or 10000"):

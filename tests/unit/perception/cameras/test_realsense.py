@@ -1,4 +1,7 @@
-"""The RealSense driver against a stand-in for pyrealsense2 with the calls, and the errors, of the library."""
+"""RealSense driver against a substitute of pyrealsense2.
+
+The substitute has the calls and the errors of the library.
+"""
 
 import sys
 from types import SimpleNamespace
@@ -100,7 +103,7 @@ class Config:
 
 
 class Library:
-    """What of pyrealsense2 the driver uses."""
+    """The part of pyrealsense2 that the driver uses."""
 
     stream = SimpleNamespace(depth="depth", color="color")
     format = SimpleNamespace(z16="z16", rgb8="rgb8")

@@ -1,4 +1,4 @@
-"""The camera as a service: what it publishes, what it says of itself, and that it never waits for its device."""
+"""Camera service: its messages and state; it never waits for the device."""
 
 import threading
 
@@ -14,7 +14,7 @@ from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Me
 
 
 class Device:
-    """A camera with a picture whenever a period has passed, until it is unplugged."""
+    """A camera with one picture per period, until it is unplugged."""
 
     about = "test camera"
     recorded = False
@@ -123,7 +123,7 @@ def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type
 
     with CameraService(kit.profile, Settings(), hang, kit.clock) as service:
         assert called.wait(5.0)
-        made = run(service, kit, 7.0)  # simulated; the driver has not returned
+        made = run(service, kit, 7.0)  # simulated time; the driver has not returned
         with pytest.raises(RuntimeError, match="this process ends, so that a new one can open it"):
             run(service, kit, 20.0)
         release.set()
@@ -140,7 +140,7 @@ def test_a_thread_reads_while_it_is_entered_and_its_errors_end_the_process(kit) 
 
     with CameraService(kit.profile, Settings(), Broken(kit).open, kit.clock) as service:
         assert read.wait(5.0)
-    with pytest.raises(AssertionError, match="a bug"):  # entered and left: the thread has ended
+    with pytest.raises(AssertionError, match="a bug"):  # the thread has ended, because the service was entered and left
         run(service, kit, 0.1)
 
 

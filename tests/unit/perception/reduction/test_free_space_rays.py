@@ -1,4 +1,4 @@
-"""Lines of sight: they are free as far as they are said to be, and doubtful pixels are doubted."""
+"""Free-space rays: the space along them is free, and doubtful pixels give none."""
 
 import numpy as np
 import pytest
@@ -37,13 +37,13 @@ def test_pixels_without_return_count_only_where_all_above_them_is_empty_and_when
     h, w = depth.shape
     depth[: h // 2, w // 4 : w // 2] = 0
     if not above:
-        depth[:16, w // 4 : w // 2] = 1000  # something is seen there after all
+        depth[:16, w // 4 : w // 2] = 1000  # the pixels above do return a depth
     range_ = 1.4
     before = sights(world, depth, T, max_range=range_)
     after = sights(world, depth, T, max_range=range_, believe_empty=True)
     assert (len(after) > len(before) + 20) == above
     near = np.zeros_like(depth)
-    near[: h // 2] = world.depth_image(T)[: h // 2]  # the ground at its feet is too near, and no abyss
+    near[: h // 2] = world.depth_image(T)[: h // 2]  # the ground at the feet is too near, which is not a drop
     assert len(sights(world, near, T, max_range=range_, believe_empty=True)) == len(sights(world, near, T, max_range=range_))
 
 

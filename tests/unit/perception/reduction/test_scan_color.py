@@ -1,4 +1,7 @@
-"""Colours for points: paired by stamp, looked up where the point falls, none where something else is seen there."""
+"""Colours of scan points, from the picture with the same stamp.
+
+A point has the colour of its pixel, or none if another object hides it.
+"""
 
 import numpy as np
 
@@ -22,7 +25,7 @@ def picture() -> np.ndarray:
 
 
 def points(z: float = 1.0, n: int = 400) -> tuple[Array, Array]:
-    """Points [m] {world} at one depth, and whether they are left in the picture."""
+    """Return points [m] {world} at one depth, and flags of those on the left."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-0.45, 0.45, n) * z, rng.uniform(-0.35, 0.35, n) * z
     x[np.abs(x) < 0.03 * z] = 0.1 * z
@@ -74,7 +77,7 @@ def test_a_picture_counts_once_and_only_beside_its_depth_frame() -> None:
 
 
 def test_a_full_scan_of_rough_ground_in_colour_keeps_to_its_budget() -> None:
-    """14 000 cells of blocks and gravel, each with a colour of its own beside that of its block."""
+    """Check 14 000 cells of blocks and gravel, each with a slightly different colour."""
     rng = np.random.default_rng(1)
     i, j = np.divmod(np.arange(14_000), 140)
     block = (i // 8, j // 8)

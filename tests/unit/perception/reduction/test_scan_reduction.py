@@ -1,4 +1,7 @@
-"""One point per cell: on the surface, the upper one, without the pixels that hang between two."""
+"""Scan reduction: one point per cell on the upper surface.
+
+Mixed pixels between two surfaces are dropped.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +30,7 @@ def test_a_flat_floor_is_flat_and_every_cell_seen_is_there_once(world):
     cells = np.floor(p[:, :2] / 0.01)
     assert len(np.unique(cells, axis=0)) == len(cells)
 
-    # The cells of all pixels, worked out the plain way, are there but for some that one unread pixel touched.
+    # All pixels' cells, computed directly, are there, except some that only one unread pixel touched.
     points = world.intrinsics.points(depth / 1000.0).reshape(-1, 3)
     points = points[points[:, 2] > 0] @ T[:3, :3].T + T[:3, 3]
     points = points[np.hypot(*(points[:, :2] - T[:2, 3]).T) < 1.9]
@@ -62,7 +65,7 @@ def test_edge_cells_keep_the_top(world):
     inside = (p[:, 0] > 0.905) & (p[:, 0] < 1.095) & (np.abs(p[:, 1]) < 0.195)
     assert inside.sum() > 300
     assert np.abs(p[inside, 2] - 0.05).max() < 0.003
-    # The front face falls into the cells at x = 0.9, together with the edge above it: they say that they are an edge.
+    # The front face falls into the cells at x = 0.9, with the edge above it. Their spread shows the edge.
     face = (np.abs(p[:, 0] - 0.9) < 0.006) & (np.abs(p[:, 1]) < 0.19)
     assert np.median(scan.spread[face]) > 20
     assert p[face, 2].max() > 0.04
@@ -71,7 +74,10 @@ def test_edge_cells_keep_the_top(world):
 
 
 def edge_errors(world, height, seed):
-    """How far [m] cells of a block's height reach out over its front, back and sides, over where those are."""
+    """Return how far [m] cells of a block's height extend beyond its sides.
+
+    The result contains separate values for the front, the back and the other two sides.
+    """
     rng = np.random.default_rng(seed)
     low = np.array([0.7, -0.15]) + rng.uniform(0, 0.01, 2)
     high = low + np.array([0.2, 0.3]) + rng.uniform(0, 0.01, 2)
@@ -95,21 +101,24 @@ def test_edges_of_a_block_stay_where_they_are(world, height):
     front, back, sides = (np.concatenate(kind) for kind in zip(*errors, strict=True))
     for kind in (front, back, sides):
         assert np.median(np.abs(kind)) < 0.006
-    # A high face fills the cell below its edge with pixels; without a rule for shares nine in ten cells would swell.
+    # A high face fills the cell below its edge with pixels. Without a minimum share, nine in ten cells would be too high.
     if height == 0.05:
         assert np.percentile(front, 90) < 0.006
 
 
 @pytest.mark.parametrize("x", [0.1, 0.3, 0.5, 0.7])
 def test_a_wall_is_as_high_as_what_is_seen_of_it(world, x):
-    """Its top is out of the picture, and the pixels of its face outnumber the highest of them by far."""
+    """Check a wall whose top is outside the picture.
+
+    The pixels of its face far outnumber the highest ones.
+    """
     T = world.camera_pose(x)
     depth = world.depth_image(T, [[1.507, -2.0, 0.0, 1.6, 2.0, 0.5]], np.random.default_rng(4))
     scan = reduced(world, depth, T, max_points=100_000)
     p = positions(scan)
     face = (np.floor(p[:, 0] / 0.01) == 150) & (np.abs(p[:, 1]) < 0.2)
     assert face.sum() > 30
-    highest = T[2, 3] - np.tan(0.5236 - np.arctan(239.5 / 525.0)) * (1.507 - x)  # of the picture, at the wall
+    highest = T[2, 3] - np.tan(0.5236 - np.arctan(239.5 / 525.0)) * (1.507 - x)  # the top of the picture, at the wall
     np.testing.assert_allclose(np.median(p[face, 2]), highest, atol=0.012)
     assert (p[face, 2] > highest - 0.02).mean() > 0.9
 
@@ -137,7 +146,10 @@ def test_pixels_between_two_surfaces_are_dropped(world):
 
 
 def mixed_at_edges(depth):
-    """A picture as a real camera makes it: beside each jump along a row or a column the mean of both sides."""
+    """Return a picture with mixed pixels, as a real camera makes them.
+
+    At each jump along a row or a column, a pixel has the mean of both sides.
+    """
     mixed = depth.copy()
     for axis in (0, 1):
         before, after = depth.astype(int), np.roll(depth.astype(int), -1, axis)
@@ -147,7 +159,7 @@ def mixed_at_edges(depth):
 
 
 def rms_off_edges(p, block):
-    """Height error [m] of points further than 2 cm from the sides of a block."""
+    """Return the RMS height error [m] of points at least 2 cm from a block's sides."""
     x0, y0, _, x1, y1, top = block
     outside = np.maximum.reduce([x0 - p[:, 0], p[:, 0] - x1, y0 - p[:, 1], p[:, 1] - y1])
     off = np.abs(outside) > 0.02
@@ -157,7 +169,10 @@ def rms_off_edges(p, block):
 
 @pytest.mark.parametrize("top", [0.08, 0.15])
 def test_pixels_between_two_surfaces_do_no_harm_off_the_edges(world, top):
-    """Off edges the map is as good with them in the picture as without; a plain mean of every cell's pixels is not."""
+    """Check that mixed pixels do not make the map worse away from edges.
+
+    The plain mean of every cell's pixels would be worse.
+    """
     T, block = world.camera_pose(0.3), [0.8, -0.2, 0.0, 1.1, 0.2, top]
     clean = world.depth_image(T, [block], np.random.default_rng(3))
     mixed = mixed_at_edges(clean)

@@ -1,4 +1,4 @@
-"""KISS-ICP behind the same interface."""
+"""KISS-ICP adapter with the common registration interface."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sextant.services.perception.registration.projective_icp import error_twist
 from sextant.shared.geometry import inverse
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
-WIDE_CAMERA = Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5)  # 90 degrees across
+WIDE_CAMERA = Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5)  # 90 deg wide
 WIDE_SENSOR = DepthSensor(min_range=0.2, max_range=3.0, baseline=0.25)
 SPREAD = np.diag([0.01] * 3 + [0.01] * 3) ** 2
 
@@ -21,7 +21,10 @@ def pillars():
 
 
 def walk(world, boxes, frames=21):
-    """True poses and results of a walk of 1 cm a frame, whose odometry measures 20 % too much."""
+    """Return true poses and results of a walk of 1 cm per frame.
+
+    The odometry measures 20 % too much.
+    """
     rng = np.random.default_rng(2)
     registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
     truth = world.walk(frames, 0.01)
@@ -41,7 +44,7 @@ def test_follows_a_walk_among_pillars(world, pillars):
     truth, results = walk(world, pillars)
     assert all(r.ok for r in results)
     error = error_twist(results[-1].T_world_camera, truth[-1])
-    assert np.linalg.norm(error[:3]) < 0.015  # odometry alone ends 0.04 m off
+    assert np.linalg.norm(error[:3]) < 0.015  # odometry only ends 0.04 m off
     assert np.degrees(np.abs(error[3:])).max() < 1.0
 
 

@@ -1,4 +1,4 @@
-"""What the legs say about the motion between frames."""
+"""Motion prior: the legs' estimate of the motion between frames."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TWIST = np.array([0.1, 0.02, 0.0, 0.0, 0.0, 0.3])  # [m/s] and [rad/s] {body}
 
 
 def pose_at(ns: int) -> Array:
-    """A body that moves evenly on a screw."""
+    """Return the pose (4, 4) of a body in steady screw motion."""
     return exp_se3(TWIST * ns * 1e-9)
 
 
@@ -85,7 +85,7 @@ def test_one_unreliable_neighbour_makes_the_instant_unreliable() -> None:
     for k in range(6):
         history.add(message(k * PERIOD, reliable=k != 3))
     doubts = [not history.at(k * PERIOD // 2).reliable for k in range(11)]  # type: ignore[union-attr]
-    assert doubts == [False] * 4 + [True] * 4 + [False] * 3  # an instant at a message looks at the one after it, too
+    assert doubts == [False] * 4 + [True] * 4 + [False] * 3  # an instant at a message also depends on the next message
 
 
 def test_a_new_beginning_is_counted_and_the_old_forgotten() -> None:
@@ -142,7 +142,7 @@ def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(way: float, tu
     history = heard()
     history.add(message(50 * PERIOD, T=pose_at(50 * PERIOD) @ from_xyz_rpy([way, 0.0, 0.0], [0.0, 0.0, turn])))
     assert history.restarts == 1
-    history.add(message(51 * PERIOD))  # back again
+    history.add(message(51 * PERIOD))  # back to the previous place
     assert history.restarts == 2
     motion = history.at(51 * PERIOD)
     assert motion is not None
@@ -165,7 +165,7 @@ FRAME = 33 * MS
 
 
 def follow(prior: VelocityPrior, poses: list[np.ndarray], registered: bool = True, twists: np.ndarray | None = None) -> None:
-    """Show a prior the poses of frames one after the other, from its newest on."""
+    """Update a prior with frames at the given poses, one period apart."""
     for k, T in enumerate(poses):
         prior.update(k * FRAME, T, registered, np.zeros((0, 6)) if twists is None else twists)
 
@@ -191,7 +191,7 @@ def test_a_camera_begins_at_rest_with_an_unknown_velocity() -> None:
 
 
 def test_a_lost_camera_comes_to_rest() -> None:
-    """It goes on by its speed times the time of decay, and no further."""
+    """Check that the predicted travel ends at the speed times the time constant."""
     prior = VelocityPrior(0.15)
     follow(prior, [from_xyz_rpy((0.02 * k, 0.0, 0.0), np.zeros(3)) for k in range(10)])
     speed = 0.02 / (FRAME * 1e-9)
@@ -209,7 +209,7 @@ def test_only_what_is_not_shown_decays() -> None:
     prior = VelocityPrior(0.15)
     follow(prior, [from_xyz_rpy((0.01 * k, 0.01 * k, 0.0), np.zeros(3)) for k in range(10)])
     T, stamp_ns = from_xyz_rpy((0.09, 0.09, 0.0), np.zeros(3)), 9 * FRAME
-    for _ in range(60):  # y is shown, and goes on; x is left to the prior
+    for _ in range(60):  # y is observed and continues; x is left to the prior
         T = from_xyz_rpy((prior.predict(FRAME * 1e-9)[0, 3], T[1, 3] + 0.01, 0.0), np.zeros(3))
         stamp_ns += FRAME
         prior.update(stamp_ns, T, True, np.eye(6)[:1])

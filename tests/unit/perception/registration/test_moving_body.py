@@ -1,4 +1,4 @@
-"""What speaks for a motion within the size of one body is told from what speaks for it everywhere."""
+"""Detection of a moving body: evidence within one body's size, or everywhere."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Directions that a scene does not show are named."""
+"""Names of unobservable directions."""
 
 import numpy as np
 import pytest

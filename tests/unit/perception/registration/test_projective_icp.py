@@ -1,4 +1,7 @@
-"""Registration on a synthetic floor with boxes: what the scene constrains is found, the rest stays as expected."""
+"""Projective ICP on a synthetic floor with boxes.
+
+Constrained directions are estimated; the others keep the prior.
+"""
 
 import numpy as np
 import pytest
@@ -19,15 +22,15 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 TIGHT = 1e-6 * np.eye(6)
 WIDE = np.diag([0.02] * 3 + [0.02] * 3) ** 2
-# The default camera at half its resolution, with the same noise, for walks of many frames.
+# The default camera at half its resolution with the same noise, for walks of many frames.
 SMALL = Intrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 SMALL_SENSOR = DepthSensor(baseline=0.15)
-SPREAD = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])  # [m] wider than one body
+SPREAD = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])  # [m] points spread wider than one body
 STEP = 0.02  # [m] between frames of the synthetic walk
 
 
 def odometry_increment(T_before, T_after, scale=1.05, turn=1.0e-3):
-    """A walked motion as legs would measure it: 5 % too long, and turning about the vertical [rad per frame]."""
+    """Return a motion as measured by legs: 5 % too long, with extra yaw [rad]."""
     motion = inverse(T_before) @ T_after
     motion[:3, 3] *= scale
     return motion @ transform(exp_so3(T_after[:3, :3].T @ [0.0, 0.0, turn]), np.zeros(3))
@@ -39,7 +42,10 @@ def odometry_covariance(motion):
 
 
 def walked(world, scene, frames=101, seed=1):
-    """True, odometry's and registered last pose, and all results, of a walk whose odometry is wrong."""
+    """Walk with wrong odometry; return three last poses, and all results.
+
+    The last pose is the true one, the odometry's and the registered one.
+    """
     registration = Registration(SMALL, SMALL_SENSOR)
     truth = world.walk(frames, STEP)
     rng = np.random.default_rng(seed)
@@ -56,7 +62,10 @@ def walked(world, scene, frames=101, seed=1):
 
 
 def planar_error(T, T_truth):
-    """Error in x, y [m] and heading [rad], and in height [m], roll and pitch [rad], of a camera pose."""
+    """Return the error of a camera pose in two parts.
+
+    The first is x, y [m] and heading [rad], the second height [m], roll and pitch [rad].
+    """
     twist = error_twist(T, T_truth)
     return twist[[0, 1, 5]], twist[[2, 3, 4]]
 
@@ -101,7 +110,7 @@ def test_a_flat_floor_gives_height_roll_pitch_and_leaves_the_rest_to_the_prior(w
     assert np.abs(planar - odometry_planar).max() < 0.1 * np.abs(odometry_planar).min()
     assert abs(vertical[0]) < 0.002
     assert np.degrees(np.abs(vertical[1:])).max() < 0.2
-    # Three directions are open, and they hold no height, and no turn about a horizontal axis.
+    # Three directions are open. They contain no height, and no rotation about a horizontal axis.
     open_directions = results[-1].degenerate
     assert len(open_directions) == 3
     floor_constrains = np.abs(open_directions[:, [2]])
@@ -167,7 +176,7 @@ def test_covariance_is_never_wider_than_the_prior(world, scene):
     np.testing.assert_array_equal(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert np.linalg.eigvalsh(WIDE - covariance).min() > -1e-9
-    assert covariance[2, 2] < 1e-6  # height is known on any floor
+    assert covariance[2, 2] < 1e-6  # any floor constrains the height
 
 
 def test_failure_gives_the_prior_and_the_reason(world):
@@ -187,7 +196,7 @@ def test_failure_gives_the_prior_and_the_reason(world):
     assert jumped.reason
     np.testing.assert_array_equal(dark.T_world_camera, prior)
     np.testing.assert_array_equal(dark.covariance, WIDE)
-    # And it goes on as soon as it can.
+    # It recovers with the next good frame.
     assert registration.update(world.depth_image(T, world.scenes["steps"]), 4, prior, WIDE).ok
 
 
@@ -197,8 +206,8 @@ def test_a_jump_is_measured_against_the_prior():
     covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
     assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
     assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
-    assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # a floor tells these
-    foot = np.array([-0.1, 0.15, -0.25])  # from the camera: about it the robot tips when another one slips off an edge
+    assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # the floor shows these
+    foot = np.array([-0.1, 0.15, -0.25])  # [m] from the camera: the robot tips about it when another foot slips off an edge
     tipped = np.array([0.0, 0.14, 0.0])
     assert jump(moved(T, np.concatenate([-np.cross(tipped, foot), tipped])), T, covariance, acceptance) == ""
     assert "deg in pitch" in jump(moved(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
@@ -240,7 +249,7 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
     expected = world.camera_pose(0.55)
-    T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # put down elsewhere: the legs know nothing of it
+    T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # placed elsewhere, unknown to the legs
     depth = world.depth_image(T, world.scenes["pillars"], rng)
     for i in range(12):
         found = registration.update(depth, i, expected, WIDE)
@@ -250,14 +259,14 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
 
 
 def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_register(world, monkeypatch):
-    """As a person who walks by suits one place now and another one half a second later."""
+    """Check a person who walks by: one place fits now, another half a second later."""
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
     T = world.camera_pose(0.55)
     for x in np.arange(0.0, 0.6, 0.05):
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # every frame is in doubt
     away = {"x": 0.0}
 
     def search(self, T_expected):
@@ -279,7 +288,7 @@ def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypa
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
     keyframes = len(registration.keyframe_poses)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # every frame is in doubt
     monkeypatch.setattr(AnchorMap, "find", lambda *_: Found(world.camera_pose(0.55 + away[0], *away[1:]), ""))
     for i in range(5):
         found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
@@ -296,7 +305,7 @@ def test_surfaces_further_apart_than_usual_are_refused(world):
     for i in range(60):
         registration.update(world.depth_image(T, world.scenes["steps"], rng), i, T, TIGHT)
     rough = world.depth_image(T, world.scenes["steps"], rng).astype(np.int64)
-    bumps = np.kron(rng.choice([-9, 9], (30, 40)), np.ones((16, 16), dtype=np.int64))  # [mm] as no surface there has been
+    bumps = np.kron(rng.choice([-9, 9], (30, 40)), np.ones((16, 16), dtype=np.int64))  # [mm] rougher than any surface before
     found = registration.update(np.where(rough > 0, rough + bumps, 0).astype(np.uint16), 60, T, TIGHT)
     assert not found.ok
     assert "mm apart" in found.reason

@@ -1,4 +1,4 @@
-"""The coarse map that tells a frame that lies wrong, and where it lies instead."""
+"""Relocalization map: it detects a misplaced frame and finds its place."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,11 @@ from sextant.services.perception.registration.relocalization_map import AnchorMa
 from sextant.shared.geometry import from_xyz_rpy
 
 SIGMA = 0.0016  # [1/m]
-LEVEL = from_xyz_rpy([0.0, 0.0, 0.5], [0.0, 0.0, 0.0])  # points are given in axes like the world's, 0.5 m over the floor
+LEVEL = from_xyz_rpy([0.0, 0.0, 0.5], [0.0, 0.0, 0.0])  # the points' frame is parallel to {world}, 0.5 m above the floor
 
 
 def ground(x, y, seed):
-    """Heights [m] of a floor with blocks on it, at points (n,) [m]."""
+    """Return heights [m] of a floor with blocks at points (n,) [m]."""
     rng = np.random.default_rng(seed)
     z = np.zeros(len(x))
     for _ in range(25):
@@ -23,7 +23,10 @@ def ground(x, y, seed):
 
 
 def view(T, heights, half=0.7, step=0.011):
-    """Points (n, 3) [m] of the ground around a pose (4, 4), in its axes, as if all of it were in view."""
+    """Return points (n, 3) [m] of the ground around a pose (4, 4), in its axes.
+
+    All of the ground is in view.
+    """
     a, b = (grid.ravel() for grid in np.meshgrid(np.arange(-half, half, step), np.arange(-half, half, step)))
     world = np.stack([a, b, np.zeros(len(a))], axis=1) @ T[:3, :3].T + T[:3, 3]
     z = heights(world[:, 0], world[:, 1])
@@ -33,7 +36,7 @@ def view(T, heights, half=0.7, step=0.011):
 def test_what_has_been_seen_fits():
     anchor = AnchorMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
-    assert anchor.misfit(points, LEVEL).share == 0.0  # nothing is known yet
+    assert anchor.misfit(points, LEVEL).share == 0.0  # the map is empty
     anchor.add(points, LEVEL)
     assert anchor.misfit(points, LEVEL).share == 0.0
     anchor.clear()
@@ -61,7 +64,7 @@ def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, se
         assert found.T_world_camera is not None, found.reason
     if found.T_world_camera is not None:
         error = np.linalg.inv(T) @ found.T_world_camera
-        assert np.abs(error[:3, 3]).max() < 0.06  # what registration bridges
+        assert np.abs(error[:3, 3]).max() < 0.06  # within the range of registration
         assert abs(np.arctan2(error[1, 0], error[0, 0])) < np.radians(4.0)
 
 
@@ -83,7 +86,7 @@ def test_level_ground_cannot_tell():
 @settings(max_examples=10, deadline=None)
 @given(x=st.floats(0.0, 0.3), beyond=st.floats(0.28, 0.42))
 def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
-    """A level floor was seen, then what lies beyond it is looked at: it would fit on that floor, but it need not be there."""
+    """Check the view beyond a level floor: it would fit there, but may be new ground."""
     anchor = AnchorMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, _: np.zeros(len(x)), half=0.7), LEVEL)
     expected = from_xyz_rpy([x, 0.7 + beyond, 0.5], [0.0, 0.0, 0.0])
@@ -97,7 +100,7 @@ def test_ground_never_seen_is_said_to_be():
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     anchor.add(points, LEVEL)
     assert "has been seen before" in anchor.find(points, from_xyz_rpy([3.0, 0.0, 0.5], [0.0, 0.0, 0.0])).reason
-    # So it is where the grid has been used again by cells further on.
+    # The same holds where the grid reuses its cells further on.
     far = from_xyz_rpy([512 * 0.02, 0.0, 0.5], [0.0, 0.0, 0.0])
     anchor.add(points, far)
     assert "has been seen before" in anchor.find(points, LEVEL).reason

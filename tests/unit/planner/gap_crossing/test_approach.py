@@ -1,4 +1,7 @@
-"""When a passage is begun: by a goal that cannot be walked to, or by order; what goes out, and who takes over."""
+"""Start of a gap crossing: by a goal that cannot be walked to, or by order.
+
+The tests also cover the requests that are sent, and other commands that take over.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -19,12 +22,12 @@ from sextant.shared.wire.messages import Goal, Message, PassageRequest, PlannerS
 from tests.unit.planner.conftest import terrain_of
 from tests.unit.planner.test_service import HEIGHT, Rig
 
-EDGE = 0.6  # [m] where the gap begins
+EDGE = 0.6  # [m] x at which the gap begins
 GOAL = Goal(0, np.array([[2.5, 0.0]]), 0.05, 0.1, HEIGHT, 0.03)
 
 
 def gap(width: float = 9.0) -> TerrainMap:
-    """Level ground that ends right across the way, and all around further out."""
+    """Return level ground with a gap across the way, and drops all around further out."""
 
     def out(x: Array, y: Array) -> Array:
         beyond = (x > EDGE) & (x < EDGE + width)
@@ -37,7 +40,10 @@ def gap(width: float = 9.0) -> TerrainMap:
 
 
 def led(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tuple[Rig, list[Message]]:
-    """A robot that does what it is told until it asks for a strip, or stands blocked."""
+    """Walk by the plans until the planner requests a strip or is blocked.
+
+    Returns the rig and all messages.
+    """
     rig = Rig()
     rig.command, rig.goal, rig.terrain = None, goal, map_
     heard: list[Message] = []
@@ -69,14 +75,17 @@ def test_before_a_gap_it_walks_to_its_verge_faces_it_and_asks_for_the_strip(orde
 
 
 def test_a_goal_right_behind_an_edge_is_looked_at_from_the_edge() -> None:
-    """Nothing of the ground behind the goal is on the straight way: neither a wall nor where the gap ends."""
+    """Check a goal right behind an edge.
+
+    The straight way to it shows neither a wall nor the gap's far edge.
+    """
     rig, heard = led(replace(GOAL, waypoints=np.array([[EDGE + 0.08, 0.0]])), gap())
     assert any(isinstance(m, PassageRequest) for m in heard)
     assert rig.status().state != "blocked"
 
 
 def test_where_nothing_is_to_be_crossed_the_refusal_says_both() -> None:
-    """Walls all around are no gap."""
+    """Check that walls all around are not a gap."""
     terrain = terrain_of(
         lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.6, 0.3, 0.0),
         lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.58, 9.0, 0.0),
@@ -138,7 +147,7 @@ def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> No
     assert rig.status().reason.startswith("no passage: no map of the passage comes from the mapper")
     asked_s = [t * 0.02 for t in range(3000) if any(isinstance(m, PassageRequest) for m in rig.cycle())]
     begun_s = [b for a, b in pairwise([-10.0, *asked_s]) if b - a > 5.0]
-    patience_s = 20.0  # of whoever waits for a blocked planner, from the refusal on
+    patience_s = 20.0  # [s] that a client waits for a blocked planner after the refusal
     assert begun_s[0] < patience_s
     assert begun_s[1] - begun_s[0] > patience_s, "it is left alone for longer, so that a refusal stands in the end"
 
@@ -150,7 +159,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
     errands: list[Any] = []
 
     class Errand:
-        """Over at once."""
+        """A crossing that ends at once."""
 
         report = None
 

@@ -1,4 +1,4 @@
-"""A way back leads through the stances of the way that was come, and not to where nothing carries any more."""
+"""Backtracking through previous stances, except onto ground that gave way."""
 
 import numpy as np
 from hypothesis import given
@@ -10,7 +10,10 @@ from sextant.shared.geometry import Array
 
 
 def way(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[Array, Array]]]:
-    """A section of n steps, now and then of the body alone, and the body and feet before each and at the end."""
+    """Return a section of n steps, and body and feet before each step and at the end.
+
+    Some of the steps move the body only.
+    """
     rng = np.random.default_rng(seed)
     feet, body, steps = rng.uniform(-0.2, 0.2, (6, 3)), np.zeros(3), list[PassageStep]()
     root, seen = Stance(body, feet.copy()), [(body, feet.copy())]

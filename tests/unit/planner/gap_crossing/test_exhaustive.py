@@ -1,4 +1,7 @@
-"""Whether there is any way across: what is plain comes out so, more ground never takes a way away, and nothing is guessed."""
+"""Exhaustive search for a way across a gap.
+
+Clear cases have the expected answer, more ground never removes a way, and an undecided search returns no answer.
+"""
 
 import numpy as np
 import pytest
@@ -32,7 +35,7 @@ def across(blocks: list[Block], room: int = 50_000) -> bool | None:
 
 
 def strewn(seed: int, n: int = 12) -> list[Block]:
-    """Pillars at some of the places of a grid, far enough from each other for none to change another's foothold."""
+    """Return pillars on a grid, spaced so that none changes another's foothold."""
     rng = np.random.default_rng(seed)
     places = [(x, y) for x in np.arange(0.09, GAP - 0.08, 0.16) for y in np.arange(-0.24, 0.25, 0.16)]
     return [Block(*places[k], 0.10, 0.10) for k in rng.permutation(len(places))[:n]]
@@ -55,7 +58,7 @@ def test_the_thesis_bridges_have_a_way(scenario: int) -> None:
 
 
 def test_a_gap_as_wide_as_a_stroke_is_stepped_over_and_a_wider_one_is_not() -> None:
-    """The widest that has a way lies between: narrower ones have one, too."""
+    """Check that ways exist up to some gap width, and for no wider gap."""
     told = [
         has_way(PROFILE, SETTINGS, field_of(heights([], gap), HEIGHT), STANCE, NEAR + gap + BEYOND)
         for gap in (0.05, 0.10, 0.20, 0.40)

@@ -1,4 +1,4 @@
-"""Why there is no way, in words: the gap is told of where it is one, and of whom the test is."""
+"""Failure reasons as text: the gap if there is one, and the leg whose test fails."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,14 @@ from sextant.shared.wire.messages import UNKNOWN
 
 STANCE = stance_at(load_profile("phantomx_mk2"), 0.44, 0.11)
 STROKES = np.full(6, 0.20)
-EDGE = float(STANCE.feet[:, 0].max()) + 0.03  # [m] {strip} where a gap begins
+EDGE = float(STANCE.feet[:, 0].max()) + 0.03  # [m] {strip} x at which a gap begins
 
 
 def said(bare: list[tuple[float, float]], test: int = roadmap_search.FOOTHOLD, leg: int = 0, length: float = 2.0) -> Why:
-    """What is said where a leg fails a test and stretches [m] {strip} carry nothing."""
+    """Return the reason when a leg fails a test and the ground has bare stretches [m].
+
+    The stretches are given along x {strip}.
+    """
     ground = np.zeros((round(length / 0.01), 120), dtype=np.float32)
     x = 0.01 * (np.arange(len(ground)) + 0.5)
     plain = field_of(ground)

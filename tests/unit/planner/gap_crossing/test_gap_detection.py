@@ -1,4 +1,4 @@
-"""Where a gap begins on the straight way to a goal."""
+"""Detection of a gap on the straight way to a goal."""
 
 from collections.abc import Callable
 
@@ -74,7 +74,7 @@ def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
 
 @pytest.mark.parametrize("short", [0.02, 0.05, 0.09, 0.11])
 def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, short: float) -> None:
-    """The goal lies over the gap, so close to its edge that no wall could begin before it."""
+    """Check a goal above the gap, so near its edge that no wall could begin before it."""
     edge = float(GOAL[0]) - short
     terrain = make_terrain(ditch(edge, 9.0), score(edge, 9.0), half=2.0)
     found = gap_ahead(terrain, HERE, GOAL, 0.0)

@@ -1,4 +1,7 @@
-"""The roadmap planner on level ground and over pillars: what it plans can be walked, and it says why it cannot."""
+"""Roadmap planner on level ground and over pillars.
+
+Its plans can be walked, and it names the reason when it finds none.
+"""
 
 import re
 from dataclasses import replace
@@ -140,7 +143,7 @@ def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadma
 
 
 def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Roadmap) -> None:
-    """A sample on the floor stands for the pillar beside it, seen or not."""
+    """Check that a sample on the floor counts as the edge next to it, seen or not."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     floor = plain.evaluation > 1
     unseen = replace(plain, evaluation=np.where(floor, np.int8(UNKNOWN), plain.evaluation))
@@ -170,7 +173,7 @@ def test_the_cell_that_is_seen_and_nearest(seen: int, seed: int) -> None:
 
 
 def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: Roadmap) -> None:
-    """A foot on the last bare rows of the near side is no foot among the pillars."""
+    """Check that a foot on the near side's last rows does not count as on pillars."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
@@ -189,7 +192,7 @@ def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: 
 def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
     stance = stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
-    feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their axes
+    feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their coxa axes
     found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
     assert isinstance(found, Crossing)
     assert found.steps[0].leg == -1
@@ -228,7 +231,10 @@ def test_blocks_stand_where_they_are_said_to() -> None:
 
 
 def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadmap: Roadmap) -> None:
-    """A message's cannot be written and may lie anywhere; what gave way under a foot makes others of them."""
+    """Check that the search is compiled once for any kind of array.
+
+    Arrays of a message are read-only and may be unaligned; ground that gave way replaces them by copies.
+    """
     grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 0.7)
     compiled = len(roadmap_search.grow.signatures)  # type: ignore[attr-defined]
     field = level()
@@ -246,9 +252,9 @@ def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Ro
     feet[0, 0] += 0.05
     i, j = np.rint((feet[0, :2] - plain.corner) / plain.resolution).astype(int)
     evaluation = plain.evaluation.copy()
-    evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # nothing beside it and ahead of it
+    evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # no foothold to the side of the foot or ahead of it
     if not sunk:
-        evaluation[i - 2 : i + 3, j - 2 : j + 3] = -5  # but where it stands
+        evaluation[i - 2 : i + 3, j - 2 : j + 3] = -5  # but the foot's own place carries
     field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
     grown(roadmap, field, Stance(stance.body, feet), 1.9, part=2000)
     reached = roadmap.sampled(np.random.default_rng(0), 4000)

@@ -1,4 +1,4 @@
-"""Which part of a passage is planned next, and ground that gave way."""
+"""Section goals in a gap crossing, and ground that gave way."""
 
 from dataclasses import replace
 
@@ -13,9 +13,9 @@ from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.wire.messages import UNKNOWN
 
 PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
-BEHIND = NEAR + GAP + 0.40  # [m] where the whole robot stands behind it
+BEHIND = NEAR + GAP + 0.40  # [m] x at which the whole robot stands behind the gap
 END = NEAR + GAP + FAR
-EDGE = 0.05  # [m] beside a gap that carry a foot badly
+EDGE = 0.05  # [m] width of the strip along a gap's edge that carries a foot badly
 places = st.floats(0.05, END - 0.05)
 
 
@@ -31,7 +31,10 @@ def test_a_goal_lies_ahead_at_most_at_the_target_and_behind_the_gap(x: float, ta
 
 
 def test_where_ground_carries_as_anywhere_there_is_no_goal() -> None:
-    """Nor where the target lies beyond the strip, whose own end is none of the ground."""
+    """Check that there is no goal either if the target lies beyond the strip.
+
+    The end of the strip is not the end of the ground.
+    """
     for target in (1.9, 5.0):
         assert goal_behind(field_of(np.zeros((200, 100), dtype=np.float32)), 0.6, target) is None
 
@@ -44,7 +47,7 @@ def test_of_two_gaps_with_room_to_walk_between_them_the_first_comes_first() -> N
         assert goal_behind(field, x, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
     assert goal_behind(field, 1.5, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
     assert goal_behind(field, 2.0, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
-    elevation[160:240] = -0.4  # too little between them
+    elevation[160:240] = -0.4  # too little ground between the gaps
     assert goal_behind(field_of(elevation), 0.6, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
 
 

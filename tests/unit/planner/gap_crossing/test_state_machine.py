@@ -1,4 +1,4 @@
-"""The deliberate crossing, stage by stage: a robot that does what it is told, a map that says what the test wants."""
+"""Gap crossing, stage by stage: the robot follows its plans on prescribed maps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -30,12 +30,12 @@ PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.10
 MS = 1_000_000
 GOAL = np.array([1.9, 0.0])
-GAP = (1.1, 1.9)  # [m] {strip}
+GAP = (1.1, 1.9)  # [m] {strip} begin and end of the gap
 NX, NY = (round(length / 0.01) for length in STRIP)
 
 
 class Planned:
-    """Stands in for the roadmap: finds what it is told to, after a while."""
+    """A substitute for the roadmap that returns prescribed results after a while."""
 
     def __init__(self, *found: Crossing | NoWay) -> None:
         self.found = list(found)
@@ -54,7 +54,7 @@ class Planned:
 
 
 class Robot:
-    """Walks what the errand asks for and shows it a map twice a second."""
+    """A robot that walks as the crossing requests and provides a map twice a second."""
 
     def __init__(self, sections: Planned, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = ()) -> None:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
@@ -84,7 +84,7 @@ class Robot:
         return outcome
 
     def walk(self, move: Move) -> None:
-        """The step is over at the next tick."""
+        """Execute a step; it has ended at the next tick."""
         self.moves.append(move)
         self.T = move.stride.body_goal
         self.feet = np.where(move.stride.swing[:, None], move.stride.touchdown, self.feet)
@@ -123,7 +123,10 @@ class Robot:
 
 
 def section(x: float, to: float, count: int = 6) -> Crossing:
-    """Six legs that go as far as the body, in {strip}: 0.5 m behind the robot's first place."""
+    """Return `count` steps that move body and legs equally far, in {strip}.
+
+    The strip begins 0.5 m behind the robot's first place.
+    """
     rest = PROFILE.rest_feet(HEIGHT)
     bodies = [np.array([0.5 + x + (to - x) * (k + 1) / count, 0.0, HEIGHT]) for k in range(count)]
     feet = rest + np.array([0.5 + to, 0.0, HEIGHT])
@@ -226,7 +229,10 @@ def test_where_no_way_was_found_it_plans_once_more_on_a_newer_map() -> None:
 
 
 def test_a_step_that_was_not_taken_is_due_again() -> None:
-    """A foot that was to carry had to look for its ground first: the actuator counts the step, its leg has not moved."""
+    """Check a leg that first had to search for ground before another leg could lift.
+
+    The actuator has counted the step, but its leg has not moved.
+    """
     robot = Robot(Planned(section(0.0, 1.85)))
     robot.until(lambda: len(robot.moves) == 2)
     lost = robot.moves.pop()
@@ -302,7 +308,7 @@ def test_a_refused_look_is_done_without() -> None:
 
 
 def test_unknown_ground_is_told_from_bare() -> None:
-    """Where nothing was seen beyond the near side the goal is not behind what may be there."""
+    """Check that the goal is not behind ground that was not seen."""
     robot = Robot(Planned(*[no_way()] * PLANNINGS * ATTEMPTS))
     look = robot.look
 
@@ -318,7 +324,7 @@ def test_unknown_ground_is_told_from_bare() -> None:
 
 
 def test_an_actuator_that_begins_anew_has_the_robot_look_again() -> None:
-    """Its steps count from 0: neither a look nor a step of the section goes on by the old numbers."""
+    """Check that a look or section ends when the actuator counts steps from 0 again."""
     robot = Robot(Planned(section(0.0, 1.85), section(0.1, 1.85)))
     robot.until(lambda: len(robot.moves) == 3)
     robot.state = replace(robot.state, step=0)
@@ -409,7 +415,7 @@ def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
 
 def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
     sole = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))[0] - [0.0, 0.0, PROFILE.foot.radius]
-    robot = Robot(Planned(section(0.0, 1.85)), yielded=[sole + np.array([0.02, 0.0, -0.01])])  # found there at first
+    robot = Robot(Planned(section(0.0, 1.85)), yielded=[sole + np.array([0.02, 0.0, -0.01])])  # first reported place
     robot.feet[0, 2] -= 0.04
     robot.until(lambda: bool(robot.sections.begun))
     field, stance, _, _ = robot.sections.begun[0]
@@ -422,7 +428,10 @@ def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
 
 @pytest.mark.parametrize(("lower", "gone"), [(0.008, False), (0.02, True)])
 def test_where_a_foot_stands_lower_than_the_map_the_ground_has_given_way(lower: float, gone: bool) -> None:
-    """The camera does not see the ground under a foot, and nothing was felt: the foot has gone down with it."""
+    """Check that a low foot shows sunk ground, although no contact was reported.
+
+    The camera does not see the ground under a foot.
+    """
     robot = Robot(Planned(section(0.0, 1.85)))
     robot.feet[0, 2] -= lower
     robot.until(lambda: bool(robot.sections.begun))

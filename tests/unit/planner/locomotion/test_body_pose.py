@@ -1,4 +1,4 @@
-"""How high the body goes."""
+"""Body height above the ground."""
 
 from collections.abc import Callable
 
@@ -36,7 +36,7 @@ def test_a_block_counts_exactly_while_it_is_under_the_body(make_terrain: Callabl
     for x, expected in ((0.0, 0.0), (0.2, 0.08), (0.3, 0.08), (0.5, 0.0)):
         T = from_xyz_rpy((x, 0.0, 0.1), np.zeros(3))
         assert clear_of_ground(0.0, block, T, SIZE) == pytest.approx(expected)
-    aside = from_xyz_rpy((0.2, 0.0, 0.1), (0.0, 0.0, np.pi / 2))  # the short side: it does not reach there
+    aside = from_xyz_rpy((0.2, 0.0, 0.1), (0.0, 0.0, np.pi / 2))  # turned by 90 degrees, the body does not reach the block
     assert clear_of_ground(0.0, block, aside, SIZE) == 0.0
 
 

@@ -1,4 +1,4 @@
-"""The search for a foothold against brute force, and the words when there is none."""
+"""Foothold search against brute force, and its reasons when there is no foothold."""
 
 import re
 from collections.abc import Callable
@@ -31,7 +31,7 @@ def nowhere(points: Array) -> Flags:
 
 
 def patchy(seed: int, bad: float) -> Terrain:
-    """Level ground of which a share is no foothold, and a tenth unknown."""
+    """Return level ground with a share of bad cells and a tenth of unknown cells."""
     ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.3)
     rng = np.random.default_rng(seed)
     score, elevation = ground.map.score, ground.map.elevation
@@ -53,7 +53,7 @@ def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
-@example(7, 0.3, 0.005, -0.015)  # on the border of cells
+@example(7, 0.3, 0.005, -0.015)  # on the border between cells
 @settings(max_examples=60)
 def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
     seed: int, bad: float, x: float, y: float
@@ -62,7 +62,7 @@ def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
     others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
     found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.0301)
     map_ = ground.map
-    best = dict.fromkeys(range(9), np.inf)  # the distance of the nearest one with so many places that carry around it
+    best = dict.fromkeys(range(9), np.inf)  # by the number of good cells around a place: the distance of the nearest such place
     i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
     for i in range(map_.score.shape[0]):
         for j in range(map_.score.shape[1]):
@@ -142,7 +142,7 @@ def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0)
     shape = ground.map.elevation.shape
     score = np.full(shape, 3.0, dtype=np.float32)
-    score[:100] = 5.0  # too steep besides
+    score[:100] = 5.0  # also too steep
     hazard = np.full(shape, number, dtype=np.uint8)
     hazard[:100] = 0
     wet = Terrain(replace(ground.map, score=score, hazard=hazard))
@@ -153,11 +153,14 @@ def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
     assert "too steep" in found.reason
 
 
-# ---- on Masri's evaluation function
+# ---- Masri's evaluation function
 
 
 def block(half: int, bound: int = 5) -> Callable[[Array, Array], Array]:
-    """The evaluation function of a square of (2 * half + 1) cells around the origin."""
+    """Return the evaluation function of a square of (2 * half + 1) cells.
+
+    The square lies around the origin.
+    """
 
     def F(x: Array, y: Array) -> Array:
         i, j = np.abs(np.rint(x / RESOLUTION)), np.abs(np.rint(y / RESOLUTION))
@@ -172,7 +175,7 @@ def on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = ev
 
 
 def test_a_strongly_negative_place_stays_and_one_near_the_border_moves_inwards(make_terrain: Maker) -> None:
-    ground = make_terrain(evaluation=block(10), score=lambda x, y: np.full_like(x, 9.0))  # the score has no say
+    ground = make_terrain(evaluation=block(10), score=lambda x, y: np.full_like(x, 9.0))  # the score is not used
     inside = on(ground, np.array([0.03, -0.07]))
     assert isinstance(inside, Foothold)
     assert inside.moved == 0.0

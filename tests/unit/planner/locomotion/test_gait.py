@@ -1,4 +1,4 @@
-"""Which legs swing, and where they would like to land."""
+"""Gaits: which legs swing, and their nominal touchdowns."""
 
 from itertools import pairwise
 
@@ -69,7 +69,10 @@ def test_from_rest_the_tripod_of_the_active_leg_begins(heading: float) -> None:
 
 
 def walked(gait: Gait, velocity: tuple[float, float], yaw_rate: float, steps: int) -> list[NDArray[np.bool_]]:
-    """Which legs swing in a walk on unobstructed ground: straight in any direction, on the spot, along an arc."""
+    """Return the swing legs of each step of a walk on unobstructed ground.
+
+    The walk goes straight, turns on the spot or follows an arc.
+    """
     stride = 0.06 / gait.stances
     along = directions(np.array(velocity), yaw_rate, REST)
     size = stride / np.linalg.norm(np.array(velocity) + yaw_rate * REST[:, :2] @ [[0, 1], [-1, 0]], axis=1).max()
@@ -122,11 +125,11 @@ def test_every_group_is_named_once_the_hindmost_first(
 
 @pytest.mark.parametrize("name", GAITS)
 def test_a_change_of_gait_at_any_step_goes_on_with_whoever_is_behind(name: str) -> None:
-    """A leg that has just swung is not the first of another gait."""
+    """Check that a leg that has just swung is not first in another gait."""
     along = directions(unit(0.0), 0.0, REST)
     just = np.arange(6) == 0
     feet = REST + np.where(just[:, None], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0])
-    if name != "ripple":  # whose partner may be further behind
+    if name != "ripple":  # in the ripple gait the partner leg may be further behind
         assert not swinging(GAITS[name], along, feet)[0]  # type: ignore[index]
 
 
@@ -155,7 +158,10 @@ def test_no_motion_has_no_direction() -> None:
 
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS)
 def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None:
-    """Half a stride ahead at touchdown, half a stride behind at lift-off: seen from the body, symmetric about rest."""
+    """Check that feet land half a stance ahead of rest and lift half a stance behind.
+
+    Seen from the body, both places are symmetric about rest.
+    """
     travel = np.array([0.05, 0.02]) / gait.stances
     T_end = from_xyz_rpy((0.3, -0.1, 0.1), (0.0, 0.0, 0.7))
     T_after = carried_on(T_end, travel, 0.0, gait.stances)
@@ -168,7 +174,7 @@ def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.3, 0.3), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 def test_steps_add_up(x: float, y: float, turn: float, a: float, b: float) -> None:
-    """A body that goes on by a steps and then by b has turned by a + b, and on a straight way travelled as far."""
+    """Check that a + b steps turn and travel as far as a steps and then b steps."""
     T, travel = from_xyz_rpy((0.3, -0.1, 0.1), (0.0, 0.0, 0.7)), np.array([x, y])
     both = carried_on(carried_on(T, travel, turn, a), travel, turn, b)
     once = carried_on(T, travel, turn, a + b)

@@ -1,4 +1,7 @@
-"""The legs' links on their way: free over level ground, lifted over what they would cut, refused where no lift helps."""
+"""Clearance of the legs' links during a step.
+
+The step is free over level ground, lifts a foot over an obstacle, and is refused where no lift helps.
+"""
 
 from collections.abc import Callable
 
@@ -34,7 +37,10 @@ Maker = Callable[..., Terrain]
 
 
 def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = True) -> Way:
-    """A tripod's step over level ground; the right middle foot stands further out by as much [m]."""
+    """Return a tripod's step over level ground.
+
+    The right middle foot stands further out by `out` [m].
+    """
     T_start, T_end = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), from_xyz_rpy((travel, 0.0, HEIGHT), (0.0, 0.0, yaw))
     rest = PROFILE.rest_feet(HEIGHT)
     rest[MIDDLE, 1] -= out
@@ -49,7 +55,10 @@ def asked(way: Way, ground: Terrain) -> Array | Touching:
 
 
 def ridge(make_terrain: Maker, height: float, until: float = 0.08) -> Terrain:
-    """Inside of the way of the right middle foot, which stands 4.5 cm further out: its shank leans over it."""
+    """Return a ridge inside the path of the right middle foot, under its tibia.
+
+    The foot stands 4.5 cm further out, so its tibia leans over the ridge.
+    """
     return make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.02) & (x < until), height, 0.0))
 
 
@@ -92,7 +101,7 @@ def test_a_foothold_beside_which_the_shank_has_no_room_is_none(make_terrain: Mak
 
 
 def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_terrain: Maker) -> None:
-    """Its foot stands still, but its femur goes with the body."""
+    """Check a standing foot whose femur moves with the body."""
     way = step(even=False)
     block = make_terrain(lambda x, y: np.where((x > 0.165) & (x < 0.2) & (y > 0.09) & (y < 0.12), 0.125, 0.0))
     found = asked(way, block)
@@ -103,11 +112,11 @@ def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_te
 
 def test_a_foot_that_its_folded_leg_pushes_outwards_as_it_rises_needs_room_there(make_terrain: Maker) -> None:
     body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
-    out = PROFILE.links.coxa + np.array([0.01, 0.03, 0.07])  # [m] of the feet from the right middle leg's coxa
+    out = PROFILE.links.coxa + np.array([0.01, 0.03, 0.07])  # [m] distances of the feet from the right middle leg's coxa
     feet = apply(body @ PROFILE.T_body_coxa[MIDDLE], np.column_stack([out, np.zeros(3), np.zeros(3)]))
     feet[:, 2] = PROFILE.foot.radius
-    bodies = np.stack([body @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3)) for x in (-0.1, 0.0, 0.1)])  # it passes by
-    edge = abs(feet[0, 1]) + 0.025  # of a block that is further out than the first foot and the second, and the third is on
+    bodies = np.stack([body @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3)) for x in (-0.1, 0.0, 0.1)])  # the body passes the feet
+    edge = abs(feet[0, 1]) + 0.025  # of a block further out than the first two feet; the third foot stands on it
 
     def room(height: float) -> list[bool]:
         block = make_terrain(lambda x, y: np.where(-y > edge, height, 0.0))
@@ -124,12 +133,15 @@ def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: M
     wall = ridge(make_terrain, 0.10)
     wall.map.elevation[wall.map.elevation > 0.0] = np.nan
     np.testing.assert_array_equal(asked(step(out=0.045), wall), LOW)
-    sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # a map that has the robot stand to its knees in the ground
+    sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # the map has the robot stand knee-deep in the ground
     assert not isinstance(asked(step(), sunk), Touching)
 
 
 def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
-    """The left front foot stands 6.7 cm from its coxa, a block of some height [m] begins 3.5 cm beside it."""
+    """Return a step of the left front foot, 6.7 cm from its coxa, next to a block.
+
+    The block, of a given height [m], begins 3.5 cm to the side of the foot.
+    """
     way = step()
     near = np.array([0.135, 0.119, PROFILE.foot.radius])
     start, end = way.start.copy(), way.end.copy()
@@ -139,7 +151,10 @@ def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
 
 
 def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(make_terrain: Maker) -> None:
-    """On rubble, seed 46, one was: lifted beside a block it came too near its coxa, and the leg pushed the body away."""
+    """Check a foot lifted next to a block, as on rubble with seed 46.
+
+    It came too near its coxa, and the leg pushed the body away.
+    """
     way, level = folded(make_terrain, 0.0)
     np.testing.assert_array_equal(asked(way, level), LOW)
     found = asked(*folded(make_terrain, 0.034))

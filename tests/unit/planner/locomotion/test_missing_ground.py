@@ -1,4 +1,4 @@
-"""Places without ground: remembered once each, and refused by either layer of any map."""
+"""Missing ground: each place is remembered once and refused by all map layers."""
 
 from dataclasses import replace
 from typing import Any
@@ -19,7 +19,7 @@ def heard(**changes: Any) -> ActuatorState:
 
 
 def lost(at: tuple[float, float], stamp_ns: int = 5) -> ActuatorState:
-    """The third leg has found nothing at a place {odom}."""
+    """Return a state in which the third leg found no ground at a place {odom}."""
     touch, stamps = np.zeros((6, 3)), np.full(6, -1, dtype=np.int64)
     touch[2], stamps[2] = (*at, -0.05), stamp_ns
     return heard(touch=touch, touch_ns=stamps, touch_carries=np.zeros(6, dtype=bool))

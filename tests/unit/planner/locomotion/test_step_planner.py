@@ -1,4 +1,7 @@
-"""One step: it can be walked, it is as long as the ground allows, and otherwise it says why there is none."""
+"""Step planner: every step can be walked, with the length that the ground allows.
+
+Without a step it returns the reason.
+"""
 
 import re
 from collections.abc import Callable
@@ -53,19 +56,19 @@ def stride(at: Situation, terrain: Terrain = FLAT) -> Stride:
 
 
 def walkable(found: Stride, at: Situation) -> None:
-    """What every step promises."""
+    """Check the properties of every step."""
     feet = apply(inverse(found.body_goal), found.touchdown)
     assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
     above = apply(inverse(found.body_goal), found.touchdown + np.array([0.0, 0.0, 0.03]))
     from_above = within_limits(PROFILE, body_inverse(PROFILE, above))
-    assert from_above[at.swing].all()  # nor does a foot come down from the side
+    assert from_above[at.swing].all()  # and no foot comes down from the side
     np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
     for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):
         assert support_margin(found.touchdown[legs][:, :2], body[:2, 3]) >= PROFILE.stance.support_margin
     apart = np.linalg.norm(found.touchdown[:, None, :2] - found.touchdown[None, :, :2], axis=2) + np.eye(6)
     assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= PROFILE.stance.foot_distance
     assert (found.clearance >= 0).all()
-    # Nor does the body climb, sink or tilt faster than it may.
+    # The body does not climb, sink or tilt faster than allowed.
     assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= PROFILE.stance.max_climb + 1e-9
     tilt = rpy_from_rotation(found.body_goal[:3, :3])[:2] - rpy_from_rotation(at.T_world_body[:3, :3])[:2]
     assert np.degrees(np.abs(tilt)).max() <= SETTINGS.max_tilt_deg + 1e-6
@@ -117,7 +120,7 @@ def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> Non
 
 
 def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
-    """An abyss ahead: the nearer it is the shorter the steps, until there is none."""
+    """Check that steps become shorter towards an abyss, until there is none."""
     shares = []
     for edge in np.arange(0.34, 0.10, -0.01):
         ground = make_terrain(score=lambda x, y, edge=edge: np.where(x > edge, 9.0, 0.0))
@@ -152,13 +155,13 @@ def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, 
     found = stride(standing(command(0.02)), ground)
     allowed = np.clip(rise, -PROFILE.stance.max_climb, PROFILE.stance.max_climb)
     assert abs(found.body_goal[2, 3] - HEIGHT) <= PROFILE.stance.max_climb + 1e-9
-    # The floor is the mean of the three highest: going up the swinging tripod's, going down the standing one's.
+    # The floor is the mean of the three highest feet: upwards the swinging tripod's, downwards the standing one's.
     assert found.body_goal[2, 3] - HEIGHT == pytest.approx(max(allowed, 0.0), abs=1e-6)
     np.testing.assert_allclose(found.touchdown[TRIPOD, 2], rise + PROFILE.foot.radius, atol=1e-6)
 
 
 def staircase(make_terrain: Maker, riser: float, tread: float) -> Terrain:
-    """Stairs from x = 0.3 m on, no foothold within 3 cm of an edge."""
+    """Return stairs from x = 0.3 m on, without footholds within 3 cm of an edge."""
 
     def steps(x: Array) -> Array:
         return np.maximum(np.floor((x - 0.3) / tread) + 1.0, 0.0)
@@ -170,7 +173,7 @@ def staircase(make_terrain: Maker, riser: float, tread: float) -> Terrain:
 
 
 def climbs(planner: StridePlanner, ground: Terrain) -> list[Stride]:
-    """Steps from level ground to 1.4 m on, or as far as they go."""
+    """Return the steps from level ground to x = 1.4 m, or as far as they go."""
     at, strides = standing(command(0.10)), []
     while at.T_world_body[0, 3] < 1.4:
         found = planner.plan(at, ground)
@@ -237,7 +240,7 @@ def test_commands_that_no_ground_allows_are_named(asked: VelocityCommand, why: s
 
 
 def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> None:
-    """The one good place lies between the cells of a coarser map."""
+    """Check a single good place that lies between the cells of a coarser map."""
     fine = flat_terrain(0, np.zeros(2), 0.0, half_size=0.6, resolution=0.005)
     wanted = stride(standing(), fine).touchdown[0, :2]
     fine.map.score[:] = 9.0
@@ -249,7 +252,7 @@ def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> 
         fine.map.score[ij[0] - 3 : ij[0] + 4, ij[1] - 3 : ij[1] + 4] = 0.0
     found = stride(standing(), fine)
     np.testing.assert_allclose(found.touchdown[0, :2], fine.map.origin + 0.005 * cell, atol=1e-9)
-    assert stride(standing()).moved == 0  # and a coarser map again
+    assert stride(standing()).moved == 0  # and a coarser map works again
 
 
 def test_commanded_height_is_approached() -> None:
@@ -271,7 +274,7 @@ def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None
 def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
     at = standing(command(0.05))
     foot = at.feet[0, :2]
-    # A wall around the foot, so near that no step is short enough to end before it, and feet are kept off it.
+    # A wall around the foot, so near that no step is short enough to end before it, and bad footholds around it.
     ring = make_terrain(
         lambda x, y: np.where(np.abs(np.hypot(x - foot[0], y - foot[1]) - 0.03) < 0.012, 0.2, 0.0),
         lambda x, y: np.where(np.hypot(x - foot[0], y - foot[1]) < 0.05, 9.0, 0.0),
@@ -285,7 +288,10 @@ def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
 
 @pytest.mark.parametrize("even", [True, False])
 def test_the_body_goes_no_further_than_its_legs_have_room(make_terrain: Maker, even: bool) -> None:
-    """Posts beside the front feet, where a femur would come with the body: nothing that a foot would notice."""
+    """Check posts next to the front feet that only a femur would touch.
+
+    The femur moves with the body.
+    """
     post = make_terrain(lambda x, y: np.where((x > 0.20) & (x < 0.23) & (np.abs(y) > 0.075) & (np.abs(y) < 0.13), 0.125, 0.0))
     at = standing(command(0.06), TRIPOD if even else ~TRIPOD)
     assert stride(at).share == 1.0
@@ -294,7 +300,7 @@ def test_the_body_goes_no_further_than_its_legs_have_room(make_terrain: Maker, e
 
 @pytest.mark.parametrize("heading", np.radians([30.0, 90.0, -135.0]))
 def test_plans_do_not_depend_on_where_and_which_way_the_world_lies(heading: float) -> None:
-    """Level ground turned and moved: the same step, seen from the body."""
+    """Check that the step is the same in {body} on moved and turned level ground."""
     T = from_xyz_rpy((0.31, -0.17, HEIGHT), (0.0, 0.0, heading))
     here, there = stride(standing(command(0.06, 0.02, 0.1))), stride(standing(command(0.06, 0.02, 0.1), T=T))
     T_start = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
@@ -377,9 +383,12 @@ def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
 def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
     gait: GaitName, velocity: tuple[float, float], yaw_rate: float
 ) -> None:
-    """Step upon step on level ground: each stands on enough legs before, while and after, and the body goes where it shall."""
+    """Check a sequence of steps on level ground.
+
+    Enough legs stand before, during and after each step, and the body follows the command.
+    """
     rhythm = GAITS[gait]
-    speed = 0.06 / rhythm.stances / rhythm.pace / PROFILE.stance.step_s  # [m/s] at which a foot moves by 6 cm while it stands
+    speed = 0.06 / rhythm.stances / rhythm.pace / PROFILE.stance.step_s  # [m/s] at which a foot moves by 6 cm during its stance
     asked = replace(command(speed * velocity[0], speed * velocity[1], yaw_rate / rhythm.stances, lift=0.025), gait=gait)
     rest = PROFILE.rest_feet(HEIGHT)
     along = directions(asked.velocity, asked.yaw_rate, rest)
@@ -442,7 +451,10 @@ def test_legs_that_step_instead_of_others_say_why() -> None:
 
 
 def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherwise() -> None:
-    """Of either group one leg stands amid ground that carries no foot, a little further than the nearer search goes."""
+    """Check one leg of each group amid ground without footholds.
+
+    The ground extends a little beyond the first search radius.
+    """
     situations = [standing(command(0.005), swing) for swing in (TRIPOD, ~TRIPOD)]
     x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
     score = np.zeros((200, 200), dtype=np.float32)
@@ -465,7 +477,7 @@ def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set
     if not left:
         assert isinstance(found, Blocked)
     else:
-        assert way == left[0]  # on level ground every way can be taken
+        assert way == left[0]  # on level ground every choice is possible
         assert isinstance(found, Stride)
         np.testing.assert_array_equal(found.swing, situations[way // len(SHARES)].swing)
         assert found.share == SHARES[way % len(SHARES)]
@@ -478,7 +490,10 @@ def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[Situ
 
 
 def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> None:
-    """As short steps of always the same legs leave it, where the ground that the others were to step on is unseen."""
+    """Check a stance left by short steps of always the same legs.
+
+    The ground for the other legs is unseen.
+    """
     asked, body = command(0.11), from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
     behind = 1e-3 * np.array([[-47, 16], [-66, 0], [11, 1], [-38, 2], [12, 1], [-41, -1]])
     feet = apply(body, PROFILE.rest_feet(HEIGHT)) + np.column_stack([behind, np.zeros(6)])
@@ -517,7 +532,7 @@ def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[floa
 def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
     height: float, before: float, aside: float
 ) -> None:
-    """Where that asks for more lift than a leg has, there is no such step."""
+    """Check the clearance before a touchdown; a step that needs too much lift is none."""
     at = standing(command(0.1))
     x0, y0 = stride(at).touchdown[2, :2] - [before, aside]
     x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
@@ -544,7 +559,10 @@ def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> Non
 def test_the_body_makes_room_for_a_folded_leg_before_its_foot_is_pushed_against_what_stands_there(
     make_terrain: Maker, off: float
 ) -> None:
-    """The left front foot stands near its coxa and right before a riser; the other legs' step is refused by the actuator."""
+    """Check a left front foot near its coxa and right before a riser.
+
+    The actuator refuses the other legs' step.
+    """
     feet = standing().feet.copy()
     feet[0, :2] -= [0.04, 0.03]
     riser = float(feet[0, 0]) + off

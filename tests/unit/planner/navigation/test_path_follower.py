@@ -1,4 +1,7 @@
-"""Leading to a goal: the way is followed and faced, what is unseen is looked at, and a way that does not go on is left."""
+"""Path follower: it follows and faces its path, and looks at unseen ground.
+
+It gives up a path on which it makes no progress.
+"""
 
 import tracemalloc
 from collections.abc import Callable
@@ -26,7 +29,10 @@ def goal(*waypoints: tuple[float, float]) -> Goal:
 
 
 class Robot:
-    """Does the first of what it is told that its feet can do, on ground that is known as a map tells, unless it is held."""
+    """A robot that executes the first command that its feet can follow.
+
+    The ground is known as in the map. The robot can be held in place.
+    """
 
     def __init__(
         self,
@@ -79,7 +85,7 @@ def _fields(terrain: Terrain) -> dict[str, object]:
 
 
 def walled(x: Array, y: Array) -> Array:
-    """A wall across at x = 0.8 m, from y = -0.9 to 0.3 m."""
+    """Return a wall across the way at x = 0.8 m, from y = -0.9 m to 0.3 m."""
     return np.where((np.abs(x - 0.8) < 0.1) & (y > -0.9) & (y < 0.3), 0.3, 0.0)
 
 
@@ -103,7 +109,7 @@ def test_it_walks_straight_and_ends_within_the_tolerance(make_terrain: Maker) ->
 
 def test_it_stays_where_it_has_arrived(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((0.3, 0.0)))
-    robot.T[:2, 3] += (0.02, 0.01)  # its estimate moves a little
+    robot.T[:2, 3] += (0.02, 0.01)  # the estimate moves a little
     assert robot.step(goal((0.3, 0.0))).commands == ()  # type: ignore[union-attr]
     robot.walk(goal((0.6, 0.0)))
     assert robot.words[-1] == "at the goal (0.6, 0.0)"
@@ -212,7 +218,10 @@ def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
     yaw: float, left: bool, make_terrain: Maker
 ) -> None:
     def height(x: Array, y: Array) -> Array:
-        """A wall across its straight way, which which leads around by the left; neither there nor behind it has it looked."""
+        """Return a wall across the straight way, with unseen ground at its left end.
+
+        The path leads around the wall by the left. The ground behind the wall is unseen, too.
+        """
         wall = (x > -0.4) & (y > -0.6) & (y < -0.5)
         return np.where((x < -0.7) | (y < -0.9), np.nan, np.where(wall, 0.3, 0.0))
 
@@ -231,7 +240,7 @@ def test_of_two_ways_that_it_has_not_seen_it_looks_at_the_one_that_it_nearly_fac
         return np.where(np.abs(y) > 0.6, np.nan, np.where(wall, 0.3, 0.0))
 
     robot = Robot(make_terrain(height, beside_edges(height), half=1.9), yaw=np.radians(yaw))
-    for _ in range(2):  # looked at once more, it would be a hole
+    for _ in range(2):  # after a third look the ground would count as a hole
         robot.step(goal((1.8, 0.0)))
         way = robot.pilot.path
         assert way[np.argmax(np.abs(way[:, 1])), 1] * yaw > 0.0
@@ -281,7 +290,7 @@ def test_a_pose_that_is_suddenly_far_from_the_way_costs_no_memory(make_terrain: 
     robot = Robot(make_terrain(half=1.28))
     robot.step(goal((1.0, 0.0)))
     robot.T = from_xyz_rpy((9e5, 0.0, 0.1), np.zeros(3))
-    robot.now_ns -= round(STEP_S * S) - S // 10  # before it looks for another way
+    robot.now_ns -= round(STEP_S * S) - S // 10  # before it plans another path
     tracemalloc.start()
     robot.step(goal((1.0, 0.0)))
     _, most = tracemalloc.get_traced_memory()

@@ -1,4 +1,4 @@
-"""Ways over cells: the cheapest there is, never over what is closed, and words where there is none."""
+"""Path planner: the cheapest path, never over closed cells, or a reason."""
 
 import tracemalloc
 from itertools import pairwise
@@ -13,11 +13,11 @@ from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, 
 from sextant.shared.geometry import Array
 
 EDGE = 0.05
-HALF = 0.25  # [m] of the robot's width
+HALF = 0.25  # [m] half of the robot's width
 
 
 def crossing(cost: Array, stops: Array | None = None) -> Crossing:
-    """Ground of which only the costs are told, closed cells being steps."""
+    """Return ground with given costs, where closed cells are steps."""
     closed = np.isinf(cost)
     kinds = np.where(closed, STEP, OPEN) if stops is None else stops
     cells = np.argwhere(closed)
@@ -30,7 +30,7 @@ def crossing(cost: Array, stops: Array | None = None) -> Crossing:
 
 
 def reference(cost: Array, start: tuple[int, int]) -> Array:
-    """What it costs to come to each cell, by going over all of them until nothing gets cheaper."""
+    """Return the cost of the way to each cell, by iteration until nothing changes."""
     best = np.full(cost.shape, np.inf)
     best[start] = 0.0
     n, m = cost.shape
@@ -55,7 +55,7 @@ def price(cost: Array, cells: Array) -> float:
 
 @st.composite
 def grounds(draw: st.DrawFn) -> Array:
-    """Small grounds with walls, their ends open."""
+    """Return small grounds with walls, open at start and goal."""
     n, m = draw(st.integers(2, 7)), draw(st.integers(2, 7))
     values = st.sampled_from([1.0, 1.5, 4.0, np.inf])
     cost = np.array(draw(st.lists(values, min_size=n * m, max_size=n * m))).reshape(n, m)
@@ -203,7 +203,7 @@ def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_no
     cost[20] = np.inf
     stops = np.where(np.isinf(cost), STEP, OPEN)
     room = np.abs(np.arange(40) - 20)[:, None] * EDGE * np.ones((1, 20))
-    cost[room < 0.25] = np.inf  # the robot is as wide
+    cost[room < 0.25] = np.inf  # as far as the robot's half width
     nothing = np.zeros(cost.shape)
     ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, stops.astype(np.int8), nothing > 0, nothing, 0.25)
     out = find_way(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)

@@ -1,4 +1,7 @@
-"""Getting on: what comes nearer does, whatever else moves does not for long, and detours may be taken, but not by turns."""
+"""Stall detection: approach counts as progress, other motion only for a while.
+
+A detour is allowed, but not alternation between two ways.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ SPEED = 0.1
 
 
 def update(progress: Progress, t: float, left: float, error: float = 0.0, place: Array | None = None) -> str:
-    moving = np.array([t, 0.0, 0.0])  # anywhere but here
+    moving = np.array([t, 0.0, 0.0])  # away from the previous place
     return progress.update(round(t * S), moving if place is None else place, left, error, SPEED)
 
 

@@ -1,4 +1,4 @@
-"""What can be crossed: steps that legs take but no walls, gaps that feet step over but no holes, and what is not seen."""
+"""Traversability: steps, walls, gaps, holes and unseen ground."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,7 +40,7 @@ def kinds(found: Crossing) -> set[int]:
 
 
 def edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
-    """A score by which no foot stands within 2 cm of a jump in height, or in the unknown."""
+    """Return a score that allows no foot within 2 cm of a height jump or the unknown."""
 
     def score(x: Array, y: Array) -> Array:
         offsets = [(0.02 * np.cos(a), 0.02 * np.sin(a)) for a in np.arange(8) * np.pi / 4]
@@ -51,7 +51,7 @@ def edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], A
 
 
 def across(depth: float, width: float) -> Callable[[Array, Array], Array]:
-    """Level ground with a ditch across, at x from 0.6 m on."""
+    """Return level ground with a ditch across, from x = 0.6 m on."""
     return lambda x, y: np.where((x > 0.602) & (x < 0.602 + width), -depth, 0.0)
 
 
@@ -99,7 +99,10 @@ def test_a_ditch_that_feet_step_over_is_crossed_and_a_wide_one_is_not(width: flo
 def test_between_holes_there_is_room_where_there_is_none_between_walls(
     half: float, beside: float, open_: bool, shows: bool, make_terrain: Maker
 ) -> None:
-    """A lane along x: what lies beside it is higher or lower than any leg steps, or does not show where it is lower."""
+    """Check a lane along x between ground that is too high, too low or not shown.
+
+    Lower ground may be unseen.
+    """
     lower = beside if shows or beside > 0.0 else np.nan
 
     def height(x: Array, y: Array) -> Array:
