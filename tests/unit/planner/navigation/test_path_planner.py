@@ -203,9 +203,10 @@ def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_no
     cost[20] = np.inf
     stops = np.where(np.isinf(cost), STEP, OPEN)
     room = np.abs(np.arange(40) - 20)[:, None] * EDGE * np.ones((1, 20))
-    cost[room < 0.25] = np.inf  # as far as the robot's half width
+    cost[room < HALF] = np.inf
     nothing = np.zeros(cost.shape)
-    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, stops.astype(np.int8), nothing > 0, nothing, 0.25)
+    needs = np.full(cost.shape, HALF)
+    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, stops.astype(np.int8), nothing > 0, nothing)
     out = find_way(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)
     assert isinstance(out, Way)
     assert out.corners[:, 0].max() == 0.93
