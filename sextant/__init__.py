@@ -1,10 +1,10 @@
-"""Six-legged walking where only some places carry a foot: the public names.
+"""Public API of Sextant, software for a six-legged robot that walks on rough terrain.
 
     >>> import sextant
     >>> sextant.load_profile("phantomx_mk2").name
     'phantomx_mk2'
 
-Each name is imported when it is first used, so that a program needs only the packages of what it uses.
+Each name is imported on first use. A program therefore needs only the dependencies of the names that it uses.
 """
 
 from importlib import import_module

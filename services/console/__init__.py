@@ -1,1 +1,1 @@
-"""The operator's page: a web server that shows what the robot sees and does, and passes on what its operators ask for."""
+"""Operator console: a web server that shows the robot and forwards commands."""

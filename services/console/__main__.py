@@ -1,4 +1,4 @@
-"""The console's process: `python -m sextant.services.console --connect tcp/127.0.0.1:7447`."""
+"""Run the console: `python -m sextant.services.console --connect tcp/127.0.0.1:7447`."""
 
 import os
 
@@ -6,6 +6,6 @@ from sextant.services.console.config import Settings
 from sextant.services.console.service import Console
 from sextant.shared.runtime import process
 
-# One thread for what Zenoh does, in place of four that wake each other for every message: that is half of what it takes here.
+# Run Zenoh on one thread. Its default four threads wake each other for every message, which doubles its CPU time here.
 os.environ.setdefault("ZENOH_RUNTIME", "(rx: (handover: app), tx: (handover: app))")
 process.main("console", Settings, Console)

@@ -5,18 +5,18 @@ from dataclasses import dataclass
 from sextant.shared.files import config
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_TOKEN = 16  # characters of a token at least
+_TOKEN = 16  # minimum length of a token [characters]
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Where the page is served, and what a press of the pad asks for."""
+    """Address of the web server, and initial walking parameters of a page."""
 
-    host: str = "127.0.0.1"  # to listen on; anything else is open to the network, and wants a token
+    host: str = "127.0.0.1"  # to listen on; any address outside loopback is open to the network and requires a token
     port: int = 8080
-    token: str = ""  # that a browser must give, as http://host:port/#token; none is needed on this machine
-    body_height: float = 0.0  # [m] over the floor to begin with; 0: that of the profile
-    lift: float = 0.04  # [m] clearance of swinging feet to begin with
+    token: str = ""  # that a browser must give, as http://host:port/#token; optional on a loopback address
+    body_height: float = 0.0  # [m] initial height of the body over the floor; 0 selects the profile's height
+    lift: float = 0.04  # [m] initial clearance of swinging feet
 
     checks = (
         *config.each("host", lambda host: host.strip() != "", "an address to listen on, e.g. 127.0.0.1"),
@@ -35,6 +35,6 @@ class Settings:
         config.verify(self)
 
     def url(self, port: int) -> str:
-        """Where a browser finds the page that is served on a port."""
+        """Return the URL of the page that is served on a port, including the token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{port}/" + (f"#{self.token}" if self.token else "")

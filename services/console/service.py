@@ -1,4 +1,4 @@
-"""The console: what the services say, shown to the pages that are open; what operators ask for, passed on."""
+"""Console service: shows the robot's state on pages and forwards their requests."""
 
 from collections.abc import Callable, Iterator
 from socket import gethostname
@@ -30,17 +30,17 @@ from sextant.shared.wire.messages import (
     Tick,
 )
 
-_BEAT_HZ = 15.0  # and at once, when something is asked for
-_VIEW_NS = 66_000_000  # [ns] between two views
-_MAP_NS = 240_000_000  # [ns] likewise of two maps
-_IDLE_NS = 250_000_000  # [ns] likewise of two looks for the log, where no page is open
-_NEWS_NS = 240_000_000  # [ns] likewise of two looks at camera and passages
-_HEALTH_NS = 1_000_000_000  # [ns] likewise of how the services fare
-_STATE_S = 0.5  # without a word from the actuator, after which nothing is known of it
+_BEAT_HZ = 15.0  # rate of `step`, which also runs at once for a request
+_VIEW_NS = 66_000_000  # [ns] period of views
+_MAP_NS = 240_000_000  # [ns] minimum period of maps
+_IDLE_NS = 250_000_000  # [ns] period of views while no page is open; they only keep the event log
+_NEWS_NS = 240_000_000  # [ns] period of camera state, passage plans and service health
+_HEALTH_NS = 1_000_000_000  # [ns] period of the health message to pages
+_STATE_S = 0.5  # [s] age after which a state message counts as missing
 
 
 class Console:
-    """One process between the robot and its operators' browsers."""
+    """Service that connects the robot to its operators' browsers."""
 
     name = "console"
     reads: tuple[AnyTopic, ...] = (
@@ -58,15 +58,15 @@ class Console:
     writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.STOP, topics.RECORD)
 
     def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = now_ns):
-        """Listen for pages.
+        """Open the socket of the web server.
 
         Args:
             profile: The robot.
-            settings: Of this service.
-            clock: [ns] that stamps what comes from pages, the same as that of the ticks.
+            settings: Settings of the console.
+            clock: Clock [ns] that stamps requests of pages; must be the clock of the ticks.
 
         Raises:
-            OSError: The address cannot be listened on.
+            OSError: The address is not available.
         """
         self.stages = Stages()
         self.server = PageServer(settings, clock)
@@ -75,19 +75,19 @@ class Console:
         self._desk = Desk(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
         self._diary = Diary()
         self._clerk = Clerk(self._diary)
-        self._watched: dict[int, Watch] = {}  # by page
-        self._glancing: set[int] = set()  # pages that are told only how the robot fares
-        self._view_due_ns = self._told_ns = 0  # when pages are told of the robot next, and were last told of the services
+        self._watched: dict[int, Watch] = {}  # page number -> what the page shows
+        self._glancing: set[int] = set()  # fleet pages, which receive only a summary
+        self._view_due_ns = self._told_ns = 0  # times of the next view and of the last health message
         self._legs: ActuatorState | None = None
         self._status: PlannerStatus | None = None
         self._health = HealthTable()
         self._computer = SlowComputer(computer="the robot's computer")
-        self._too_slow = ""  # that it is, in words, or nothing
-        self._told = self._glanced = ""  # the last state, and the last glance
-        self._logged = 0  # entries of the diary that were sent
+        self._too_slow = ""  # warning that the robot's computer is too slow, "" if it is not
+        self._told = self._glanced = ""  # last state and last summary sent
+        self._logged = 0  # number of event log entries sent
         self._news_due_ns = self._map_due_ns = 0
         self._camera: CameraState | None = None
-        self._map: TerrainMap | None = None  # the newest that was sent
+        self._map: TerrainMap | None = None  # newest map sent
         self._pictured_ns = -1
 
     def __enter__(self) -> Self:
@@ -98,11 +98,14 @@ class Console:
         self.server.__exit__(kind, error, trace)
 
     def doing(self) -> str:
-        """Where the page is, and who looks at it."""
+        """Return the address and the number of open pages."""
         return f"serving {self.server.url.partition('#')[0]} to {len(self._watched) + len(self._glancing)} pages"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Pass on what was asked for; every few beats show what is new."""
+        """Forward the requests of pages, and send them the robot's state.
+
+        Requests are forwarded in each step, the state at the view rate.
+        """
         now = tick.stamp_ns
         for event in self.server.drain():
             self._take(event)
@@ -138,7 +141,7 @@ class Console:
             case "glances":
                 self._desk.arrive(page, now, leads=False)
                 self._glancing.add(page)
-                self._glanced = ""  # to all that are there
+                self._glanced = ""  # sends the summary to all fleet pages again
             case "left":
                 self._desk.leave(page, now)
                 self._watched.pop(page, None)
@@ -149,13 +152,13 @@ class Console:
                 self._ask(page, what, now)
 
     def _welcome(self, page: int, now: int) -> None:
-        """Tell a new page who it is, what has come about so far, and the newest map."""
-        self._tell_log(now)  # the others have theirs, and the new one has all of it, once
+        """Send a new page its seat, the event log so far and the newest map."""
+        self._tell_log(now)  # brings the other pages up to date; the new page then receives the whole log once
         self._watched[page] = Watch()
         self._tell("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
         self._tell("log", view.log(self._diary.entries, now), page)
         self._tell("health", view.health(self._health.named(), now, self._too_slow), page)
-        self._told = ""  # the state, which goes to all that are there
+        self._told = ""  # sends the state to all pages again
         self._draw(page)
 
     def _watch(self, page: int, watch: Watch) -> None:
@@ -164,7 +167,7 @@ class Console:
             self._draw(page)
 
     def _draw(self, page: int) -> None:
-        """Have a page draw the newest map that there is."""
+        """Send the newest map to a page."""
         if self._map is not None:
             self.server.show("map", frames.map_frame(self._map, self._watched[page].layer), [page])
 
@@ -176,7 +179,10 @@ class Console:
             self._tell("refused", view.answer(refused), page)
 
     def _barred(self, request: Request, now: int) -> str:
-        """Why a request comes to nothing on this machine, whoever leads: by its certificate it may only stop."""
+        """Return why this machine's certificate does not permit a request, "" if it does.
+
+        A certificate without the right to drive still permits stop and torque off.
+        """
         match request:
             case Record():
                 return refusal_here(self._health.roles(now), [topics.RECORD])
@@ -215,7 +221,7 @@ class Console:
         self._show(now, inbox)
 
     def _hear_news(self, now: int, inbox: Inbox) -> None:
-        """What comes about now and then."""
+        """Process messages that arrive rarely: health, camera state and passage plans."""
         self._health.drain(inbox, now)
         services = self._health.named()
         self._diary.services(now, services)
@@ -231,14 +237,14 @@ class Console:
                 self._tell("passage", view.passage(plan))
 
     def _tell_log(self, now: int) -> None:
-        """New lines of the log, to the pages that are there."""
+        """Send new entries of the event log to all pages."""
         new = min(self._diary.count - self._logged, KEPT)
         self._logged = self._diary.count
         if new and self._watched:
             self._tell("log", view.log(list(self._diary.entries)[-new:], now))
 
     def _show(self, now: int, inbox: Inbox) -> None:
-        """The newest map and picture, to those that want them."""
+        """Send the newest map and picture to the pages that show them."""
         terrain = inbox.latest(topics.TERRAIN) if now >= self._map_due_ns else None
         if terrain is not None and terrain is not self._map:
             self._map, self._map_due_ns = terrain, now + _MAP_NS
@@ -253,12 +259,15 @@ class Console:
             self.server.show("picture", frames.picture_frame(picture), pages)
 
     def _tell(self, kind: str, message: dict[str, Any], page: int | None = None) -> None:
-        """Have a message sent to a page, or to all that are there."""
+        """Queue a message for one page, or for all pages."""
         self.server.post(kind, view.text(message), self._watched if page is None else [page])
 
 
 def _stop_of(order: ModeCommand) -> StopOrder | None:
-    """The same as who may only stop says it, for a machine that may not lead; taking over the lease is leading."""
+    """Return an off or stop command as a `StopOrder`, None for any other command.
+
+    A machine without the right to drive can publish only `StopOrder`. Taking over the lease needs the right to drive.
+    """
     if order.take or order.mode not in ("off", "stop"):
         return None
     return StopOrder(order.stamp_ns, "off" if order.mode == "off" else "stop", order.sequence, order.holder)

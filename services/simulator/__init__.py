@@ -1,1 +1,4 @@
-"""Owns MuJoCo: world, terrains, depth camera and servo-bus emulator; on the wire it is a camera and a bus."""
+"""Simulator with the interfaces of the real hardware.
+
+It contains the MuJoCo world, the terrain, the depth camera and the servo bus emulator.
+"""

@@ -1,4 +1,4 @@
-"""The simulator's process: `python -m sextant.services.simulator --set scenario=steps --set bus_port=7450`."""
+"""Run the simulator: `python -m sextant.services.simulator --set scenario=steps --set bus_port=7450`."""
 
 from sextant.services.simulator.config import Settings
 from sextant.services.simulator.service import Simulator

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Which course is simulated, and where its servo bus is found."""
+    """Scenario, random seed and ports of the servo bus."""
 
-    scenario: str = "steps"  # by name, or the path of a TOML file
+    scenario: str = "steps"  # name of a scenario, or path of a TOML file
     seed: int = 0
-    bridge: bool = False  # a board with the reference firmware stands between the port and the servo bus
+    bridge: bool = False  # simulate a bridge board with the reference firmware between the port and the servo bus
     bus_port: int = 0  # TCP port on 127.0.0.1 on which the servo bus listens, 0 for any
-    other_bus_port: int = 0  # likewise, on which it is found when a fault has it come back under another name
-    frames_per_picture: int = 1  # of so many depth frames the last is made: others would be looked at by nobody
+    other_bus_port: int = 0  # TCP port of the bus after a fault that changes its device name, 0 for any
+    frames_per_picture: int = 1  # render only every n-th depth frame, if perception ignores the others
 
     def __post_init__(self) -> None:
         for port in (self.bus_port, self.other_bus_port):

@@ -1,4 +1,7 @@
-"""The simulator: to everybody else a depth camera and a servo bus; the truth goes to the scorer alone."""
+"""Simulator service: emulates the robot's hardware and publishes ground truth.
+
+The hardware is a depth camera, an IMU and a servo bus. Only the scorer uses the ground truth.
+"""
 
 import logging
 from collections.abc import Iterator
@@ -37,35 +40,38 @@ from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
 
-_MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
-_STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
-_BEAT_NS = 2 * TIME_STEP_NS  # [ns] in which it looks for what is due; goals come every 20 ms
+_MAX_LAG_NS = 1_000_000_000  # [ns] lag up to which the physics catches up; servo writes keep their order meanwhile
+_STALE_NS = 40_000_000  # [ns] lag of a live simulation above which its servos do not respond
+_BEAT_NS = 2 * TIME_STEP_NS  # [ns] period of `step`; the actuator writes goals every 20 ms
 _DT = TIME_STEP_NS * 1e-9  # [s]
 
 log = logging.getLogger(__name__)
 
 
 class Simulator:
-    """A robot on its course. Time is whoever paces it: the machine's clock live, simulated time in lockstep."""
+    """Service that simulates a robot on a scenario.
+
+    The physics follows the machine's clock in a live run, and simulated time in lockstep.
+    """
 
     name = "simulator"
     reads: tuple[AnyTopic, ...] = (topics.FAULT,)
     writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU, topics.TRUTH)
 
     def __init__(self, profile: RobotProfile, settings: Settings, scenario: Scenario | None = None):
-        """Build the world, the robot standing at its start with torque on, as an operator would have left it.
+        """Build the world, with the robot standing at its start and torque on.
 
         Args:
             profile: The robot.
-            settings: Of this service.
-            scenario: In place of the one that the settings name.
+            settings: Settings of the simulator.
+            scenario: Scenario that replaces the one of the settings.
 
         Raises:
-            ConfigError: The scenario breaks a servo that the robot does not have.
+            ConfigError: The scenario has a fault of a servo that the robot does not have.
         """
         clock = in_use()
-        self._time = clock if isinstance(clock, SimulatedTime) else None  # that it grants to all
-        self.paced_by = Every(_BEAT_NS, by_machine=True)  # also while that time stands
+        self._time = clock if isinstance(clock, SimulatedTime) else None  # shared time, which this service advances
+        self.paced_by = Every(_BEAT_NS, by_machine=True)  # also ticks while simulated time stands still
         self.max_age_s = {BEAT: _STALE_NS * 1e-9}
         self.stages = Stages()
         self._profile = profile
@@ -95,30 +101,30 @@ class Simulator:
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self.bus = self._wired(scenario)
-        self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # at the actuator's port
+        self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # device at the actuator's port
         self._outlet = self.bus.outlet(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
-        self._origin_ns: int | None = None  # of simulated time, on the clock that paces
+        self._origin_ns: int | None = None  # [ns] tick time at which simulated time is 0
         self._due_ns = {topic.key: 0 for topic in self.writes}
         self._behind = 0
 
     def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> ServoBank:
-        """Put the robot on its feet and give it servos that hold it there."""
+        """Place the robot at its start, and return its servos, which hold the pose."""
         q, start = body_inverse(profile, profile.rest_feet(scenario.walk.body_height)), scenario.start
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
         self.world.stand(q, (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
         bank = bank_of(profile.servo.model, list(profile.servo_names), servo, scenario.battery_ah)
         for row, angle in enumerate(servo):
-            bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # set up for a bus of 1 Mbit/s
+            bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # configured for 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
             bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
             bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
         return bank
 
     def _wired(self, scenario: Scenario) -> BusFaults:
-        """The servos on their bus, with what the scenario breaks there."""
+        """Return the servo bus with the faults of the scenario."""
         try:
             wired = ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
             bus = BusFaults(wired, self._bank, self._settings.seed, scenario.bus_faults)
@@ -128,7 +134,7 @@ class Simulator:
         return bus
 
     def __enter__(self) -> Self:
-        """Open the servo bus to the network, for a live run."""
+        """Open the TCP ports of the servo bus, for a live run."""
         port, other = self._settings.bus_port, self._settings.other_bus_port
         self._server = TcpBusServer(self.device, port=port, other_port=other, answering=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
@@ -139,7 +145,7 @@ class Simulator:
             self._server.close()
 
     def doing(self) -> str:
-        """How far simulated time is."""
+        """Return scenario, simulated time, lag and faults as text."""
         late = f", {self._behind} times too slow for real time" if self._behind else ""
         broken = self.bus.words(self._now_ns())
         faults = f", faults: {broken}" if broken else ""
@@ -148,20 +154,25 @@ class Simulator:
 
     @property
     def servos(self) -> ServoBank:
-        """The servos themselves, for who measures by the truth or lets a run begin with what takes long to come about."""
+        """The servo models.
+
+        Tests and measurements read or set their true state, e.g. the temperature.
+        """
         return self._bank
 
     def inject(self, fault: BusFault) -> None:
-        """Let something go wrong with servos or bus at its simulated time, or at once where that is past.
+        """Schedule a fault of servos or bus at its simulated time.
+
+        The fault begins at once if that time has passed.
 
         Raises:
-            ValueError: A servo that is not there.
+            ValueError: The fault names a servo that does not exist.
         """
         with self._locked():
             self.bus.inject(fault, self._now_ns())
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Let physics pass until now; make what falls due on the way."""
+        """Advance the physics to the time of the tick, and yield due sensor messages."""
         if self._time is not None:
             self._time.grant()
         if self._origin_ns is None:
@@ -181,7 +192,7 @@ class Simulator:
             self._server.replug()
 
     def _break(self, command: FaultCommand) -> None:
-        """Do as a message asks, or say why not."""
+        """Inject the fault of a command, or log why it is refused."""
         try:
             self.inject(BusFault.of(command))
         except ValueError as error:
@@ -194,7 +205,10 @@ class Simulator:
         return self.world.time_ns + (self._origin_ns or 0)
 
     def _up_to_date(self, now_ns: int) -> bool:
-        """Whether the physics is near the bus server's clock; asked from that server's thread."""
+        """Return whether the physics is at most 40 ms late.
+
+        The bus server calls this from its thread.
+        """
         return self._origin_ns is None or now_ns - self._origin_ns - self.world.time_ns < _STALE_NS
 
     def _locked(self) -> AbstractContextManager[object]:
@@ -209,17 +223,17 @@ class Simulator:
         self._bank.feel(*self._joints(), now_ns + TIME_STEP_NS)
 
     def _joints(self) -> tuple[Array, Array, Array]:
-        """Angles [rad], speeds [rad/s] and torques [N m] (18,) of the servos."""
+        """Return angles [rad], speeds [rad/s] and torques [N m] of the servos, each (18,)."""
         world, signs = self.world, self._signs
         return (signs * world.q + self._horns).ravel(), (signs * world.qd).ravel(), (signs * world.torque).ravel()
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
-        """What the camera, the IMU and the scorer get at this instant."""
+        """Yield the messages of camera, IMU and ground truth that are due."""
         if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and self._is_looked_at():
             depth = self._depth(self._camera_fault())
             if depth is not None:
                 yield DepthImage(now_ns, depth)
-                # Of the same instant as a depth frame, so that a pixel of one is a pixel of the other.
+                # Colour is rendered at the time of a depth frame, so that their pixels correspond.
                 if self._color is not None and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
                     with self.stages("color"):
                         color = self._color.picture(self._camera_pose(), self._solids())
@@ -233,7 +247,10 @@ class Simulator:
             yield self._truth(now_ns)
 
     def _is_looked_at(self) -> bool:
-        """Whether somebody looks at the depth frame that is due; it counts as taken in any case."""
+        """Count a depth frame, and return whether it is to be rendered.
+
+        The movers advance in any case.
+        """
         self._frames += 1
         if len(self._movers):
             self._movers.advance(self.world.time_ns * 1e-9, self.world.T_world_body)
@@ -243,7 +260,10 @@ class Simulator:
         return looked_at
 
     def _depth(self, fault: str) -> NDArray[np.uint16] | None:
-        """The next raw picture (h, w), as the camera's fault makes it; None while there is no camera."""
+        """Return the next raw depth frame (h, w) with the effect of a camera fault.
+
+        The result is None while the camera is absent.
+        """
         if fault == "absent":
             return None
         if fault == "frozen" and self._last_depth is not None:
@@ -263,17 +283,23 @@ class Simulator:
         return self._last_depth
 
     def _camera_fault(self) -> str:
-        """What is wrong with the camera now, by the scenario; nothing while all is well."""
+        """Return the kind of the current camera fault of the scenario, "" without one."""
         now_s = self.world.time_ns * 1e-9
         return next((fault.kind for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), "")
 
     def _solids(self) -> tuple[Boxes, Capsules]:
-        """What the camera sees beside the terrain: the robot and what moves over the course."""
+        """Return the solids that the camera sees besides the terrain: robot and movers."""
         robot = self.world.robot_solids()
         return together(robot, self._movers.solids()) if len(self._movers) else robot
 
     def _due(self, topic: AnyTopic, now_ns: int, rate_hz: float | None = None) -> bool:
-        """Whether a topic's next beat has come; beats are even multiples of its period, or of another rate's."""
+        """Return whether a topic is due, and if so schedule its next period.
+
+        Args:
+            topic: The topic.
+            now_ns: Current time [ns].
+            rate_hz: Rate [Hz] that replaces the topic's rate.
+        """
         due_ns = self._due_ns[topic.key]
         if now_ns < due_ns:
             return False

@@ -1,4 +1,4 @@
-"""The simulator lets its robot stand for a moment, so that all it calls is compiled before somebody asks its servos."""
+"""Warm-up of the simulator: compile its functions before the servo bus opens."""
 
 from sextant.services.simulator.config import Settings
 from sextant.services.simulator.service import Simulator
@@ -6,14 +6,14 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.warmup import Rehearsal
 from sextant.shared.servo import dynamixel as dxl
 
-_FOR_S = 0.2  # [s] simulated, in which several pictures are taken
+_FOR_S = 0.2  # [s] simulated time, long enough for several depth frames
 
 
 def rehearse(profile: RobotProfile, settings: Settings) -> None:
-    """Compile all that the simulator calls, on the course that it is to simulate.
+    """Compile the functions of the simulator by a short run with a standing robot.
 
     Raises:
-        ConfigError: That course cannot be simulated.
+        ConfigError: The scenario cannot be simulated.
     """
     simulator = Simulator(profile, settings)
     Rehearsal(simulator).tick(_FOR_S)

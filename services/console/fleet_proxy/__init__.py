@@ -1,1 +1,1 @@
-"""The lobby: one address in front of the consoles of several robots."""
+"""Fleet proxy: one web address for the consoles of several robots."""

@@ -1,4 +1,4 @@
-"""The lobby's process: `python -m sextant.services.console.fleet_proxy --set robots.alpha=8101 --set robots.beta=8102`."""
+"""Run the fleet proxy: `python -m sextant.services.console.fleet_proxy --set robots.alpha=8101 --set robots.beta=8102`."""
 
 import argparse
 import asyncio
@@ -15,11 +15,15 @@ from sextant.shared.runtime.process import load_settings
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.runtime.watchdog import Watchdog
 
-_BEAT_S = 0.25  # between two signs of life
+_BEAT_S = 0.25  # [s] period of the watchdog heartbeat
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to stop; 0 then, 1 where the address cannot be listened on, 2 for what the caller got wrong."""
+    """Serve until a signal arrives.
+
+    Returns:
+        Exit status: 0 after a signal, 1 if the address is not available, 2 for invalid settings.
+    """
     parser = argparse.ArgumentParser(
         prog="python -m sextant.services.console.fleet_proxy", description="One address for several consoles."
     )
@@ -60,7 +64,7 @@ async def _serve(settings: Settings) -> None:
                 await asyncio.wait_for(over.wait(), _BEAT_S)
             except TimeoutError:
                 continue
-    server.close()  # those who are connected are hung up on with this process
+    server.close()  # open connections end with this process
 
 
 if __name__ == "__main__":

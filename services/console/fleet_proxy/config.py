@@ -1,4 +1,4 @@
-"""Settings of the lobby: where it listens, and whose pages it leads to."""
+"""Settings of the fleet proxy: its address, and the consoles behind it."""
 
 import re
 from collections.abc import Mapping
@@ -11,18 +11,18 @@ _NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,30}[A-Za-z0-9])?")
 
 
 def is_name(text: str) -> bool:
-    """Whether a text may name a robot: it is a part of addresses of pages, and of keys."""
+    """Return whether a text is a valid robot name, as a part of URLs and Zenoh keys."""
     return _NAME.fullmatch(text) is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Where the lobby is, and the consoles behind it."""
+    """Address and token of the proxy, and the ports of the consoles."""
 
-    host: str = "127.0.0.1"  # to listen on, as the console's
+    host: str = "127.0.0.1"  # to listen on, with the rules of the console's setting
     port: int = 8080
-    token: str = ""  # as the console's, which all behind it have, too
-    robots: dict[str, int] = field(default_factory=dict)  # name of a robot -> port of 127.0.0.1 on which its console listens
+    token: str = ""  # token of browsers, the same as in the settings of all consoles
+    robots: dict[str, int] = field(default_factory=dict)  # robot name -> port of its console on 127.0.0.1
 
     checks = (
         config.Check(("robots",), lambda robots: _misfits(robots)),
@@ -34,7 +34,7 @@ class Settings:
         self.door()
 
     def door(self) -> console.Settings:
-        """The same, as the settings of a console that listens there."""
+        """Return console settings with the same address and token."""
         return console.Settings(host=self.host, port=self.port, token=self.token)
 
 

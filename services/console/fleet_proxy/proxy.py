@@ -1,7 +1,7 @@
-"""Leads each browser to the console of the robot that it asks for: `/NAME/` is that console's page, `/` shows all of them.
+"""Reverse proxy for the consoles of a fleet.
 
-What a browser says behind its request goes on as it is, and so does what the console answers: who leads, what is refused and
-how long a pad that falls silent is believed are matters of each robot's own console.
+`/NAME/` is the page of one robot, `/` is the overview of all robots. After the request head, the proxy forwards all bytes
+unchanged in both directions. The lease, refusals and the dead-man time therefore remain with each robot's console.
 """
 
 import asyncio
@@ -19,9 +19,9 @@ from sextant.services.console.web.page_files import HEADERS, KINDS, headers_of, 
 log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS = 256
-HEAD_BYTES = 16_384  # of a request, at most
-_PATIENCE_S = 5.0  # for a request
-_SENDING_S = 30.0  # for a file to be taken
+HEAD_BYTES = 16_384  # maximum size of a request head
+_PATIENCE_S = 5.0  # [s] timeout for a request and for a connection to a console
+_SENDING_S = 30.0  # [s] timeout for sending a file
 _PIECE_BYTES = 65_536
 _REQUEST = re.compile(rb"GET (/[!-~]*) HTTP/1\.1\r\n")
 _HOST = re.compile(rb"^host:[ \t]*([!-~]*)[ \t]*\r$", re.IGNORECASE | re.MULTILINE)
@@ -36,17 +36,17 @@ class _Answer(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Where a request goes on to, and as what."""
+    """Robot to which a request is forwarded, and the request head to send."""
 
     robot: str
     head: bytes
 
 
 class Front:
-    """Answers for itself what is about all robots, and passes on what is about one."""
+    """Request handler: serves the overview and forwards requests for one robot."""
 
     def __init__(self, settings: Settings):
-        """Of a lobby that listens where the settings say."""
+        """Create the handler, which checks hosts against the proxy's address."""
         self._robots = settings.robots
         self._door = Door(settings.door())
         self._files = page_files()
@@ -59,7 +59,7 @@ class Front:
             if self._count <= MOST_CONNECTIONS:
                 await self._serve(reader, writer)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            pass  # the browser has gone, says nothing, or no HTTP: there is nobody to answer
+            pass  # the browser disconnected, sent nothing or sent no HTTP; no answer is possible
         finally:
             self._count -= 1
             writer.transport.abort()
@@ -85,7 +85,7 @@ class Front:
             behind[1].transport.abort()
 
     def answer(self, head: bytes) -> "_Answer | _Way":
-        """What becomes of a request."""
+        """Return the answer to a request head, or the robot to which to forward it."""
         request, hosts = _REQUEST.match(head), _HOST.findall(head)
         if request is None:
             return _plain(HTTPStatus.BAD_REQUEST, "GET, a path and HTTP/1.1 expected")
@@ -112,7 +112,7 @@ class Front:
 async def _join(
     one: tuple[asyncio.StreamReader, asyncio.StreamWriter], other: tuple[asyncio.StreamReader, asyncio.StreamWriter]
 ) -> None:
-    """Pass on what either says until both have ended, or one has broken off."""
+    """Forward bytes in both directions until both streams end or one fails."""
     ways = [asyncio.ensure_future(_pass_on(one[0], other[1])), asyncio.ensure_future(_pass_on(other[0], one[1]))]
     try:
         done, _ = await asyncio.wait(ways, return_when=asyncio.FIRST_EXCEPTION)
@@ -127,7 +127,7 @@ async def _join(
 async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     while data := await reader.read(_PIECE_BYTES):
         writer.write(data)
-        await writer.drain()  # who takes slowly is given slowly, all the way to the console
+        await writer.drain()  # a slow receiver slows down the sender (backpressure)
     if writer.can_write_eof():
         writer.write_eof()
 
@@ -140,7 +140,7 @@ async def _send(writer: asyncio.StreamWriter, answer: _Answer) -> None:
 
 
 async def _hang_up(writer: asyncio.StreamWriter) -> None:
-    """Have the rest taken, if it is within a while, and end."""
+    """Close a stream after its remaining bytes are sent, within a timeout."""
     writer.close()
     with contextlib.suppress(OSError, TimeoutError):
         async with asyncio.timeout(_SENDING_S):

@@ -1,1 +1,4 @@
-"""The recorder: a process of its own, so that neither the robot nor the page ever waits for a disk."""
+"""Recorder of topics to MCAP files.
+
+It is a separate process, so that no other service waits for the disk.
+"""

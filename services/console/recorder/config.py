@@ -7,12 +7,12 @@ from sextant.shared.files import config
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Where recordings go, and how much room they leave."""
+    """Folder, file duration and content of recordings."""
 
-    folder: str = "recordings"  # in which each recording has a folder of its own, by date and time
-    file_s: float = 60.0  # [s] of a file
-    reserve_mb: int = 500  # [MB] of the disk that stay free
-    pictures: bool = False  # the camera's own pictures too: nine tenths of the bytes
+    folder: str = "recordings"  # parent folder; each recording gets a subfolder, named by date and time
+    file_s: float = 60.0  # [s] duration of one file
+    reserve_mb: int = 500  # [MB] disk space that stays free
+    pictures: bool = False  # also record raw camera images, which are 90 % of the bytes
 
     checks = (
         *config.each("folder", lambda folder: folder.strip() != "", "a folder"),

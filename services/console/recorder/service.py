@@ -1,4 +1,4 @@
-"""Records what is said while the operator wants it, and says whether it does."""
+"""Recorder service: records topics to MCAP files and publishes its state."""
 
 import logging
 import shutil
@@ -24,7 +24,10 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class RecorderService:
-    """Starts and ends recordings; what is recorded it takes from the link by itself, and only while it records."""
+    """Service that starts and ends recordings.
+
+    While it records, it subscribes to the recorded topics through its own link, outside the service's inbox.
+    """
 
     name = "recorder"
     paced_by = Every.hz(topics.RECORDER_STATE.rate_hz)
@@ -34,19 +37,25 @@ class RecorderService:
     def __init__(
         self, profile: RobotProfile, settings: Settings, wall: Callable[[], datetime] = lambda: datetime.now().astimezone()
     ):
-        """Begin at rest; `wall` gives the date and time that folders are named by."""
+        """Create a recorder that is not recording.
+
+        Args:
+            profile: The robot.
+            settings: Settings of the recorder.
+            wall: Clock that returns the local date and time, for folder names.
+        """
         self.stages = Stages()
         self._profile, self._settings, self._wall = profile, settings, wall
         self._link: Link | None = None
         self._sequence = -1
-        self._recording: LiveRecorder | None = None  # that is being written, or was last
-        self._files: Rotation | None = None  # its files
+        self._recording: LiveRecorder | None = None  # current or last recording
+        self._files: Rotation | None = None  # files of that recording
         self._wanted = False
         self._began_ns = self._ended_ns = 0
         self._reason = ""
 
     def meet(self, link: Link) -> None:
-        """Take what is recorded from a link."""
+        """Set the link from which topics are recorded; call it before `step`."""
         self._link = link
 
     def __enter__(self) -> Self:
@@ -58,7 +67,7 @@ class RecorderService:
             self._recording.join()
 
     def doing(self) -> str:
-        """What is being recorded."""
+        """Return the current or last recording as text."""
         if self._files is None:
             return self._reason or "recording nothing"
         if self._wanted:
@@ -66,7 +75,7 @@ class RecorderService:
         return self._reason or f"recorded {self._files.folder}"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
-        """Do what was ordered, notice what went wrong, and say how it stands."""
+        """Process commands, end a recording that failed, and yield the recorder's state."""
         for command in inbox.drain(topics.RECORD):
             self._obey(command, tick.stamp_ns)
         if self._wanted and self._recording is not None and self._recording.problem:
@@ -75,7 +84,7 @@ class RecorderService:
 
     def _obey(self, command: RecordCommand, now_ns: int) -> None:
         if not self._sequence < command.sequence <= now_ns + AHEAD_NS:
-            return  # a repetition, one that was overtaken, or a number that would make all later orders old
+            return  # repeated, outdated, or so far in the future that all later commands would count as outdated
         self._sequence = command.sequence
         if command.record and not self._wanted:
             self._begin(now_ns)
@@ -104,7 +113,7 @@ class RecorderService:
     def _end(self, now_ns: int) -> None:
         assert self._recording is not None
         self._wanted, self._ended_ns = False, now_ns
-        self._recording.end()  # its thread finishes the file
+        self._recording.end()  # the recording thread completes the file
         self._reason = self._recording.problem
         if self._reason:
             _LOGGER.warning("%s", self._reason)
@@ -126,10 +135,16 @@ class RecorderService:
 
 
 def open_rotation(folder: Path, profile: RobotProfile, settings: Settings, about: dict[str, str]) -> Rotation:
-    """Files of a recording in a folder, which is made.
+    """Create the folder of a recording and return its rotating files.
+
+    Args:
+        folder: Folder, created if missing.
+        profile: The robot.
+        settings: File duration, disk reserve and content.
+        about: Metadata of the recording.
 
     Raises:
-        OSError: They cannot be written, or there is no room for them.
+        OSError: The folder is not writable, or the disk has too little free space.
     """
     folder.mkdir(parents=True, exist_ok=True)
     left_out = () if settings.pictures else LEFT_OUT
@@ -141,7 +156,7 @@ def open_rotation(folder: Path, profile: RobotProfile, settings: Settings, about
 
 
 def _free(folder: Path) -> int:
-    """[B] that are free where a folder is, or is to be; -1 where that is not known."""
+    """Return the free disk space [B] at an existing or future folder, -1 if unknown."""
     for place in (folder.resolve(), *folder.resolve().parents):
         try:
             return shutil.disk_usage(place).free

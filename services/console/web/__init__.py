@@ -1,1 +1,1 @@
-"""Serve the operator's page: web server, sockets, and what each page may see and command."""
+"""Web server of the console: pages, their requests and the arbitration of control."""

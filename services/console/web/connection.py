@@ -1,6 +1,7 @@
-"""One connection of a browser: a file of the page and done, or a socket for as long as the page is open.
+"""One connection of a browser.
 
-HTTP and WebSocket are spoken by `websockets` without its own server, which would take twice as long for each message.
+It is an HTTP request for one file, or the WebSocket of an open page. It uses the protocol classes of the package `websockets`,
+but not its server, which takes twice as long per message.
 """
 
 import asyncio
@@ -24,69 +25,69 @@ from sextant.services.console.web.requests import MAX_BYTES
 log = logging.getLogger(__name__)
 
 SOCKET = "/socket"
-GLANCE = "glance"  # behind it, of a page that only wants to know how the robot fares
-_PATIENCE_S = 5.0  # for a request
-_SENDING_S = 30.0  # for a file to be taken
-_PING_S = 5.0  # between two; one that is not answered until the next ends the connection
-_CLOSING_S = 1.0  # for the other end to hang up, too
+GLANCE = "glance"  # query string of a fleet page, which receives only a summary of the robot
+_PATIENCE_S = 5.0  # [s] timeout for a request
+_SENDING_S = 30.0  # [s] timeout for sending a file
+_PING_S = 5.0  # [s] period of pings; a ping without an answer within this time ends the connection
+_CLOSING_S = 1.0  # [s] timeout for the browser to close the connection
 _wire_log = logging.getLogger("websockets.server")
 
 
 class Host(Protocol):
-    """Who has the pages."""
+    """Interface of the server that owns the connections and pages."""
 
     door: Door
     porter: Porter
     files: dict[str, bytes]
 
     def opened(self, connection: "Connection") -> None:
-        """Somebody has connected."""
+        """Register a new connection."""
         ...
 
     def closed(self, connection: "Connection") -> None:
-        """And has gone."""
+        """Remove a closed connection."""
         ...
 
     def pages_open(self) -> int:
-        """How many."""
+        """Return the number of open pages."""
         ...
 
     def arrived(self, connection: "Connection", glances: bool) -> Page:
-        """A page has connected, to see all there is or only how the robot fares."""
+        """Register a new page; a page with `glances` receives only a summary."""
         ...
 
     def left(self, page: Page) -> None:
-        """It has gone."""
+        """Remove a page that has disconnected."""
         ...
 
     def hear(self, page: Page, text: str) -> None:
-        """It has said something."""
+        """Process a text that a page has sent."""
         ...
 
 
 class Connection(asyncio.Protocol):
-    """Speaks with one browser."""
+    """Protocol of one connection of a browser."""
 
     def __init__(self, host: Host):
-        """Nothing has come yet."""
+        """Create a connection that waits for its request."""
         _wire_log.setLevel(logging.WARNING)
         self._host = host
         self._wire = ServerProtocol(subprotocols=[PROTOCOL], max_size=MAX_BYTES, logger=_wire_log)  # type: ignore[list-item]
         self._loop = asyncio.get_running_loop()
         self._page: Page | None = None
-        self._full = False  # the other end takes no more for now
-        self._answered = True  # the newest ping
+        self._full = False  # the send buffer is full
+        self._answered = True  # the newest ping was answered
 
-    # --------------------------------------------------------------------------------------------------- what the loop calls
+    # --------------------------------------------------------------------------------------------- asyncio.Protocol methods
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Wait for a request, but not for ever."""
+        """Wait for a request, with a timeout."""
         self._transport = cast(asyncio.Transport, transport)
         self._timer = self._loop.call_later(_PATIENCE_S, self._transport.abort)
         self._host.opened(self)
 
     def data_received(self, data: bytes) -> None:
-        """Take in what has come."""
+        """Process received bytes."""
         self._wire.receive_data(data)
         for event in self._wire.events_received():
             if isinstance(event, HttpRequest):
@@ -96,12 +97,12 @@ class Connection(asyncio.Protocol):
         self._flush()
 
     def eof_received(self) -> None:
-        """The other end says no more."""
+        """Process the end of the browser's stream."""
         self._wire.receive_eof()
         self._flush()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It is over."""
+        """Stop the timer, and remove the connection and its page from the server."""
         self._timer.cancel()
         self._host.closed(self)
         if self._page is not None:
@@ -109,18 +110,18 @@ class Connection(asyncio.Protocol):
             self._page = None
 
     def pause_writing(self) -> None:
-        """Enough waits to be sent."""
+        """Stop sending because the send buffer is full."""
         self._full = True
 
     def resume_writing(self) -> None:
-        """There is room again."""
+        """Continue sending because the send buffer has room again."""
         self._full = False
         self.send()
 
-    # -------------------------------------------------------------------------------------------------- what its page does
+    # --------------------------------------------------------------------------------------------- methods for the server
 
     def send(self) -> None:
-        """Send what is there to be sent now."""
+        """Send the waiting messages of the page, unless the send buffer is full."""
         if self._page is None or self._full or self._wire.state is not State.OPEN:
             return
         for message in self._page.take():
@@ -131,19 +132,19 @@ class Connection(asyncio.Protocol):
         self._flush()
 
     def close(self, code: int) -> None:
-        """Say good-bye."""
+        """Start the closing handshake of the WebSocket with a status code."""
         if self._wire.state is State.OPEN:
             self._wire.send_close(code)
             self._flush()
 
     def abort(self) -> None:
-        """Hang up."""
+        """Close the transport at once."""
         self._transport.abort()
 
-    # ------------------------------------------------------------------------------------------------------------- in here
+    # ------------------------------------------------------------------------------------------------------------- private
 
     def _begin(self, request: HttpRequest) -> None:
-        if self._wire.parser_exc is not None:  # what came behind it in the same breath is no WebSocket: there is no answering
+        if self._wire.parser_exc is not None:  # the bytes after the request are not WebSocket frames, so no answer is possible
             self.abort()
             return
         response = self._answer(request)

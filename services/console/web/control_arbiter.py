@@ -1,8 +1,9 @@
-"""What the operators at their pages have asked for, and the messages that follow from it. Pure: time comes in.
+"""Arbitration of the operators' requests.
 
-Several pages may look on, one at a time leads. Each sits at a seat, and orders as the holder `console N at PLACE`, so that the
-lease says who leads. Nothing moves but while a press of the pad is being repeated, or to a goal whose page is still there:
-a press that was let go, or was silent for longer than the dead-man allows, has lapsed for good, whatever comes in later.
+One page at a time controls the robot, and all pages may stop it. Each page has a seat and sends commands as the lease holder
+`console N at PLACE`. The robot moves only while a page repeats a press of the pad, or to a goal of a page that is still
+connected. A press ends when the pad is released, or when the page is silent for longer than the dead-man time. A press that has
+ended cannot move the robot again, even if its messages arrive late. This module does no I/O; the caller passes the time.
 """
 
 import math
@@ -13,41 +14,41 @@ import numpy as np
 from sextant.services.console.web.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, Request, TakeOver
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
 
-SEATS = 8  # pages that may lead; others look on, and may stop
-DEAD_MAN_NS = 300_000_000  # [ns] without a word from a page that holds the pad, after which it has let go
-_AWAY_NS = 5_000_000_000  # [ns] without any word, after which a page leads no more: it is hidden, frozen or cut off
-_REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
-_URGENT_NS = 100_000_000  # [ns] likewise, of one that turns torque off, until it has come about
-_HEARD_NS = 2_000_000_000  # [ns] in which an order is heard, or is too old to be obeyed
-_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least; a page that holds the pad says so every 66 ms
-_ZERO_NS = 300_000_000  # [ns] for which a pad that was let go says so
-_GOAL_NS = 200_000_000  # [ns] between two messages of a goal
-_TOLERANCE = 0.05  # [m] from a goal
-_LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can be led
+SEATS = 8  # maximum number of pages that may drive; further pages may only stop
+DEAD_MAN_NS = 300_000_000  # [ns] silence of a page with a held pad after which the press ends
+_AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is hidden, frozen or disconnected
+_REPEAT_NS = 500_000_000  # [ns] period of a command, which keeps the lease
+_URGENT_NS = 100_000_000  # [ns] period of a torque-off command until torque is off
+_HEARD_NS = 2_000_000_000  # [ns] age at which a command was received or is too old to be executed
+_VELOCITY_NS = 40_000_000  # [ns] minimum period of velocity commands; a page repeats a held pad every 66 ms
+_ZERO_NS = 300_000_000  # [ns] duration of zero velocity commands after a press
+_GOAL_NS = 200_000_000  # [ns] period of a goal
+_TOLERANCE = 0.05  # [m] radius around a goal
+_LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can walk
 
 
 @dataclass(slots=True)
 class _Page:
-    """One browser."""
+    """State of one page."""
 
-    seat: int  # 0: it looks on
+    seat: int  # 0 for a page that may only stop
     name: str
-    holder: str  # as which it orders, unlike any other page's that leads, of whatever console
-    heard_ns: int
-    lapsed: int = -1  # newest press of its pad that is over
-    told: int = -1  # newest of those that this has been said of
-    order: ModeCommand | None = None  # its newest
-    said_ns: int = 0  # when that was last said
+    holder: str  # lease holder of its commands, unique among all seats of all consoles
+    heard_ns: int  # time of its newest request
+    lapsed: int = -1  # number of the newest press that has ended
+    told: int = -1  # number of the newest ended press of which the page was notified
+    order: ModeCommand | None = None  # newest command that is still repeated
+    said_ns: int = 0  # time when the command was last published
 
 
 @dataclass(frozen=True, slots=True)
 class Seat:
-    """Who sits where, for everybody to see."""
+    """Public state of one page."""
 
     seat: int
     name: str
-    holder: str  # as the lease names it
-    leads: bool
+    holder: str  # lease holder of its commands
+    leads: bool  # whether it holds the lease
 
 
 @dataclass(slots=True)
@@ -66,32 +67,38 @@ class _Errand:
 
 
 class Desk:
-    """Takes requests of pages, and says what goes out; one call of `beat` every few hundredths of a second."""
+    """Arbiter between pages: takes their requests and returns the messages to publish.
+
+    Call `beat` every few hundredths of a second.
+    """
 
     def __init__(self, max_speed: float, place: str):
-        """Nobody is there yet.
+        """Start without pages.
 
         Args:
-            max_speed: [m/s] of the robot.
-            place: Where this is, unlike that of any other console of the robot.
+            max_speed: Maximum speed of the robot [m/s].
+            place: Name of this console, unique among the consoles of the robot.
         """
         self._max_speed, self._place = max_speed, place
         self._pages: dict[int, _Page] = {}
         self._state: ActuatorState | None = None
         self._press: _Press | None = None
         self._errand: _Errand | None = None
-        self._zero: VelocityCommand | None = None  # what is said after a press
+        self._zero: VelocityCommand | None = None  # zero velocity that is published after a press
         self._zero_until_ns = 0
-        self._velocity_ns = 0  # when one was last sent
+        self._velocity_ns = 0  # time of the last velocity command
         self._sequence = 0
-        self._off_ns = -1  # when torque was off last
-        self._new: list[Message] = []  # to go out at the next beat
-        self._words: list[str] = []  # for the log
+        self._off_ns = -1  # last time at which torque was off
+        self._new: list[Message] = []  # messages for the next `beat`
+        self._words: list[str] = []  # entries for the event log
 
     # ------------------------------------------------------------------------------------------------- pages come and go
 
     def arrive(self, page: int, now_ns: int, leads: bool = True) -> int:
-        """Give a page a seat; 0 where all are taken, or where it is not here to lead."""
+        """Add a page and return its seat.
+
+        The seat is 0 if all seats are taken, or if `leads` is false.
+        """
         taken = {other.seat for other in self._pages.values()}
         seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
         name, holder = (f"page {seat}", f"console {seat}") if seat else ("looking on", "console")
@@ -99,7 +106,7 @@ class Desk:
         return seat
 
     def leave(self, page: int, now_ns: int) -> None:
-        """A page has gone: what it led ends."""
+        """Remove a page; its press and its goal end."""
         found = self._pages.get(page)
         if found is None:
             return
@@ -108,7 +115,7 @@ class Desk:
 
     @property
     def seats(self) -> tuple[Seat, ...]:
-        """Who is there, in the order of the seats."""
+        """Public state of all pages, ordered by seat."""
         lease = "" if self._state is None else self._state.lease
         pages = sorted(self._pages.values(), key=lambda page: page.seat)
         return tuple(Seat(p.seat, p.name, p.holder, bool(p.seat) and p.holder == lease) for p in pages)
@@ -120,18 +127,18 @@ class Desk:
 
     @property
     def goal(self) -> GoTo | None:
-        """Where the robot is being sent."""
+        """Current goal, None without one."""
         return None if self._errand is None else self._errand.goal
 
     def drain_words(self) -> list[str]:
-        """What has come about at the desk since this was last asked, for the log."""
+        """Remove and return the entries for the event log since the last call."""
         words, self._words = self._words, []
         return words
 
     # ----------------------------------------------------------------------------------------------------------- requests
 
     def ask(self, page: int, request: Request, now_ns: int) -> str:
-        """Take in a request; why it is refused, in words, or nothing."""
+        """Process a request; return why it is refused, "" if it is accepted."""
         sender = self._pages.get(page)
         if sender is None:
             return "this page has been taken for gone; it connects anew"
@@ -162,7 +169,7 @@ class Desk:
         if press is not None and press.page == page and now_ns - press.heard_ns > DEAD_MAN_NS:
             self._release_pad(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
             press = None
-        if drive.press <= sender.lapsed:  # it comes too late
+        if drive.press <= sender.lapsed:  # the press has ended
             told, sender.told = sender.told, max(sender.told, drive.press)
             return "the robot was stopped; let go of the pad and press it anew" if drive.press > told else ""
         if press is not None and press.page == page and press.drive.press == drive.press:
@@ -172,7 +179,7 @@ class Desk:
         if press is not None and press.page != page:
             refused = refused or f"{self._pages[press.page].name} holds the pad"
         if refused:
-            sender.lapsed = sender.told = drive.press  # it has to be pressed anew
+            sender.lapsed = sender.told = drive.press  # the operator must release and press the pad again
             return refused
         self._end_errand(now_ns, f"{sender.name} takes the pad")
         self._press = _Press(page, drive, now_ns)
@@ -218,21 +225,21 @@ class Desk:
     def _named(self, holder: str) -> str:
         return next((page.name for page in self._pages.values() if page.seat and page.holder == holder), holder)
 
-    # ------------------------------------------------------------------------------------------------------- what goes out
+    # --------------------------------------------------------------------------------------------------- messages to publish
 
     def beat(self, now_ns: int, state: ActuatorState | None, status: PlannerStatus | None) -> list[Message]:
-        """What goes out now.
+        """Return the messages to publish now.
 
         Args:
-            now_ns: [ns]
-            state: Newest word of the actuator; None where it has not said one for a while.
-            status: Newest word of the planner, likewise.
+            now_ns: Current time [ns].
+            state: Newest state of the actuator, None if it is outdated.
+            status: Newest status of the planner, None if it is outdated.
         """
         self._state = state
         for page, sitting in self._pages.items():
             if now_ns - sitting.heard_ns > _AWAY_NS:
                 self._end_leading(page, sitting, now_ns, f"nothing was heard of {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
-                sitting.order = None  # the lease ends
+                sitting.order = None  # the lease expires
         self._watch_press(now_ns)
         self._watch_errand(now_ns, status)
         self._repeat_orders(now_ns)
@@ -276,14 +283,18 @@ class Desk:
                 self._say(sitting, order, now_ns)
 
     def _is_over(self, order: ModeCommand, now_ns: int) -> bool:
-        """Whether nobody is to hear of an order any more: torque is, or was, off for it, or it has stopped somebody else."""
+        """Return whether a command needs no more repetition.
+
+        Repetition ends 2 s after the command if torque is off. It also ends for a torque-off command when another client has
+        turned torque on again, and for a stop command after 2 s if another client holds the lease.
+        """
         state, heard = self._state, now_ns - order.sequence > _HEARD_NS
         if state is None or state.stamp_ns < order.sequence:
             return False
         if state.mode is Mode.OFF:
             self._off_ns = state.stamp_ns
             return heard
-        if order.mode == "off" and self._off_ns >= order.sequence:  # somebody has taken it back
+        if order.mode == "off" and self._off_ns >= order.sequence:  # another client has turned torque on again
             return True
         return order.mode == "stop" and heard and state.lease != order.holder
 
@@ -315,7 +326,7 @@ class Desk:
         waypoints = np.array(goal.waypoints)
         return [Goal(now_ns, waypoints, _TOLERANCE, speed, walk.height, walk.lift, walk.gait, goal.passage)]
 
-    # ------------------------------------------------------------------------------------------------------------- endings
+    # ------------------------------------------------------------------------------------------------ ends of presses, goals
 
     def _end_leading(self, page: int, sitting: _Page, now_ns: int, why: str) -> None:
         self._release_pad(page, now_ns, why)
@@ -323,7 +334,7 @@ class Desk:
             self._end_errand(now_ns, f"{why}, and its goal with it")
 
     def _release_pad(self, page: int, now_ns: int, why: str) -> None:
-        """The pad is let go, or taken for it: the robot stops."""
+        """End the press of a page and stop the robot; `why` goes to the event log."""
         if self._press is None or self._press.page != page:
             return
         if why:
@@ -335,7 +346,7 @@ class Desk:
         self._order(self._pages[page], "stop", now_ns)
 
     def _lapse(self) -> None:
-        """The press that is on moves nothing any more."""
+        """End the current press, so that its later messages have no effect."""
         assert self._press is not None
         self._pages[self._press.page].lapsed = self._press.drive.press
         self._press = None
@@ -349,14 +360,14 @@ class Desk:
         self._order(self._pages[page], "stop", now_ns)
 
     def _order_anew(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
-        """An order that ends whatever press or goal there is."""
+        """Publish a command that ends the current press and goal."""
         if self._press is not None:
             self._lapse()
         self._errand = None
         self._order(sitting, mode, now_ns, take)
 
     def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
-        ahead = self._sequence - now_ns > _HEARD_NS  # the robot's clock has begun anew
+        ahead = self._sequence - now_ns > _HEARD_NS  # the clock was set back, e.g. by a restart of simulated time
         self._sequence = now_ns if ahead else max(self._sequence + 1, now_ns)
         order = ModeCommand(now_ns, mode, self._sequence, sitting.holder, take)  # type: ignore[arg-type]
         sitting.order = order

@@ -1,9 +1,9 @@
-"""Binary frames for pages: a header in JSON, and behind it what a graphics card takes as it is. Pure.
+"""Binary frames for pages: a JSON header and arrays that the GPU uses directly.
 
-    uint32 little-endian header length | header | padding to 4 bytes | heights, int16 | colours, uint8
+    uint32 little-endian header length | header | padding to 4 bytes | heights, int16 | values, uint8
 
-Heights are millimetres {world}; unknown is -32768. `values` are one byte a cell, what they mean the header says;
-`rgb` are three.
+Heights are in millimetres {world}; -32768 is unknown. The values of a layer are one byte per cell, with the scale of the
+header; the layer "color" has three bytes per cell, R, G, B.
 """
 
 import json
@@ -17,20 +17,22 @@ from sextant.services.console.web.requests import Layer
 from sextant.shared.wire.messages import UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
-_HIGHEST = np.float32(32767.0)  # [mm]; what is higher is drawn there, what is as deep is unknown
-NO_VALUE = 255  # of a layer: unknown
+_HIGHEST = np.float32(32767.0)  # [mm] upper limit of heights
+NO_VALUE = 255  # unknown value of a layer
 _ALIGNMENT = 4
-_SCORE_STEPS = 100.0  # values of a byte per unit of the score, which is a foothold up to 1
-_WORST_VARIANCE = 0.02  # [m] standard deviation drawn as the worst
-_FAR_VALUE = 25  # [cells] of the evaluation function on either side that are told apart
+_SCORE_STEPS = 100.0  # byte values per unit of the score; a cell with a score up to 1 is a foothold
+_WORST_VARIANCE = 0.02  # [m] standard deviation at the end of the colour scale
+_FAR_VALUE = 25  # [cells] limit of the evaluation function on the colour scale, on both sides
 
 
 def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
-    """A map with one of its layers; about three bytes a cell, five in colour.
+    """Return the frame of a map with one layer.
+
+    It has three bytes per cell, five for the layer "color".
 
     Args:
         terrain: The map.
-        layer: To colour it by; the score, where it has no colour.
+        layer: Layer that colours the map; the score replaces "color" if the map has no colour.
     """
     chosen: Layer = "score" if layer == "color" and terrain.color.size == 0 else layer
     values, scale = _values(terrain, chosen)
@@ -49,7 +51,7 @@ def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
 
 
 def picture_frame(picture: Preview) -> bytes:
-    """What the camera sees: its depth as JPEG, and behind it its colour."""
+    """Return the frame of a camera picture: depth as JPEG, followed by colour as JPEG."""
     header = {
         "type": "picture",
         "stamp_ns": picture.stamp_ns,
@@ -60,7 +62,7 @@ def picture_frame(picture: Preview) -> bytes:
 
 
 def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
-    """A header and what goes behind it."""
+    """Return a frame of a header and arrays."""
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     gap = -(4 + len(text)) % _ALIGNMENT
     return b"".join((struct.pack("<I", len(text) + gap), text, b" " * gap, *(array.tobytes() for array in arrays)))
@@ -68,13 +70,16 @@ def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
 
 def _heights(terrain: TerrainMap) -> NDArray[np.int16]:
     mm = terrain.elevation * np.float32(1000.0)
-    np.fmax(mm, np.float32(NO_HEIGHT), out=mm)  # the other one of a NaN
+    np.fmax(mm, np.float32(NO_HEIGHT), out=mm)  # fmax replaces NaN by NO_HEIGHT
     np.fmin(mm, _HIGHEST, out=mm)
     return mm.astype(np.int16)
 
 
 def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[str, float]]:
-    """A byte a cell, or three, and how to read it."""
+    """Return the bytes of a layer and its scale for the header.
+
+    The layer "color" has three bytes per cell, the others one.
+    """
     match layer:
         case "color":
             return np.ascontiguousarray(terrain.color), {}
@@ -92,7 +97,7 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Numbers from 0 up as bytes up to 254; what is no number is unknown."""
-    known = np.fmax(values, np.float32(-1.0))  # the other one of a NaN; as a byte it is NO_VALUE
+    """Return values >= 0 as bytes clipped to 254; NaN becomes NO_VALUE."""
+    known = np.fmax(values, np.float32(-1.0))  # fmax replaces NaN by -1, which is NO_VALUE as a byte
     np.fmin(known, np.float32(254.0), out=known)
     return known.astype(np.int16).astype(np.uint8)

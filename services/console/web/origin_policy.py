@@ -1,4 +1,7 @@
-"""Who may come in: a browser on this machine may have pages of other sites open, too. Pure."""
+"""Check of host, origin and token of browsers.
+
+It is needed on loopback, too, because the operator's browser may have pages of other sites open.
+"""
 
 import hmac
 import math
@@ -12,28 +15,31 @@ PROTOCOL = f"sextant.{view.PROTOCOL}"
 MOST_PAGES = 32
 _SAID_EVERY_S = 1.0
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
-_TOKEN = "token."  # before it, among the protocols that a page offers
+_TOKEN = "token."  # prefix of the token in the subprotocols of a page
 
 
 class Door:
-    """Refuses whoever does not name an address of the console's own, and pages that it has not served."""
+    """Access check: refuses foreign host names, pages of other sites and wrong tokens."""
 
     def __init__(self, settings: Settings):
-        """Of a console that listens where the settings say."""
+        """Create the check of a console with the given address and token."""
         self._host, self._token = settings.host, settings.token
 
     def is_own(self, host: str) -> bool:
-        """Whether a request names this console: a name that somebody has turned to its address is none."""
+        """Return whether the Host header of a request is an address of this console.
+
+        This refuses foreign names that resolve to this address (DNS rebinding). With a token any name is accepted.
+        """
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
         return bool(self._token) or name in (*_LOCAL, self._host)
 
     def refusal(self, headers: Mapping[str, str], offered: Sequence[str], pages: int) -> str:
-        """Why a page may not connect, in words, or nothing.
+        """Return why a page may not connect, "" if it may.
 
         Args:
-            headers: Of its request, by names in small letters.
-            offered: Protocols that it speaks.
-            pages: That are open already.
+            headers: Headers of its request, by lower-case name.
+            offered: WebSocket subprotocols that it offers.
+            pages: Number of pages that are open already.
         """
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self.is_own(host):
@@ -52,14 +58,22 @@ class Door:
 
 
 class Porter:
-    """Says who was refused, for the log: at most once a second, for whoever is refused comes again."""
+    """Rate limit of log messages on refused pages.
+
+    It passes at most one message per second, because refused pages try again.
+    """
 
     def __init__(self) -> None:
-        """Nobody has come yet."""
+        """Start with no refusal."""
         self._next_s, self._left_out = -math.inf, 0
 
     def words(self, refusal: str, now_s: float) -> str:
-        """What to say of a refusal at a time [s], by any clock that only goes on; nothing so soon after the last."""
+        """Return the log message of a refusal, "" within a second of the last one.
+
+        Args:
+            refusal: Reason of the refusal.
+            now_s: Time [s] of any monotonic clock.
+        """
         if now_s < self._next_s:
             self._left_out += 1
             return ""
@@ -69,8 +83,8 @@ class Porter:
 
 
 def _site(origin: str) -> str:
-    """Host and port of a page's origin; nothing where it is none."""
+    """Return host and port of an origin, "" if it is invalid."""
     try:
         return urlsplit(origin).netloc
-    except ValueError:  # of brackets that hold no address
+    except ValueError:  # raised for brackets that do not hold an IPv6 address
         return ""

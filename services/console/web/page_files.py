@@ -1,4 +1,7 @@
-"""Files of the page as they are served: they are few, and what is not here is not served. Pure but for `page_files`."""
+"""Files of the page and their HTTP headers.
+
+The server serves only these files, from memory.
+"""
 
 from importlib import resources
 from typing import Any
@@ -22,12 +25,12 @@ HEADERS = {
 
 
 def headers_of(path: str) -> dict[str, str]:
-    """What a file of the page is served with."""
+    """Return the HTTP headers of a file of the page."""
     return {**HEADERS, "Content-Type": KINDS[_ending(path)]}
 
 
 def page_files() -> dict[str, bytes]:
-    """All files of the page by their paths."""
+    """Return the contents of all files of the page by path."""
     files: dict[str, bytes] = {}
 
     def gather(folder: Any, below: str) -> None:

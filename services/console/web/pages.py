@@ -1,46 +1,47 @@
-"""The pages that are open: what each is to be sent next. Slow ones get fewer frames, never a queue.
+"""Outgoing messages of one open page.
 
-State, health and pictures are slots that the newest fills; log lines are kept until they are sent. A map or a picture is sent
-once the page has drawn the one before. Everything in here belongs to one thread, the web server's.
+A slow page receives fewer frames instead of a growing queue. Each kind of message has one slot, and a newer message replaces
+the older one. Log lines are kept until they are sent. A map or a picture is sent after the page has drawn the previous one.
+Only the web server's thread may use these objects.
 """
 
 from collections import deque
 from collections.abc import Sequence
 
-_SLOTS = ("hello", "state", "glance", "health", "passage", "refused")  # in the order in which they are sent
+_SLOTS = ("hello", "state", "glance", "health", "passage", "refused")  # in sending order
 _FRAMES = ("map", "picture")
-_LINES = 64  # of the log that may wait: texts of entries, the oldest go
+_LINES = 64  # maximum number of waiting log messages; the oldest are dropped
 
 
 class Page:
-    """One open page."""
+    """Outgoing messages of one open page."""
 
     def __init__(self, number: int):
-        """Nothing waits yet."""
+        """Create the empty slots of a page with a number."""
         self.number = number
-        self.press = -1  # of its pad, the newest
+        self.press = -1  # number of the newest press of its pad
         self._slots: dict[str, str] = {}
         self._frames: dict[str, bytes] = {}
-        self._drawing: set[str] = set()  # kinds of frames that it has been sent and has not drawn yet
+        self._drawing: set[str] = set()  # kinds of frames that were sent and are not drawn yet
         self._lines: deque[str] = deque(maxlen=_LINES)
 
     def post(self, kind: str, text: str) -> None:
-        """Have a text sent; a newer one of its kind takes its place, but for lines of the log."""
+        """Queue a text, which replaces the waiting text of its kind; log lines accumulate."""
         if kind == "log":
             self._lines.append(text)
         else:
             self._slots[kind] = text
 
     def show(self, kind: str, frame: bytes) -> None:
-        """Have a frame sent, once the one before is drawn; a newer one takes its place."""
+        """Queue a frame, which replaces the waiting frame of its kind."""
         self._frames[kind] = frame
 
     def seen(self, kind: str) -> None:
-        """The page has drawn a frame."""
+        """Record that the page has drawn the last frame of a kind."""
         self._drawing.discard(kind)
 
     def take(self) -> Sequence[str | bytes]:
-        """What is to be sent now."""
+        """Remove and return the messages that are ready to send."""
         out: list[str | bytes] = [self._slots.pop(kind) for kind in _SLOTS if kind in self._slots]
         out += self._lines
         self._lines.clear()

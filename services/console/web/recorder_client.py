@@ -1,4 +1,7 @@
-"""What operators want of the recorder, repeated until it follows, and what it says of it. Pure: time comes in."""
+"""Client of the recorder: sends record commands and logs the recorder's state.
+
+It repeats a command until the recorder acknowledges it.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -6,32 +9,35 @@ from typing import Any
 from sextant.shared.recording.event_log import Diary
 from sextant.shared.wire.messages import RecordCommand, RecorderState
 
-_REPEAT_NS = 1_000_000_000  # [ns] between two repetitions of an order that is not followed yet
+_REPEAT_NS = 1_000_000_000  # [ns] period of a command that is not acknowledged yet
 
 
 class Clerk:
-    """Passes orders on to the recorder. One that dies and comes back is told again, so that the recording goes on."""
+    """Sends record commands to the recorder, again after a restart of the recorder."""
 
     def __init__(self, diary: Diary):
-        """Begin with nothing wanted; what comes about goes into a diary."""
+        """Start without a command; events are written to the event log `diary`."""
         self._diary = diary
-        self._order: RecordCommand | None = None  # the newest, which holds until the recorder says that it cannot
+        self._order: RecordCommand | None = None  # newest command; None after the recorder reports failure
         self._due_ns = 0
-        self._state: RecorderState | None = None  # None: it has not spoken for a while, or never
+        self._state: RecorderState | None = None  # None if the recorder is silent
         self._was_heard = False
         self._told = ""
 
     def want(self, record: bool, now_ns: int) -> str:
-        """An operator wants a recording to begin, or to end; why not, in words, or nothing."""
+        """Start or end a recording; return why that is not possible, "" if it is."""
         if self._state is None:
             return "no recorder is running; `sextant up` starts one"
         sequence = now_ns if self._order is None else max(now_ns, self._order.sequence + 1)
-        self._order = RecordCommand(now_ns, record, sequence)  # above those of a console that ran before
+        self._order = RecordCommand(now_ns, record, sequence)  # a time, so it exceeds the sequences of a previous console
         self._due_ns = now_ns
         return ""
 
     def beat(self, now_ns: int, state: RecorderState | None) -> Iterator[RecordCommand]:
-        """See what the recorder says, None where it has been silent; the order, where it is to be said now."""
+        """Process the recorder's state, and yield the command if it is due.
+
+        The state is None if the recorder is silent.
+        """
         self._see(now_ns, state)
         order = self._order
         if order is None or state is None or state.sequence == order.sequence or now_ns < self._due_ns:
@@ -40,7 +46,7 @@ class Clerk:
         yield order
 
     def view(self) -> dict[str, Any] | None:
-        """What a page is told of it; None where there is no recorder."""
+        """Return the recorder's state for pages, None without a recorder."""
         state = self._state
         if state is None:
             return None
@@ -67,7 +73,7 @@ class Clerk:
             self._note(now_ns, "the recorder died and is back: what was said meanwhile is not recorded", True)
         if state.reason:
             if self._order is not None and state.sequence == self._order.sequence:
-                self._order = None  # it cannot: whoever mends that asks again
+                self._order = None  # the recorder failed; the operator must repeat the request after a repair
             self._note(now_ns, state.reason, True)
         elif state.recording:
             self._note(now_ns, f"recording to {state.file}")

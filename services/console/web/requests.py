@@ -1,14 +1,14 @@
-"""What a page may ask for: text of the socket in, a request out, or why it is none. Nothing from a browser is believed."""
+"""Requests of pages: validate and parse the JSON text that a browser sends."""
 
 import json
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
-MAX_BYTES = 4096  # of one request
+MAX_BYTES = 4096  # maximum size of a request
 _MOST_WAYPOINTS = 16
-_FAR = 100.0  # [m] of a waypoint from where the robot started
-_FAST = 1.0  # [m/s] and [rad/s]; the robot's own limits are the planner's matter
+_FAR = 100.0  # [m] maximum coordinate of a waypoint {world}
+_FAST = 1.0  # [m/s] and [rad/s] maximum speed of a request; the planner applies the robot's own limits
 _MOST_PRESSES = 1 << 53
 
 Order: TypeAlias = Literal["off", "stop", "ready", "stand", "sit"]
@@ -17,65 +17,65 @@ Gait: TypeAlias = Literal["tripod", "ripple", "wave"]
 
 
 class RequestError(ValueError):
-    """What a page has sent is no request, with the reason in words."""
+    """A page sent an invalid request; the text states the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """How the robot walks, by pad or to a goal."""
+    """Walking parameters of the pad and of goals."""
 
-    height: float  # [m] of the body over the floor
+    height: float  # [m] height of the body over the floor
     lift: float  # [m] clearance of swinging feet
     gait: Gait
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The pad is held; said again and again for as long as it is."""
+    """Velocity of the held pad; the page repeats it while the pad is held."""
 
-    press: int  # number of this press of the pad, counting up: one that has lapsed moves nothing any more
+    press: int  # number of this press, counting up; a press that has ended cannot move the robot again
     forward: float  # [m/s] {body}
     left: float  # [m/s]
     turn: float  # [rad/s] to the left
     walk: Walk
-    by_touch: bool  # walk without a map
+    by_touch: bool  # walk without a map, by touchdown detection
 
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """The pad is let go."""
+    """End of a press of the pad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An order to the legs."""
+    """Mode command for the actuator."""
 
     order: Order
 
 
 @dataclass(frozen=True, slots=True)
 class TakeOver:
-    """Take the lease from whoever has it; the legs stop, nothing else moves."""
+    """Take the lease from its current holder; the robot stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class GoTo:
-    """Walk to the last of some places."""
+    """Walk along waypoints to the last one."""
 
     waypoints: tuple[tuple[float, float], ...]  # [m] {world}
     speed: float  # [m/s]
     walk: Walk
-    passage: bool  # straight to it, deliberately, one leg at a time
+    passage: bool  # cross a gap: walk straight to the goal, one leg at a time
 
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
-    """Forget the goal."""
+    """Cancel the goal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What this page wants to see; by default what a new one shows."""
+    """Content that a page shows: a map layer, and whether the camera picture."""
 
     layer: Layer = "score"
     picture: bool = False
@@ -83,26 +83,26 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A map or a picture has been drawn: the next one may be sent."""
+    """Acknowledgement that a map or picture is drawn; the next one may be sent."""
 
     what: Literal["map", "picture"]
 
 
 @dataclass(frozen=True, slots=True)
 class Here:
-    """The page is alive, and in sight."""
+    """Heartbeat of a page that is open and visible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Begin to record what is said, or end it."""
+    """Start or end a recording."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """What the operator at this page is called."""
+    """Name of the operator at this page."""
 
     name: str
 
@@ -110,12 +110,12 @@ class Name:
 Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | GiveUp | Watch | Seen | Here | Record | Name
 
 
-@lru_cache(maxsize=64)  # a pad that is held says the same again and again
+@lru_cache(maxsize=64)  # a held pad repeats the same text
 def parse(text: str) -> Request:
-    """What a page has asked for.
+    """Parse and validate the text of a request.
 
     Raises:
-        RequestError: It is nothing that a page may ask for; says what was expected and what was found.
+        RequestError: The text is not a valid request; the message states the expected and the actual value.
     """
     if len(text) > MAX_BYTES:
         raise RequestError(f"a request of at most {MAX_BYTES} characters expected, found {len(text)}")
@@ -133,7 +133,7 @@ def _refuse(constant: str) -> float:
 
 
 class _Fields:
-    """The fields of a request; each is taken once, and none may be left over."""
+    """Fields of a request; each field is read once, and unread fields are an error."""
 
     def __init__(self, fields: dict[str, Any]):
         self._fields = fields
@@ -186,7 +186,7 @@ class _Fields:
         value = self._take(key)
         low = -most if least is None else least
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not low <= value <= most:  # neither a NaN nor infinity is
+        if not number or not low <= value <= most:  # also rejects NaN and infinity
             raise RequestError(f"{key}: a number from {low:g} to {most:g} expected, found {str(value)[:40]}")
         return float(value)
 

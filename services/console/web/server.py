@@ -1,7 +1,7 @@
-"""The web server: files of the page, and a socket for each page that is open.
+"""Web server of the console: the files of the page, and one WebSocket per page.
 
-It has no thread: it serves while its process waits for the next beat, so that nobody has to be woken to hand anything over. It
-listens on this machine alone unless told otherwise, and believes nobody.
+The server has no separate thread. It runs while the service waits for its next tick, which avoids thread switches.
+By default it listens on loopback only. All input from browsers is validated.
 """
 
 import asyncio
@@ -22,43 +22,43 @@ from sextant.services.console.web.pages import Page
 from sextant.services.console.web.requests import Drive, Here, Request, RequestError, Seen, parse
 
 _OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001
-_WAITING = 4096  # requests that may wait for the next beat: more are a flood, and the oldest go
-_SERVICE_RESTART = 1012
-_FAREWELL_S = 0.05  # for what was said last to go out
+_WAITING = 4096  # maximum number of requests that wait for the next tick; beyond it the oldest are dropped
+_SERVICE_RESTART = 1012  # WebSocket close code
+_FAREWELL_S = 0.05  # [s] for sending the last messages on shutdown
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that came from a page."""
+    """Event of a page: a request, or that the page has connected or disconnected."""
 
     page: int
     what: Request | Literal["arrived", "glances", "left"]
-    at_ns: int  # when it came
+    at_ns: int  # [ns] time of arrival
 
 
 class PageServer:
-    """Serves the page, while it is waited for; a context manager."""
+    """Web server that runs inside `wait`; a context manager."""
 
     def __init__(self, settings: Settings, clock: Callable[[], int]):
-        """Listen.
+        """Open the listening socket.
 
         Args:
-            settings: Where.
-            clock: [ns] by which what comes from pages is stamped.
+            settings: Address, port and token.
+            clock: Clock [ns] that stamps events of pages.
 
         Raises:
-            OSError: The address cannot be listened on.
+            OSError: The address is not available.
         """
         self.door, self.porter = Door(settings), Porter()
         self.files = {**page_files(), "robots.json": b'{"robots":[],"here":""}'}
         self._settings, self._clock = settings, clock
-        self._connections: dict[int, tuple[Page, Connection]] = {}  # of pages, by their numbers
-        self._open: set[Connection] = set()  # of these and of others
+        self._connections: dict[int, tuple[Page, Connection]] = {}  # page number -> page and its connection
+        self._open: set[Connection] = set()  # all connections, including those without a page
         self._count = 0
         self._events: deque[Event] = deque(maxlen=_WAITING)
-        self._touched: set[int] = set()  # pages for which there is something new
-        self._urgent = False  # something has come that cannot wait
-        self._overdue: asyncio.TimerHandle | None = None  # makes it urgent that the pad must have been heard of again
+        self._touched: set[int] = set()  # numbers of pages with new messages
+        self._urgent = False  # an event must be processed at once
+        self._overdue: asyncio.TimerHandle | None = None  # starts a tick when the dead-man time of the pad has passed
         family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
         try:
             self._socket = socket.create_server((settings.host, settings.port), family=family)
@@ -70,7 +70,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Where a browser finds the page."""
+        """URL of the page, including the token."""
         return self._settings.url(self.port)
 
     def __enter__(self) -> Self:
@@ -89,30 +89,30 @@ class PageServer:
         self._loop.close()
 
     def wait(self, length_s: float) -> None:
-        """Serve for a time [s], or until something has come that cannot wait."""
+        """Serve for a time [s], or until an urgent event."""
         if not self._urgent:
             self._serve(length_s)
         self._urgent = False
 
     def drain(self) -> list[Event]:
-        """What has come from pages since this was last asked, in order."""
+        """Remove and return the events since the last call, in order of arrival."""
         events = []
         while self._events:
             events.append(self._events.popleft())
         return events
 
     def post(self, kind: str, text: str, pages: Collection[int]) -> None:
-        """Have a text sent to some pages, at the next `flush`."""
+        """Queue a text for pages; `flush` sends it."""
         for page in self._those(pages):
             page.post(kind, text)
 
     def show(self, kind: str, frame: bytes, pages: Collection[int]) -> None:
-        """Have a frame sent to some pages, at the next `flush`."""
+        """Queue a frame for pages; `flush` sends it."""
         for page in self._those(pages):
             page.show(kind, frame)
 
     def flush(self) -> None:
-        """Send what there is to be sent now."""
+        """Send the queued messages of all pages."""
         for number in self._touched & self._connections.keys():
             self._connections[number][1].send()
         self._touched.clear()
@@ -130,22 +130,22 @@ class PageServer:
         self._urgent = True
         self._loop.stop()
 
-    # ------------------------------------------------------------------------------------------- what its connections call
+    # ---------------------------------------------------------------------------------------------- methods for connections
 
     def opened(self, connection: Connection) -> None:
-        """Somebody has connected."""
+        """Register a new connection."""
         self._open.add(connection)
 
     def closed(self, connection: Connection) -> None:
-        """And has gone."""
+        """Remove a closed connection."""
         self._open.discard(connection)
 
     def pages_open(self) -> int:
-        """How many pages there are."""
+        """Return the number of open pages."""
         return len(self._connections)
 
     def arrived(self, connection: Connection, glances: bool) -> Page:
-        """A page has connected, to see all there is or only how the robot fares."""
+        """Register a new page; a page with `glances` receives only a summary."""
         self._count += 1
         page = Page(self._count)
         self._connections[page.number] = page, connection
@@ -153,12 +153,12 @@ class PageServer:
         return page
 
     def left(self, page: Page) -> None:
-        """It has gone."""
+        """Remove a page that has disconnected."""
         del self._connections[page.number]
         self._tell(page, "left")
 
     def hear(self, page: Page, text: str) -> None:
-        """It has said something."""
+        """Parse a text of a page, and queue the request as an event."""
         try:
             request = parse(text)
         except RequestError as error:
@@ -173,11 +173,11 @@ class PageServer:
 
     def _tell(self, page: Page, what: Request | Literal["arrived", "glances", "left"]) -> None:
         self._events.append(Event(page.number, what, self._clock()))
-        again = False  # it is a press that goes on, which the next beat sees to
+        again = False  # a repeat of the current press, which can wait for the next tick
         if isinstance(what, Drive):
             if self._overdue is not None:
                 self._overdue.cancel()
-            self._overdue = self._loop.call_later(_OVERDUE_S, self._stir)  # it may be the last
+            self._overdue = self._loop.call_later(_OVERDUE_S, self._stir)  # this may be the last message of the press
             again, page.press = what.press == page.press, what.press
         if not again and not isinstance(what, Here):
             self._stir()

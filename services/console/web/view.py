@@ -1,4 +1,7 @@
-"""What a page is told of the robot, many times a second: as little as it needs to draw it, as JSON. Pure."""
+"""JSON messages to pages: state, health, log and summary of the robot.
+
+They contain only the fields that a page draws.
+"""
 
 import json
 import math
@@ -15,12 +18,12 @@ from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
 
 PROTOCOL = 1
-_SILENT_S = 3.0  # without a word, after which something is wrong with a service
-_WORDS, _STAGES = 500, 32  # characters, and stages, of a service that a page is sent
+_SILENT_S = 3.0  # [s] age of a service's health after which the service counts as silent
+_WORDS, _STAGES = 500, 32  # maximum number of characters per text, and of stages per service
 
 
 def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any]:
-    """What a page is told first: who it is, and what the robot looks like."""
+    """Return the first message to a page: its seat and the model of the robot."""
     stance = profile.stance
     return {
         "type": "hello",
@@ -61,7 +64,7 @@ def state(
     status: PlannerStatus | None,
     camera: CameraState | None,
 ) -> dict[str, Any]:
-    """How the robot is now; what is not known is null."""
+    """Return the current state of the robot; unknown values are null."""
     return {
         "type": "state",
         "seats": [{"seat": s.seat, "name": s.name, "leads": s.leads} for s in desk.seats],
@@ -94,7 +97,7 @@ def _legs(legs: ActuatorState) -> dict[str, Any]:
 
 
 def _pose(legs: ActuatorState | None, pose: BodyPose | None) -> dict[str, Any] | None:
-    """Where the body is: by the newest correction, moved on by the legs since."""
+    """Return the body pose {world}: leg odometry with the newest correction."""
     if legs is None:
         return None
     correction = legs.T_world_odom if pose is None else pose.T_world_odom
@@ -123,7 +126,7 @@ def _status(status: PlannerStatus) -> dict[str, Any]:
 
 
 def passage(plan: PassagePlan) -> dict[str, Any]:
-    """A section of a passage as it was planned."""
+    """Return a planned section of a gap crossing."""
     feet = plan.leg < len(LEGS)
     return {
         "type": "passage",
@@ -139,7 +142,7 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
 def glance(
     robot: str, desk: Desk, legs: ActuatorState | None, status: PlannerStatus | None, silent_services: Iterable[str]
 ) -> dict[str, Any]:
-    """How the robot fares, for who looks at several at once."""
+    """Return the summary of the robot for the fleet page."""
     return {
         "type": "glance",
         "robot": robot,
@@ -154,12 +157,23 @@ def glance(
 
 
 def silent(services: Mapping[str, tuple[Health, int]], now_ns: int) -> list[str]:
-    """Services that have not said for a while that they are well."""
+    """Return the names of services whose health is older than 3 s.
+
+    Args:
+        services: Service name -> newest health and its arrival time [ns].
+        now_ns: Current time [ns].
+    """
     return sorted(name for name, (_, at_ns) in services.items() if now_ns - at_ns > _SILENT_S * 1e9)
 
 
 def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: str = "") -> dict[str, Any]:
-    """How each service fares, and how long ago it last said so."""
+    """Return the newest health of each service and its age.
+
+    Args:
+        services: Service name -> newest health and its arrival time [ns].
+        now_ns: Current time [ns].
+        too_slow: Warning that the robot's computer is too slow, "" if it is not.
+    """
     return {
         "type": "health",
         "too_slow": f"{too_slow}; close programs there" if too_slow else "",
@@ -182,7 +196,10 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: st
 
 
 def log(entries: Iterable[Entry], now_ns: int) -> dict[str, Any]:
-    """What has come about; times as seconds before now, for pages have clocks of their own."""
+    """Return entries of the event log.
+
+    They have ages instead of times, because the clocks of browsers differ.
+    """
     return {
         "type": "log",
         "entries": [
@@ -192,12 +209,12 @@ def log(entries: Iterable[Entry], now_ns: int) -> dict[str, Any]:
 
 
 def answer(words: str) -> dict[str, Any]:
-    """Why a request was refused."""
+    """Return the message that a request was refused, with the reason."""
     return {"type": "refused", "words": words}
 
 
 def text(message: dict[str, Any]) -> str:
-    """As it crosses the socket."""
+    """Return a message as compact JSON."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 

@@ -1,1 +1,1 @@
-"""Simulate the robot and its terrain in MuJoCo."""
+"""Simulation of the robot, terrain and moving obstacles in MuJoCo."""

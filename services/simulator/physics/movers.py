@@ -1,4 +1,7 @@
-"""Where what moves over a course is at a time, as solids for the renderer. The camera sees it; nothing touches it."""
+"""Moving obstacles of a scenario, as solids for the renderer.
+
+The camera sees them, but they have no contacts.
+"""
 
 import math
 
@@ -11,17 +14,20 @@ from sextant.shared.scenario.mover import BoxMover, LegsMover, Mover
 
 
 class _Walk:
-    """One mover on its way, again and again."""
+    """Motion of one mover along its path, with repetitions."""
 
     def __init__(self, mover: Mover, start_s: float):
         self.mover, self._start_s = mover, start_s
         path = np.asarray(mover.path, dtype=np.float64)
         self._path, self._corners = path, path
-        self._at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])  # [m] along it
-        self._lap = -1  # of the path as it lies now
+        self._at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])  # [m] to each corner
+        self._lap = -1  # repetition for which the corners {world} are computed
 
     def travelled(self, now_s: float, T_world_body: Array) -> float:
-        """[m] along its path, NaN while it is not there; a path of the robot's is laid as it sets off."""
+        """Return the distance [m] along the path, NaN while the mover is absent.
+
+        A path in the robot's frame is transformed to {world} at the start of each repetition.
+        """
         since_s = now_s - self._start_s
         if since_s < 0.0:
             return math.nan
@@ -36,22 +42,25 @@ class _Walk:
         return way if way <= self._at[-1] else math.nan
 
     def place(self, way: float) -> tuple[Array, Array]:
-        """Point (2,) [m] {world} so far [m] along the path, also a little before and beyond it, and its direction (2,)."""
+        """Return the point (2,) [m] {world} and the direction (2,) at a path distance [m].
+
+        Distances outside the path extrapolate its first or last segment.
+        """
         k = int(np.clip(np.searchsorted(self._at, way, side="right") - 1, 0, len(self._at) - 2))
         ahead = (self._corners[k + 1] - self._corners[k]) / (self._at[k + 1] - self._at[k])
         return self._corners[k] + (way - self._at[k]) * ahead, ahead
 
 
 class Movers:
-    """All that moves over a course."""
+    """All moving obstacles of a scenario."""
 
     def __init__(self, movers: tuple[Mover, ...], terrain: Terrain, rng: np.random.Generator):
-        """Draw when each sets off.
+        """Draw the start times.
 
         Args:
-            movers: As the scenario states them.
-            terrain: On which they stand.
-            rng: Only drawn from here, once for each.
+            movers: Movers of the scenario.
+            terrain: Ground on which they move.
+            rng: Generator of the start delays; one draw per mover, only here.
         """
         self._terrain = terrain
         self._walks = [_Walk(mover, mover.start_s + mover.start_spread_s * rng.random()) for mover in movers]
@@ -61,11 +70,14 @@ class Movers:
         return len(self._walks)
 
     def advance(self, now_s: float, T_world_body: Array) -> None:
-        """Let them move on to a time [s], the robot's body (4, 4) being where it is then."""
+        """Move all obstacles to a simulated time [s].
+
+        The robot's body pose (4, 4) at that time places paths in the robot's frame.
+        """
         self._ways = [walk.travelled(now_s, T_world_body) for walk in self._walks]
 
     def solids(self) -> tuple[Boxes, Capsules]:
-        """Those that are there now."""
+        """Return the solids of the movers that are present."""
         centre, half, R = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
         start, end, radius = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
         for walk, way in zip(self._walks, self._ways, strict=True):
@@ -88,10 +100,13 @@ class Movers:
         return boxes, Capsules(np.concatenate(start), np.concatenate(end), np.concatenate(radius))
 
     def _leg(self, walk: _Walk, mover: LegsMover, way: float, leg: int) -> tuple[Array, Array]:
-        """Lower and upper end (3,) [m] {world} of a leg's axis; it stands for half of two strides, then swings forward."""
+        """Return the lower and upper end (3,) [m] {world} of a leg's axis.
+
+        A cycle is two strides: stance in its first half, swing in its second half.
+        """
         share = (way / mover.stride + leg) / 2.0 % 1.0
         swung = max(0.0, 2.0 * share - 1.0)  # 0 to 1
-        off = mover.stride * (0.5 - 2.0 * share + 2.0 * swung)  # of the foot before the hips
+        off = mover.stride * (0.5 - 2.0 * share + 2.0 * swung)  # [m] of the foot ahead of the hip
         hip, ahead = walk.place(way)
         aside = (0.5 - leg) * mover.hips * np.array([-ahead[1], ahead[0]])
         hip = hip + aside
@@ -101,13 +116,13 @@ class Movers:
         return np.array([*foot, lower]), np.array([*hip, ground + mover.height - mover.radius])
 
     def _ground(self, p: Array) -> float:
-        """Height [m] {world} of what they stand on, 0 over an abyss."""
+        """Return the height [m] {world} of the ground, 0 where there is none."""
         z = float(self._terrain.height_at(p[None])[0])
         return z if math.isfinite(z) else 0.0
 
 
 def together(one: tuple[Boxes, Capsules], other: tuple[Boxes, Capsules]) -> tuple[Boxes, Capsules]:
-    """All solids of two groups."""
+    """Return the union of two groups of solids."""
     a, b = one[0], other[0]
     boxes = Boxes(np.concatenate([a.centre, b.centre]), np.concatenate([a.half, b.half]), np.concatenate([a.R, b.R]))
     c, d = one[1], other[1]

@@ -1,4 +1,4 @@
-"""Simple solids in bulk: what terrain and robot are made of."""
+"""Arrays of geometric primitives that make up terrain, robot and movers."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ class Boxes:
     """Oriented boxes."""
 
     centre: Array  # (n, 3) [m] {world}
-    half: Array  # (n, 3) [m] half the edges
-    R: Array  # (n, 3, 3) box axes in the world frame
+    half: Array  # (n, 3) [m] half edge lengths
+    R: Array  # (n, 3, 3) rotations R_world_box
 
     def __post_init__(self) -> None:
         n = len(self.centre)
@@ -30,10 +30,10 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Capsules:
-    """Cylinders with round ends; a sphere is one without length."""
+    """Cylinders with hemispherical ends; a capsule with equal ends is a sphere."""
 
-    start: Array  # (n, 3) [m] {world} centre of one end's half sphere
-    end: Array  # (n, 3) [m] {world} and of the other's
+    start: Array  # (n, 3) [m] {world} centre of the first hemisphere
+    end: Array  # (n, 3) [m] {world} centre of the second hemisphere
     radius: Array  # (n,) [m]
 
     def __post_init__(self) -> None:
@@ -47,11 +47,14 @@ class Capsules:
 
 @dataclass(frozen=True, slots=True)
 class HeightField:
-    """Ground as a grid of heights, each cell two triangles that meet on the diagonal from (i, j) to (i + 1, j + 1)."""
+    """Grid of ground heights.
+
+    Each cell is two triangles that share the diagonal from (i, j) to (i + 1, j + 1).
+    """
 
     heights: Array  # (nx, ny) [m] {world}, rows along x
     resolution: float  # [m] grid spacing
-    origin: tuple[float, float]  # [m] {world} where grid point (0, 0) lies
+    origin: tuple[float, float]  # [m] {world} position of grid point (0, 0)
 
     def __post_init__(self) -> None:
         if self.heights.ndim != 2 or min(self.heights.shape) < 2:
@@ -62,7 +65,7 @@ class HeightField:
             raise ValueError(f"positive resolution expected, found {self.resolution} m")
 
     def height_at(self, xy: Array) -> Array:
-        """Heights (n,) [m] at (n, 2) [m] {world}; -inf beside the field."""
+        """Return heights (n,) [m] at points (n, 2) [m] {world}; -inf outside the field."""
         nx, ny = self.heights.shape
         u, v = ((xy - np.array(self.origin)) / self.resolution).T
         inside = (u >= 0) & (u <= nx - 1) & (v >= 0) & (v <= ny - 1)

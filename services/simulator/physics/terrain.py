@@ -1,7 +1,7 @@
-"""Terrain: the primitives of a scenario as solids, and the true height of the ground.
+"""Terrain: solids of a scenario's primitives, and the true height of the ground.
 
-Everything is an oriented box but the level ground (a plane) and measured ground (one height field), so that physics, renderer
-and scorer read the same few numbers.
+Level ground is a plane and measured ground is one height field. All other primitives are oriented boxes. Physics, renderer and
+scorer use the same arrays.
 """
 
 from collections.abc import Iterable
@@ -43,26 +43,29 @@ from sextant.shared.scenario.scenario import (
 )
 from sextant.shared.scenario.scenario import Terrain as Primitive
 
-DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they join
-_BATCH = 256  # rubble candidates drawn at a time
-_FEW = 16  # of them, which are looked at first
-_BATCHES = 40  # tried for one block before the heap is begun anew
-_RESTARTS = 20
-_PACKED = 0.75  # share of a region that blocks placed at random cannot reach
-_HOPELESS_RESTARTS, _HOPELESS_SHARE = 3, 0.7  # after so many without this share of the blocks there is no room
-_MAX_BOXES = 5000  # of a terrain: physics and renderer take time and memory by their number
-_MAX_HEIGHT_M = 100.0  # either way, of measured ground
+DEPTH = 0.5  # [m] extent of rubble and height fields below the ground
+_BATCH = 256  # number of rubble candidates per draw
+_FEW = 16  # number of candidates of a draw that are tested first
+_BATCHES = 40  # draws for one block before all blocks are placed again
+_RESTARTS = 20  # maximum number of attempts to place all blocks
+_PACKED = 0.75  # area share of blocks that random placement cannot reach
+_HOPELESS_RESTARTS, _HOPELESS_SHARE = 3, 0.7  # give up after this number of restarts without this share of the blocks
+_MAX_BOXES = 5000  # per terrain, because time and memory of physics and renderer grow with it
+_MAX_HEIGHT_M = 100.0  # maximum absolute height of measured ground
 Block = TypeVar("Block", Box, Hole)
-_FAR = 50.0  # [m] how far the level ground reaches where it has puddles
+_FAR = 50.0  # [m] extent along +-x and +-y of level ground with puddles or holes, which is made of boxes
 
 
 @dataclass(frozen=True, slots=True)
 class Hollows:
-    """Rectangles of the level ground, along its axes, that look like it and give way under a foot."""
+    """Axis-aligned rectangles that look like level ground, but do not carry a foot.
+
+    A foot sinks through to a bed.
+    """
 
     low: Array  # (n, 2) [m] {world}
     high: Array  # (n, 2) [m] {world}
-    depth: Array  # (n,) [m] down to what carries
+    depth: Array  # (n,) [m] from the visible surface to the bed
     color: Array  # (n, 3) R, G, B
 
     def __len__(self) -> int:
@@ -74,11 +77,11 @@ _NO_HOLLOWS = Hollows(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(
 
 @dataclass(frozen=True, slots=True)
 class Weak:
-    """Boxes of the terrain that give way: one sinks once it is pressed too hard, and stays down."""
+    """Weak boxes of the terrain, which sink under too much load and stay down."""
 
-    box: NDArray[np.intp]  # (n,) which of the terrain's
-    bears: Array  # (n,) [N] at most
-    sinks: Array  # (n,) [m] it sinks by
+    box: NDArray[np.intp]  # (n,) indices of the terrain's boxes
+    bears: Array  # (n,) [N] maximum load
+    sinks: Array  # (n,) [m] depth by which the box sinks
 
     def __len__(self) -> int:
         return len(self.box)
@@ -89,28 +92,29 @@ _NONE_WEAK = Weak(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Colours of the ground, (3,) R, G, B each, NaN where it has none of its own."""
+    """Colours of the ground, R, G, B from 0 to 255; NaN selects the default colour."""
 
     boxes: Array  # (n, 3)
-    plane: Array
-    height_field: Array
+    plane: Array  # (3,)
+    height_field: Array  # (3,)
 
 
 @dataclass(frozen=True, slots=True)
 class Terrain:
-    """The solid ground of one run."""
+    """Ground of one run."""
 
     boxes: Boxes
     height_field: HeightField | None = None
-    plane: float | None = None  # [m] height of the level ground, None for an abyss
-    hollows: Hollows = _NO_HOLLOWS  # of the plane
+    plane: float | None = None  # [m] height of the level ground, None without level ground
+    hollows: Hollows = _NO_HOLLOWS  # puddles in the plane
     look: Look | None = None
-    weak: Weak = _NONE_WEAK  # of the boxes
+    weak: Weak = _NONE_WEAK  # weak boxes among `boxes`
 
     def height_at(self, xy: Array) -> Array:
-        """True height (n,) [m] of the uppermost surface seen at (n, 2) [m] {world}; -inf where there is no ground.
+        """Return the true height (n,) [m] of the ground at points (n, 2) [m] {world}.
 
-        What is weak counts as it stands until it gives way.
+        It is the height of the highest visible surface. The height is -inf without ground. Weak boxes count at their original
+        height.
 
         Raises:
             ValueError: The points are not (n, 2).
@@ -122,8 +126,8 @@ class Terrain:
         if self.height_field is not None:
             z = np.maximum(z, self.height_field.height_at(xy))
         boxes = self.boxes
-        x, y = np.ascontiguousarray(xy.T)  # rows of two are too short for NumPy's vector loops
-        reach = np.einsum("nij,nj->ni", np.abs(boxes.R[:, :2]), boxes.half)  # half size of the box's shadow
+        x, y = np.ascontiguousarray(xy.T)  # contiguous columns; NumPy is slow on rows of two
+        reach = np.einsum("nij,nj->ni", np.abs(boxes.R[:, :2]), boxes.half)  # half size of the box's projection onto x, y
         for centre, half, R, r in zip(boxes.centre, boxes.half, boxes.R, reach, strict=True):
             below = np.flatnonzero((np.abs(x - centre[0]) <= r[0]) & (np.abs(y - centre[1]) <= r[1]))
             if not len(below):
@@ -132,35 +136,42 @@ class Terrain:
         return z
 
     def sink_at(self, xy: Array) -> Array:
-        """How far (n,) [m] the surface at (n, 2) [m] {world} gives way under a foot."""
+        """Return the depth (n,) [m] by which a foot sinks at points (n, 2) [m] {world}."""
         sink, boxes, weak = np.zeros(len(xy)), self.boxes, self.weak
         if self.plane is not None and len(self.hollows):
             for low, high, depth in zip(self.hollows.low, self.hollows.high, self.hollows.depth, strict=True):
                 sink[((xy >= low) & (xy <= high)).all(axis=1)] = depth
-            sink[self.height_at(xy) > self.plane] = 0.0  # something stands in it
+            sink[self.height_at(xy) > self.plane] = 0.0  # solids above the hollow carry a foot
         for k, sinks in zip(weak.box, weak.sinks, strict=True):
             top = _box_top(xy, boxes.centre[k], boxes.half[k], boxes.R[k])
             sink[np.isfinite(top) & (top >= self.height_at(xy))] = sinks
         return sink
 
     def carrying_boxes(self) -> Boxes:
-        """The level ground around its hollows, and their beds, as boxes; none where it has no hollows."""
+        """Return boxes of the level ground around the hollows, and of their beds.
+
+        There are none without hollows.
+        """
         heap = _Heap()
         if self.plane is not None and len(self.hollows):
             _surround(heap, self.hollows, self.plane)
         return heap.boxes()
 
     def raster(self, x0: float, y0: float, nx: int, ny: int, resolution: float) -> Array:
-        """True heights (nx, ny) [m] at the points (x0 + i * resolution, y0 + j * resolution) [m] {world}."""
+        """Return true heights (nx, ny) [m] on a grid.
+
+        The points are (x0 + i * resolution, y0 + j * resolution) [m] {world}.
+        """
         x, y = np.meshgrid(x0 + resolution * np.arange(nx), y0 + resolution * np.arange(ny), indexing="ij")
         return self.height_at(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(nx, ny)
 
 
 def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
-    """The solids of a scenario's primitives; what is random of them draws from the generator.
+    """Build the terrain of a scenario; `rng` draws its random parts.
 
     Raises:
-        ConfigError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
+        ConfigError: The terrain has two planes or two height maps, rubble does not fit into its region, or a height map is not
+            readable.
     """
     try:
         return _built(scenario, rng)
@@ -175,7 +186,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     puddles: list[Puddle] = []
     holes: list[Hole] = []
     weak = [_NONE_WEAK]
-    # Stairs and courses first: they are the same whether rubble lies on them or not.
+    # `_drawn` resolves stairs and courses before any rubble is placed, so that rubble does not change their random draws.
     for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
         heap.paint = part.color
         match part:
@@ -218,16 +229,16 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
         _surround(heap, Hollows(low, high, depth, np.zeros((len(holes), 3))), planes[0].height)
     field_, field_color = fields[0] if fields else (None, None)
     look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
-    level = planes[0].height if planes and not holes else None  # with holes it is made of boxes
+    level = planes[0].height if planes and not holes else None  # level ground with holes is made of boxes
     all_weak = Weak(*(np.concatenate([getattr(w, name) for w in weak]) for name in ("box", "bears", "sinks")))
     return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak)
 
 
 def _rgb(colors: list[Color | None]) -> Array:
-    """Colours (n, 3), NaN for none.
+    """Return colours (n, 3), NaN for None.
 
     Raises:
-        ValueError: One beyond 0 to 255.
+        ValueError: A value is outside 0 to 255.
     """
     rgb = np.array([(np.nan,) * 3 if color is None else color for color in colors], dtype=np.float64).reshape(-1, 3)
     if np.any((rgb < 0) | (rgb > 255)):
@@ -244,7 +255,7 @@ def _hollows(puddles: list[Puddle]) -> Hollows:
 
 
 def _scattered(puddles: Puddles, rng: np.random.Generator) -> list[Puddle]:
-    """Puddles placed as rubble is, with their edges along the axes."""
+    """Return puddles at random positions, placed like rubble but axis-aligned."""
     like = Rubble(puddles.x, puddles.y, puddles.count, puddles.size, (0.0, 0.0), gap=puddles.gap, yaw_deg=0.0)
     return [
         Puddle((x, y), (length, width), depth=puddles.depth, color=puddles.color)
@@ -253,7 +264,10 @@ def _scattered(puddles: Puddles, rng: np.random.Generator) -> list[Puddle]:
 
 
 def _surround(heap: "_Heap", hollows: Hollows, plane: float) -> None:
-    """Fill the plane with boxes but for the hollows, slab by slab along x, and lay their beds."""
+    """Add boxes that fill the plane except the hollows, and boxes for the beds.
+
+    The plane is filled strip by strip along x.
+    """
     edges = np.unique(np.concatenate([[-_FAR, _FAR], hollows.low[:, 0], hollows.high[:, 0]]))
     for x0, x1 in pairwise(edges):
         across = (hollows.low[:, 0] < (x0 + x1) / 2) & (hollows.high[:, 0] > (x0 + x1) / 2)
@@ -269,16 +283,16 @@ def _surround(heap: "_Heap", hollows: Hollows, plane: float) -> None:
 
 @dataclass(slots=True)
 class _Heap:
-    """Boxes while they are being collected."""
+    """Collector of boxes and their colours."""
 
     centre: list[Array] = field(default_factory=list)
     half: list[Array] = field(default_factory=list)
     R: list[Array] = field(default_factory=list)
     color: list[Color | None] = field(default_factory=list)
-    paint: Color | None = None  # of what is added next
+    paint: Color | None = None  # colour of the boxes that are added next
 
     def add(self, xy: Iterable[float], size: tuple[float, float], top: float, bottom: float, yaw: float = 0.0) -> None:
-        """An upright box."""
+        """Add an upright box with a centre xy, size, top and bottom [m] and a yaw [rad]."""
         if len(self.centre) >= _MAX_BOXES:
             raise ValueError(f"at most {_MAX_BOXES} solids expected, found more; ask for fewer or larger ones")
         if not (min(size) > 0 and top > bottom):
@@ -295,7 +309,10 @@ class _Heap:
 
 
 def _drawn(part: Primitive, rng: np.random.Generator) -> list[Primitive]:
-    """What a primitive consists of once its spread is drawn: stairs of one riser and tread, a course's pieces, or itself."""
+    """Return the primitives that replace a primitive after its random draws.
+
+    Stairs get one riser and tread, a course is replaced by its primitives, and others are unchanged.
+    """
     match part:
         case Stairs():
             return [_drawn_stairs(part, rng)]
@@ -313,7 +330,7 @@ def _drawn_stairs(stairs: Stairs, rng: np.random.Generator) -> Stairs:
 
 
 def _drawn_block(block: Block, rng: np.random.Generator) -> Block:
-    """A box or a hole with its spreads drawn."""
+    """Return a box or hole with random offsets within its spreads."""
     top_spread = block.top_spread if isinstance(block, Box) else 0.0
     if not any((*block.xy_spread, *block.size_spread, top_spread)):
         return block
@@ -325,7 +342,7 @@ def _drawn_block(block: Block, rng: np.random.Generator) -> Block:
 
 
 def _pieces(course: Course, rng: np.random.Generator) -> list[Primitive]:
-    """The primitives of a course, one stretch after the other."""
+    """Return the primitives of a course, with its stretches end to end."""
     pieces: list[Primitive] = []
     x, base = course.x, 0.0
     for stretch in _in_order(course, rng):
@@ -336,7 +353,10 @@ def _pieces(course: Course, rng: np.random.Generator) -> list[Primitive]:
 
 
 def _in_order(course: Course, rng: np.random.Generator) -> list[Stretch]:
-    """A course's stretches in their order, the rests between them put in."""
+    """Return the stretches of a course in order of x.
+
+    The course defines whether they are shuffled and separated by level ground.
+    """
     first, inner, last = course.stretches[:1], course.stretches[1:-1], course.stretches[1:][-1:]
     if course.shuffled:
         inner = tuple(inner[k] for k in rng.permutation(len(inner)))
@@ -348,7 +368,10 @@ def _in_order(course: Course, rng: np.random.Generator) -> list[Stretch]:
 def _laid(
     stretch: Stretch, course: Course, x: float, base: float, rng: np.random.Generator
 ) -> tuple[list[Primitive], float, float]:
-    """The primitives of a stretch that begins at x at a height of `base`, its length and its rise, all [m]."""
+    """Return the primitives, the length [m] and the rise [m] of a stretch.
+
+    The stretch begins at x [m] and height `base` [m].
+    """
     depth = base - course.bottom
     match stretch:
         case Level():
@@ -378,7 +401,7 @@ def _laid(
 
 
 def _slab(x: float, length: float, top: float, course: Course) -> Box:
-    """Level ground across a course."""
+    """Return level ground over the width of a course."""
     return Box((x + length / 2, 0.0), (length, course.width), top, depth=top - course.bottom, color=course.color)
 
 
@@ -430,7 +453,7 @@ def _slope(heap: _Heap, slope: Slope) -> None:
 
 
 def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> Weak:
-    """Add pillars; returns those of them that give way."""
+    """Add pillars, and return the weak ones."""
     xy, tops = np.array(pillars.xy, dtype=np.float64).reshape(-1, 2), np.full(len(pillars.xy), pillars.top)
     if pillars.jitter:
         xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
@@ -463,7 +486,9 @@ def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:
 
 
 def _placed(rubble: Rubble, rng: np.random.Generator) -> Array:
-    """Place blocks by rejection: size, heading and place are drawn together until the block keeps the gap to all others.
+    """Place blocks by rejection sampling.
+
+    Size, yaw and position of a block are drawn until it keeps the gap to all other blocks.
 
     Returns:
         (count, 5) centre x, y, length, width [m], yaw [rad].
@@ -495,7 +520,10 @@ def _no_room(rubble: Rubble, found: int) -> ValueError:
 
 
 def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:
-    """Rectangles (n, 5): centre x, y, length, width [m], yaw [rad]; fewer than asked for when the heap jams."""
+    """Return rectangles (n, 5): centre x, y, length, width [m], yaw [rad].
+
+    There are fewer than requested if no more fit.
+    """
     placed = np.zeros((0, 5))
     lower, upper = np.array([rubble.x[0], rubble.y[0]]), np.array([rubble.x[1], rubble.y[1]])
     while len(placed) < rubble.count:
@@ -517,7 +545,10 @@ def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:
 
 
 def _first_free(candidates: Array, placed: Array, gap: float) -> Array | None:
-    """The first of some rectangles (n, 5) that keeps a gap [m] to all placed ones (m, 5); None where none does."""
+    """Return the first rectangle that keeps a gap [m] to all placed ones.
+
+    Candidates are (n, 5) and placed rectangles (m, 5), as in `_place_rectangles`. The result is None without such a candidate.
+    """
     for some in np.split(candidates, [_FEW]):
         free = np.flatnonzero(~_blocked(some, placed, gap))
         if len(free):
@@ -526,18 +557,24 @@ def _first_free(candidates: Array, placed: Array, gap: float) -> Array | None:
 
 
 def _blocked(candidates: Array, placed: Array, gap: float) -> NDArray[np.bool_]:
-    """Which of the candidates (n, 5) lie within a gap [m] of a placed rectangle (m, 5)."""
+    """Return which candidates lie within a gap [m] of a placed rectangle.
+
+    Candidates are (n, 5), placed rectangles (m, 5), and the result is (n,).
+    """
     blocked = np.zeros(len(candidates), dtype=np.bool_)
     reach, reach_placed = (np.hypot(some[:, 2], some[:, 3]) / 2 for some in (candidates, placed))
     d2 = np.subtract.outer(candidates[:, 0], placed[:, 0]) ** 2 + np.subtract.outer(candidates[:, 1], placed[:, 1]) ** 2
-    # From there on one axis of a rectangle keeps them apart, whichever way both are turned.
+    # At a larger distance, an axis of either rectangle separates them for all headings.
     i, j = np.nonzero(d2 < 2.0 * (reach[:, None] + reach_placed + max(gap, 0.0)) ** 2)
     blocked[i[_closer_than(candidates[i], placed[j], gap)]] = True
     return blocked
 
 
 def _closer_than(a: Array, b: Array, gap: float) -> Array:
-    """Whether rectangles (..., 5) lie within a gap [m], by separating axes; between corners the gap kept is a little wider."""
+    """Return whether rectangles (..., 5) lie within a gap [m] of each other.
+
+    The test uses the separating axis theorem. Between two corners the test is conservative: it requires a slightly wider gap.
+    """
     d = b[..., :2] - a[..., :2]
     c, s = np.cos(b[..., 4] - a[..., 4]), np.sin(b[..., 4] - a[..., 4])
     apart = np.zeros(d.shape[:-1], dtype=bool)
@@ -563,7 +600,7 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
         raise ValueError(f"{path}: scale expected, the metres of one grey value, e.g. scale = 0.001; found none")
     else:
         stored = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
-    with np.errstate(over="ignore"):  # infinite heights are refused
+    with np.errstate(over="ignore"):  # infinite heights are rejected below
         heights = _taken(stored, part) * scale + part.base
     known = ~np.isnan(heights)
     if not known.any():
@@ -576,7 +613,7 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
 
 
 def _taken(heights: Array, part: HeightMap) -> Array:
-    """The rows and columns of a height map that are wanted, turned."""
+    """Return the cropped and rotated heights of a height map."""
     if heights.ndim != 2:
         raise ValueError(f"a grid of at least 2x2 heights expected, found {heights.shape} in {part.file!r}")
     for name, wanted, there in (("rows", part.rows, heights.shape[0]), ("columns", part.columns, heights.shape[1])):
@@ -587,11 +624,14 @@ def _taken(heights: Array, part: HeightMap) -> Array:
 
 
 def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:
-    """Where vertical lines at (n, 2) [m] leave a box (n,) [m]; -inf where they miss it."""
-    origin = (np.column_stack([xy - centre[:2], np.full(len(xy), -centre[2])])) @ R  # lines at z = 0, in the box's frame
+    """Return the heights (n,) [m] of the top of a box at points (n, 2) [m].
+
+    The height is -inf where the vertical line through a point misses the box.
+    """
+    origin = (np.column_stack([xy - centre[:2], np.full(len(xy), -centre[2])])) @ R  # lines at z = 0 {box}
     enter, leave = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
     for axis in range(3):
-        rate = R[2, axis]  # how fast a vertical line moves along this axis of the box
+        rate = R[2, axis]  # component of the vertical along this box axis
         if abs(rate) < 1e-12:
             leave = np.where(np.abs(origin[:, axis]) <= half[axis], leave, -np.inf)
             continue

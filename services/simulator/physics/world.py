@@ -1,7 +1,7 @@
-"""The physical world: a hexapod of 18 servo joints on a terrain, in MuJoCo.
+"""MuJoCo model of a hexapod with 18 servo joints on a terrain.
 
-A servo is a position actuator without velocity gain over a joint whose damping is the motor's own: stall torque over no-load
-speed. Its setpoint, stiffness and torque limit are inputs of every step, since on the robot they are registers.
+A servo is a position actuator without velocity gain. The joint damping is the motor's: stall torque divided by no-load speed.
+Setpoint, stiffness and torque limit are inputs of each step, because they are registers of the real servos.
 """
 
 import logging
@@ -24,33 +24,33 @@ from sextant.shared.scenario.scenario import Variation
 _log = logging.getLogger(__name__)
 
 TIME_STEP_NS = 2_000_000  # [ns]
-ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for rays that see only one of them
-_FRICTION = (0.8, 0.005, 0.0001)  # sliding; torsional and rolling [m], unused by three-dimensional contacts
-_LIMIT_MARGIN = np.radians(5.0)  # the brackets stop the joint this far beyond the servo's own limit
+ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for ray casts against only one of them
+_FRICTION = (0.8, 0.005, 0.0001)  # sliding [1]; torsional and rolling [m], which contacts with condim = 3 do not use
+_LIMIT_MARGIN = np.radians(5.0)  # [rad] from the servo's limit to the mechanical stop of the brackets
 _LINK_RADIUS = (0.018, 0.014, 0.008)  # [m] coxa, femur, tibia
-_SINKING = 0.25  # [m/s] of what gives way
-_TOUCH_RADIUS = 0.013  # [m] beyond the foot's: contacts of the shank further up are no touch of the foot
+_SINKING = 0.25  # [m/s] sinking speed of weak boxes
+_TOUCH_RADIUS = 0.013  # [m] margin of the touch sensor around a foot; shank contacts further up are not foot contacts
 
 
 @dataclass(frozen=True, slots=True)
 class Factors:
-    """By how much the physics of this run strays from the profile."""
+    """Factors by which the physics of a run deviates from the profile."""
 
-    armature: Array  # (6, 3) times the profile's
-    joint_friction: Array  # (6, 3) times the profile's
-    ground_friction: float  # times 0.8
+    armature: Array  # (6, 3) [1] on the profile's armature
+    joint_friction: Array  # (6, 3) [1] on the profile's joint friction
+    ground_friction: float  # [1] on the sliding friction of 0.8
 
     @classmethod
     def none(cls) -> "Factors":
-        """Physics as in the profile."""
+        """Return factors of 1, without deviation from the profile."""
         return cls(np.ones((6, 3)), np.ones((6, 3)), 1.0)
 
     @classmethod
     def draw(cls, variation: Variation, rng: np.random.Generator) -> "Factors":
-        """Factors between 1/x and x, each joint by itself.
+        """Draw uniform factors between 1/x and x, separately for each joint.
 
         Raises:
-            ValueError: A bound below 1.
+            ValueError: A bound x is less than 1.
         """
         if variation.armature < 1 or variation.friction < 1:
             raise ValueError(f"variations of 1 or more expected, found {variation.armature} and {variation.friction}")
@@ -60,22 +60,22 @@ class Factors:
 
 
 class World:
-    """A robot on its terrain, advanced in steps of 2 ms.
+    """Simulated robot on a terrain, with a time step of 2 ms.
 
-    `place` or `stand` it first. What is read after a step belongs to the end of that step, except forces and torques, which
-    are those that acted during it.
+    Call `place` or `stand` before the first step. Values that are read after a step belong to the end of that step. Forces and
+    torques are an exception: they are those that acted during the step.
     """
 
     def __init__(self, profile: RobotProfile, terrain: Terrain, factors: Factors | None = None, imu: bool = False):
-        """Build the model.
+        """Build the MuJoCo model.
 
         Args:
             profile: The robot.
             terrain: The ground.
-            factors: How the run's physics strays, `Factors.none()` by default.
-            imu: Whether to compute what an inertial sensor at the body's origin feels.
+            factors: Deviation of the physics from the profile, `Factors.none()` by default.
+            imu: Whether to simulate an IMU at the body's origin.
         """
-        mujoco.set_mju_user_warning(_log.warning)  # by default it writes a file into whatever folder the process runs in
+        mujoco.set_mju_user_warning(_log.warning)  # by default MuJoCo writes warnings to a file in the working directory
         self.profile, self.terrain = profile, terrain
         spec = _spec(profile, terrain, Factors.none() if factors is None else factors, imu)
         self.model: Any = spec.compile()
@@ -87,7 +87,7 @@ class World:
         self._link_bodies = np.array(m.geom_bodyid[self._link_geoms])
         self._radii = np.array(m.geom_size[np.concatenate([self._link_geoms, self._foot_geoms]), 0])
         body = int(m.body("body").id)
-        # Views into the model and its data, taken once: looking them up costs more than the step's own assignments.
+        # Views into model and data are created once, because attribute access costs more than the assignments of a step.
         self._gain = m.actuator_gainprm.reshape(6, 3, -1)[..., 0]
         self._bias = m.actuator_biasprm.reshape(6, 3, -1)[..., 1]
         self._lowest, self._highest = np.moveaxis(m.actuator_forcerange.reshape(6, 3, 2), -1, 0)
@@ -98,15 +98,19 @@ class World:
         self._geom_position = d.geom_xpos
         self._steps = 0
         self._imu = slice(12, 18) if imu else None
-        self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # [N] on what is weak
+        self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # (n,) [N] load on the weak boxes
         self._gives = np.zeros(len(terrain.weak), dtype=bool)
         self._sunk = np.zeros(len(terrain.weak))
 
     def place(self, q: ArrayLike, T_world_body: Array) -> None:
-        """Put the robot at rest with joint angles q (6, 3) [rad] and a body pose (4, 4), its servos holding those angles.
+        """Place the robot at rest, with its servos holding the joint angles.
+
+        Args:
+            q: (6, 3) [rad] joint angles.
+            T_world_body: (4, 4) body pose.
 
         Raises:
-            ValueError: q is not (6, 3), or something is not finite.
+            ValueError: q is not (6, 3), T_world_body is not (4, 4), or a value is not finite.
         """
         T = np.asarray(T_world_body, dtype=np.float64)
         if T.shape != (4, 4) or not np.all(np.isfinite(T)):
@@ -123,10 +127,18 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
 
     def stand(self, q: ArrayLike, xy: ArrayLike = (0.0, 0.0), yaw: float = 0.0) -> Array:
-        """Place the robot level at xy [m] and yaw [rad], as low as its feet allow; returns T_world_body (4, 4).
+        """Place the robot level on the ground, with no foot below the surface.
+
+        Args:
+            q: (6, 3) [rad] joint angles.
+            xy: [m] {world} position of the body.
+            yaw: [rad] heading of the body.
+
+        Returns:
+            T_world_body (4, 4).
 
         Raises:
-            ConfigError: There is no ground below one of the feet.
+            ConfigError: There is no ground below at least one foot.
         """
         T = transform(rotation_z(yaw), np.array([*np.asarray(xy, dtype=np.float64), 0.0]))
         self._pose(_joint_angles(q), T)
@@ -141,51 +153,51 @@ class World:
         return T
 
     def step(self, setpoint: ArrayLike, stiffness: ArrayLike, torque_limit: ArrayLike, steps: int = 1) -> None:
-        """Advance by so many steps of 2 ms.
+        """Advance the simulation by steps of 2 ms.
 
         Args:
-            setpoint: (6, 3) [rad] joint angles the servos pull to.
+            setpoint: (6, 3) [rad] goal angles of the servos.
             stiffness: (6, 3) or scalar [N m/rad] torque per angle error.
-            torque_limit: (6, 3) or scalar [N m]; zero leaves a joint limp.
-            steps: How many; what is wanted of the joints stands for all of them.
+            torque_limit: (6, 3) or scalar [N m]; zero turns the torque of a joint off.
+            steps: Number of steps, all with the same inputs.
 
         Raises:
             ValueError: A setpoint is NaN or infinite.
             FloatingPointError: The physics has diverged.
         """
         self._ctrl[...] = setpoint
-        if not isfinite(np.vdot(self._ctrl, self._ctrl)):  # MuJoCo would quietly take all of them for zero
+        if not isfinite(np.vdot(self._ctrl, self._ctrl)):  # MuJoCo would silently replace all setpoints by zero
             raise ValueError(f"finite setpoints expected, found {np.asarray(setpoint)}")
         self._gain[...] = stiffness
         np.negative(stiffness, out=self._bias)
         self._highest[...] = torque_limit
         np.negative(torque_limit, out=self._lowest)
-        # In this order, positions, velocities and contacts are those after the step, at the cost of one mj_step.
+        # mj_step2 before mj_step1: positions, velocities and contacts are then those after the step, at the cost of mj_step.
         for _ in range(steps):
             mujoco.mj_step2(self.model, self.data)
             mujoco.mj_step1(self.model, self.data)
         self._steps += steps
         if len(self._sunk):
             self._give_way(steps * TIME_STEP_NS / 1e9)
-        # A NaN spreads over all joints within a step.
+        # One velocity is enough, because a NaN spreads to all joints within a step.
         if not abs(self._qvel[0]) < 1e3:
             raise FloatingPointError(f"the physics has diverged at {self.time_ns / 1e9:.3f} s; see the commands that led there")
 
     def _give_way(self, dt: float) -> None:
-        """What is weak and has been pressed too hard sinks on, as long as there is time to [s]."""
+        """Lower the overloaded weak boxes for a duration [s], up to their final depth."""
         weak = self.terrain.weak
         self._gives |= self._pressed > weak.bears
         self.sink(np.where(self._gives, np.minimum(self._sunk + _SINKING * dt, weak.sinks), 0.0))
 
     def sink(self, sunk: Array) -> None:
-        """Put what is weak of the terrain so much (n,) [m] lower than it stood."""
+        """Set the sinking depths (n,) [m] of the weak boxes below their original height."""
         self._sunk[:] = sunk
         self.data.mocap_pos[:, 2] = self.terrain.boxes.centre[self.terrain.weak.box, 2] - sunk
         mujoco.mj_kinematics(self.model, self.data)
 
     @property
     def sunk(self) -> Array:
-        """(n,) [m] by which what is weak of the terrain has sunk."""
+        """Sinking depths (n,) [m] of the weak boxes."""
         return np.array(self._sunk)
 
     @property
@@ -205,7 +217,7 @@ class World:
 
     @property
     def torque(self) -> Array:
-        """What the motors pulled with in the last step (6, 3) [N m], before friction."""
+        """Motor torques (6, 3) [N m] in the last step, before friction."""
         return np.array(self._torque)
 
     @property
@@ -221,10 +233,14 @@ class World:
     @property
     def p_world_foot(self) -> Array:
         """Centres of the feet (6, 3) [m] {world}."""
-        return np.asarray(self._geom_position[self._foot_geoms])  # chosen by indices: a copy
+        return np.asarray(self._geom_position[self._foot_geoms])  # indexing with an array returns a copy
 
     def robot_solids(self) -> tuple[Boxes, Capsules]:
-        """The robot as it stands now, for the renderer: the trunk; 18 links in the order (leg, link), then 6 feet."""
+        """Return the robot in its current pose, for the renderer.
+
+        Returns:
+            The trunk as a box; 18 links in the order (leg, link), then 6 feet, as capsules.
+        """
         trunk, links, feet = self._trunk_geom, self._link_geoms, self._foot_geoms
         position, axes = self._geom_position, self.data.geom_xmat
         half = self.model.geom_size[trunk]
@@ -235,25 +251,33 @@ class World:
 
     @property
     def foot_force(self) -> Array:
-        """Normal force of the ground on each foot (6,) [N] in the last step."""
+        """Normal force (6,) [N] of the ground on each foot in the last step."""
         return np.array(self._sensors[:6])
 
     @property
     def foot_contact(self) -> NDArray[np.bool_]:
-        """(6,) whether each foot bore load in the last step; scraping feet hop, so debounce over about 20 ms."""
+        """Contact state (6,) of each foot in the last step.
+
+        Scraping feet bounce, so debounce it over about 20 ms.
+        """
         return np.asarray(self._sensors[:6] > 0.0)
 
     @property
     def leg_contact(self) -> NDArray[np.bool_]:
-        """(6,) likewise each leg, by its foot or by a shank that leans on an edge."""
+        """Contact state (6,) of each leg in the last step, by its foot or its shank.
+
+        The shank has contact when it leans on an edge.
+        """
         return np.asarray(self._sensors[6:12] > 0.0)
 
     @property
     def imu(self) -> tuple[Array, Array]:
-        """True angular rate (3,) [rad/s] and specific force (3,) [m/s^2] of the body's origin, {body}.
+        """True angular rate and specific force of the body's origin.
+
+        They are (3,) [rad/s] and (3,) [m/s^2], {body}.
 
         Raises:
-            ValueError: The world was built without it.
+            ValueError: The world was built without an IMU.
         """
         if self._imu is None:
             raise ValueError("a world built with imu=True expected, found one without")
@@ -279,10 +303,10 @@ def _spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: bool) 
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0
     option.noslip_iterations = 3
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged world says so; it does not begin anew
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one robot is one island: looking for more costs and finds none
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # `step` reports divergence instead of a silent reset
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one robot is one island, so the search for islands is useless
     spec.stat.extent = 1.0
-    spec.memory = 64 << 20  # [bytes] a robot that lies on a fine height field touches it in hundreds of places
+    spec.memory = 64 << 20  # [bytes] a robot that lies on a fine height field has hundreds of contacts
     friction = [_FRICTION[0] * factors.ground_friction, *_FRICTION[1:]]
     _add_terrain(spec, terrain, friction)
     _add_robot(spec, profile, factors, friction, imu)
@@ -291,7 +315,7 @@ def _spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: bool) 
 
 
 def _ground(friction: list[float]) -> dict[str, Any]:
-    """What all geoms of the terrain have in common."""
+    """Return the common attributes of all terrain geoms."""
     return {
         "contype": 2,
         "conaffinity": 1,
@@ -318,7 +342,10 @@ def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
 
 
 def _add_weak(spec: Any, terrain: Terrain, friction: list[float]) -> None:
-    """Boxes that can be moved, each with a sensor of what presses on it; their sensors are the last ones."""
+    """Add the weak boxes as mocap bodies, each with a touch sensor.
+
+    These sensors must be the last ones of the model.
+    """
     boxes = terrain.boxes
     for i in terrain.weak.box:
         quat = quaternion_from_rotation(boxes.R[i])
@@ -332,7 +359,7 @@ def _add_weak(spec: Any, terrain: Terrain, friction: list[float]) -> None:
 
 def _add_height_field(spec: Any, field: HeightField, solid: dict[str, Any]) -> None:
     low = float(field.heights.min())
-    rise = float(np.ptp(field.heights)) or 1e-3  # MuJoCo wants some; the normalised heights of level ground are zero
+    rise = float(np.ptp(field.heights)) or 1e-3  # must be positive for MuJoCo; the normalised heights of level ground are zero
     half = field.resolution * (np.array(field.heights.shape) - 1) / 2
     asset = spec.add_hfield(name="field", nrow=field.heights.shape[1], ncol=field.heights.shape[0])
     asset.size = [*half, rise, DEPTH]
@@ -355,11 +382,11 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
     body.add_freejoint(name="body")
     half = np.array(profile.body.size) / 2
     body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **solid)
-    # A uniform box as large as the trunk, its middle where the profile has the centre of mass.
+    # The inertia is that of a uniform box of the trunk's size, centred at the profile's centre of mass.
     body.explicitinertial, body.mass, body.ipos = True, profile.body.mass, profile.body.centre_of_mass
     body.inertia = profile.body.mass / 3.0 * (np.sum(half**2) - half**2)
     links = (profile.links.coxa, profile.links.femur, profile.links.tibia)
-    up = [0.0, -1.0, 0.0]  # turning about -y lifts what lies along x
+    up = [0.0, -1.0, 0.0]  # a positive rotation about -y lifts a link that points along x
     for leg, (name, T) in enumerate(zip((part.name for part in profile.legs), profile.T_body_coxa, strict=True)):
         parent: Any = body
         position, quat = T[:3, 3], quaternion_from_rotation(T[:3, :3])
@@ -369,10 +396,10 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
             low, high = profile.joint_limits[leg, joint] + np.array([-_LIMIT_MARGIN, _LIMIT_MARGIN])
             hinge = link.add_joint(name=label, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
             hinge.limited, hinge.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
-            hinge.damping = [profile.servo.damping, 0.0, 0.0]  # linear in the speed only
+            hinge.damping = [profile.servo.damping, 0.0, 0.0]  # linear damping only
             hinge.armature = profile.servo.armature * factors.armature[leg, joint]
             hinge.frictionloss = profile.servo.friction * factors.joint_friction[leg, joint]
-            tip = end - profile.foot.radius if part == "tibia" else end  # only the foot's sphere reaches the ground
+            tip = end - profile.foot.radius if part == "tibia" else end  # only the foot sphere reaches the ground
             link.add_geom(
                 name=label,
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,

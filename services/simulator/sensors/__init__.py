@@ -1,1 +1,1 @@
-"""Simulate the depth camera, the color camera and the inertial sensor."""
+"""Simulation of the depth camera, the colour camera and the IMU."""

@@ -1,7 +1,8 @@
-"""What a colour camera makes of the world: textured ground under uneven light, puddles that mirror the sky, a noisy sensor.
+"""Model of a colour camera.
 
-Texture belongs to the ground: it is noise over places of the world, so a place keeps its colour from whichever side it is
-looked at. Light, white balance and texture are drawn once by the run's seed.
+It simulates textured ground, uneven light, puddles that reflect the sky, and sensor noise. The texture is noise over world
+coordinates, so a point has the same colour from all viewpoints. Light, white balance and texture are drawn once per run from
+its seed.
 """
 
 import numpy as np
@@ -14,21 +15,21 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-_EXPOSURE = 0.20  # [1] by which the light of a run may be more or less than usual
-_BALANCE = 0.06  # [1] likewise, of red against green and of blue
-_SHADE = 0.12  # [1] by which light varies from place to place
-_GRAIN = 0.16  # [1] by which the ground's own brightness varies
-_TINT = 0.03  # [1] by which its colour does
-_SENSOR = 3.0  # [1/255] of a pixel, uniform to both sides
+_EXPOSURE = 0.20  # [1] maximum relative deviation of a run's brightness
+_BALANCE = 0.06  # [1] maximum relative deviation of red and of blue against green
+_SHADE = 0.12  # [1] relative variation of light over the ground
+_GRAIN = 0.16  # [1] relative variation of the ground's brightness
+_TINT = 0.03  # [1] relative variation of the ground's colour
+_SENSOR = 3.0  # [1/255] maximum sensor noise of a pixel, uniform
 _SKY = (178.0, 200.0, 220.0)
-_RIM = 0.008  # [m] by which the rim of a puddle meanders
+_RIM = 0.008  # [m] amplitude of irregular puddle edges
 
 
 class ColorCamera:
-    """Pictures pixel for pixel over the depth of the same renderer."""
+    """Colour camera whose pixels coincide with those of the depth camera."""
 
     def __init__(self, renderer: Renderer, terrain: Terrain, rng: np.random.Generator):
-        """Take the light of a run from the generator; the renderer draws everything flat."""
+        """Draw the light of a run; the renderer provides flat-shaded images."""
         self._renderer = renderer
         self._key = np.uint32(rng.integers(1 << 32))
         balance = np.array([rng.uniform(-_BALANCE, _BALANCE), 0.0, rng.uniform(-_BALANCE, _BALANCE)])
@@ -40,7 +41,12 @@ class ColorCamera:
         self._frames = 0
 
     def picture(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.uint8]:
-        """The next colour picture (h, w, 3) from an optical camera pose (4, 4)."""
+        """Return the next colour image (h, w, 3).
+
+        Args:
+            T_world_camera: (4, 4) pose of the camera's optical frame.
+            robot: Solids to draw in addition to the terrain.
+        """
         flat, inverse_depth = self._renderer.colored(T_world_camera, robot)
         i: Intrinsics = self._renderer.intrinsics
         out = np.empty_like(flat)
@@ -54,7 +60,7 @@ class ColorCamera:
 
 @compiled
 def _mixed(x: np.uint32) -> np.uint32:
-    """Scramble 32 bits (Wellons 2018, `lowbias32`)."""
+    """Hash 32 bits (Wellons 2018, `lowbias32`)."""
     x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
     x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
     return np.uint32(x ^ (x >> np.uint32(16)))
@@ -62,14 +68,14 @@ def _mixed(x: np.uint32) -> np.uint32:
 
 @compiled
 def _lattice(i: int, j: int, key: np.uint32) -> float:
-    """A number from -1 to 1 that belongs to a lattice point."""
+    """Return the random number from -1 to 1 of a lattice point."""
     h = _mixed(np.uint32(np.uint32(i * 0x9E3779B1) ^ np.uint32(j * 0x85EBCA77)) ^ key)
     return float(np.int64(h >> np.uint32(8))) * (2.0 / 16777215.0) - 1.0
 
 
 @compiled
 def _noise(x: float, y: float, key: np.uint32) -> float:
-    """Smooth noise from -1 to 1 over the plane, of wavelength 2."""
+    """Return smooth noise from -1 to 1 at a point of the plane, of wavelength 2."""
     i, j = int(np.floor(x)), int(np.floor(y))
     u, v = x - i, y - j
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
@@ -92,7 +98,10 @@ def _develop(
     hollow_colors: Array,
     out: NDArray[np.uint8],
 ) -> None:
-    """Light, texture, puddles and sensor noise over a flat picture; T is T_world_camera, hollows low x, y, high x, y."""
+    """Apply light, texture, puddles and sensor noise to a flat-shaded image.
+
+    T is T_world_camera (3, 4); hollows (n, 4) are low x, low y, high x, high y [m] {world}.
+    """
     rows, columns = w.shape
     fx, fy, cx, cy = camera
     color = np.empty(3)
@@ -108,7 +117,7 @@ def _develop(
                 height = T[2, 0] * a + T[2, 1] * b + T[2, 2] * z + T[2, 3]
                 light = 1.0 + _SHADE * _noise(x / 0.5, y / 0.5, key ^ np.uint32(1))
                 wet = -1
-                if abs(height - plane) < 2e-3:  # false where there is no plane
+                if abs(height - plane) < 2e-3:  # false without a plane, whose height is NaN
                     for n in range(len(hollows)):
                         low_x, low_y, high_x, high_y = hollows[n]
                         if low_x - _RIM < x < high_x + _RIM and low_y - _RIM < y < high_y + _RIM:
@@ -117,14 +126,14 @@ def _develop(
                             if low_x < ux < high_x and low_y < uy < high_y:
                                 wet = n
                 if wet >= 0:
-                    # The flatter it is looked at, the more of the sky it mirrors (Schlick 1994, water).
+                    # Water reflects more sky at grazing incidence (Schlick 1994).
                     down = (T[2, 3] - height) / np.sqrt(a * a + b * b + z * z)
                     mirror = 0.02 + 0.98 * (1.0 - min(max(down, 0.0), 1.0)) ** 5
                     ripple = 1.0 + 0.03 * _noise(x / 0.02, y / 0.02, key ^ np.uint32(4))
                     for k in range(3):
                         color[k] = (hollow_colors[wet, k] * (1.0 - mirror) + _SKY[k] * mirror) * ripple
                 else:
-                    # Walls have texture along their height.
+                    # The height shifts the texture, so that walls are textured vertically.
                     tx, ty = x + 0.7 * height, y - 0.6 * height
                     grain = _noise(tx / 0.04, ty / 0.04, key ^ np.uint32(5)) + _noise(
                         tx / 0.011, ty / 0.011, key ^ np.uint32(6)

@@ -1,10 +1,11 @@
-"""What a PrimeSense depth camera makes of true depth: noise, quantisation, range, and pixels without a return.
+"""Sensor model of a PrimeSense depth camera.
 
-It triangulates between a projector and one sensor: it measures disparity d = fx * baseline / z, and there its errors are
-Gaussian and its steps even. Where the projector's light does not reach, or comes back too weakly, there is nothing.
+It simulates noise, quantisation, range limits and missing pixels. The camera triangulates between a projector and one sensor.
+It measures the disparity d = fx * baseline / z, in which its noise is Gaussian and its quantisation uniform. Pixels are missing
+where the projector's light does not reach or returns too weakly.
 
-Every random number is a hash of the camera's key, the frame's number and the pixel, so a frame does not depend on how many
-were taken before or on the machine.
+Each random number is a hash of the camera's key, the frame number and the pixel. A frame therefore depends neither on earlier
+frames nor on the machine.
 """
 
 from math import ceil
@@ -17,15 +18,15 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-RANDOM_LOSS = 0.05  # share of pixels that fail for no visible reason
-GRAZING = (0.03, 0.12)  # cosines of incidence below which no pixel returns, and above which all do
-_SHADOW_MARGIN = 0.5  # [px] of disparity, so that a smooth surface does not shadow itself by rounding
+RANDOM_LOSS = 0.05  # share of pixels that are missing at random
+GRAZING = (0.03, 0.12)  # cosines of incidence: below the first no pixel is measured, above the second all are
+_SHADOW_MARGIN = 0.5  # [px] disparity margin, so that rounding does not make a smooth surface shadow itself
 _GAUSS_BITS = 12
 _MAX_RAW = 65535
 
 
 class DepthCamera:
-    """Turns true pictures into what the camera would deliver."""
+    """Depth camera that converts true inverse depth to raw frames."""
 
     def __init__(
         self,
@@ -36,15 +37,15 @@ class DepthCamera:
         dropouts: bool = True,
         loss: float = RANDOM_LOSS,
     ):
-        """Set up a camera.
+        """Create a camera.
 
         Args:
-            intrinsics: Of the picture; the projector sits `sensor.baseline` to the right of the lens.
-            sensor: Range and noise figures.
-            rng: Only drawn from here, once, for the camera's key.
-            noise: Disparity noise and quantisation; without it, depth is only rounded to raw units.
-            dropouts: Pixels without return in shadows, on grazed surfaces, and at random.
-            loss: Share of the pixels that are without return at random.
+            intrinsics: Intrinsics of the image; the projector is `sensor.baseline` to the right of the sensor.
+            sensor: Range limits and noise parameters.
+            rng: Generator of the camera's key; one draw, only here.
+            noise: Whether to add disparity noise and quantisation; without them, depth is only rounded to raw units.
+            dropouts: Whether to remove pixels in shadows, at grazing incidence and at random.
+            loss: Share of pixels that are removed at random.
         """
         self.intrinsics, self.sensor = intrinsics, sensor
         self._key = np.uint32(rng.integers(1 << 32))
@@ -53,17 +54,19 @@ class DepthCamera:
         self._loss = loss
         self._bf = intrinsics.fx * sensor.baseline  # [px m]
         quantised = noise and sensor.disparity_step > 0
-        self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 for no quantisation
+        self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 without quantisation
         self._sigma = sensor.disparity_sigma if noise else 0.0
         self._gauss = _gaussian_table()
         self._first_count, self._last_count = self._counts_in_range()
         self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
 
     def measure(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """The next raw frame (h, w), 0 for no return, of true inverse depth (h, w) [1/m], 0 for nothing there.
+        """Return the next raw frame (h, w) of true inverse depth (h, w) [1/m].
+
+        In both, 0 means no surface or no measurement.
 
         Raises:
-            ValueError: The picture does not have the camera's size.
+            ValueError: The inverse depth does not have the camera's size, or is not float32.
         """
         shape = (self.intrinsics.height, self.intrinsics.width)
         if inverse_depth.shape != shape or inverse_depth.dtype != np.float32:
@@ -89,11 +92,11 @@ class DepthCamera:
         return raw
 
     def pass_over(self) -> None:
-        """Leave the next frame out: those that follow are what they would have been behind it."""
+        """Skip a frame; later frames are the same as if it had been measured."""
         self._frames += 1
 
     def _counts_in_range(self) -> tuple[int, int]:
-        """Lowest and highest count of quantised disparity that gives a raw depth within range."""
+        """Return the lowest and highest count of disparity whose depth is within range."""
         if self._counts == 0.0:
             return 1, 0
         sensor = self.sensor
@@ -105,7 +108,7 @@ class DepthCamera:
 
 
 def _gaussian_table() -> NDArray[np.float32]:
-    """Equally likely values of a normal distribution, scaled to unit variance."""
+    """Return equally likely values of a normal distribution, scaled to unit variance."""
     n = 1 << _GAUSS_BITS
     normal = NormalDist()
     values = np.array([normal.inv_cdf((i + 0.5) / n) for i in range(n)])
@@ -114,8 +117,11 @@ def _gaussian_table() -> NDArray[np.float32]:
 
 @compiled
 def _mix(x: np.uint32) -> np.uint32:
-    """Scramble 32 bits: a bijection with an avalanche bias of 0.17 (Wellons 2018, `lowbias32`)."""
-    # Numba widens every product of 32-bit numbers, hence the narrowing at each step.
+    """Hash 32 bits (Wellons 2018, `lowbias32`).
+
+    The hash is a bijection with an avalanche bias of 0.17.
+    """
+    # Numba widens products of 32-bit numbers, so each step converts back to 32 bits.
     x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
     x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
     return np.uint32(x ^ (x >> np.uint32(16)))
@@ -136,37 +142,38 @@ def _expose(
     dropouts: bool,
     loss: float,
 ) -> None:
-    """Noise in disparity, quantised or not; then pixels taken away.
+    """Compute a raw frame: add noise to the disparity, quantise it, remove pixels.
 
     bf [px m], sigma [px], counts per pixel; counted: first and last count within range. A pixel has 32 random bits: the
-    upper choose its noise, the lower its loss. Every step is a loop of its own over a row, free of branches wherever it
-    can be, so that it runs in vectors.
+    upper bits select its noise, the lower bits its loss. Each step is a separate loop over a row, without branches if possible,
+    so that it is vectorised.
     """
     rows, columns = raw.shape
     nearest, farthest, scale = limits
     to_count, spread, half = np.float32(bf * counts), np.float32(sigma * counts), np.float32(0.5)
     first, last = np.int32(counted[0]), np.int32(counted[1])
     raw_by_count = np.float32(bf * counts * scale)
-    # What no noise brings back into range: the table ends at 3.7 sigma, and quantisation moves a pixel by half a count.
+    # Limits outside which noise cannot move a pixel into range: the Gaussian table ends at 3.7 sigma, and quantisation moves a
+    # pixel by half a count.
     reach = (4.0 * sigma + (1.0 / counts if counts > 0.0 else 0.0)) / bf + 1e-3
     darkest, brightest = np.float32(max(1.0 / farthest - reach, 1e-9)), np.float32(1.0 / nearest + reach)
     bits = np.zeros(columns, dtype=np.uint32)
     noise = np.zeros(columns, dtype=np.float32)
     seen_at = np.zeros(columns, dtype=np.float32)
     fold = np.zeros((columns + 7) // 8 * 8, dtype=np.bool_)
-    folds = fold.view(np.uint64)  # eight columns at a time: there are few
+    folds = fold.view(np.uint64)  # tests eight columns at once, because folds are rare
     u = np.arange(columns).astype(np.float32)
     x = (np.arange(columns) - camera[2]).astype(np.float32)
     for row in range(rows):
         line, out = w[row], raw[row]
-        # 1. Rows without a pixel near the range: half of a picture of a walking robot's near ground.
+        # 1. Skip rows without a pixel near the range: half of the image of a walking robot that looks at the near ground.
         inside = np.uint32(0)
         for column in range(columns):
             inside |= np.uint32((line[column] >= darkest) & (line[column] <= brightest))
         if inside == 0:
             out[:] = 0
             continue
-        # 2. Noise and range.
+        # 2. Add noise and apply the range.
         seed = np.uint32(row * columns)
         for column in range(columns):
             h = np.uint32(np.uint32(np.uint32(seed + np.uint32(column)) * np.uint32(0x9E3779B1)) ^ key)
@@ -194,7 +201,8 @@ def _expose(
                         out[column] = np.uint16(value)
         if not dropouts:
             continue
-        # 3. In the projector's picture a point lies at u - d. Right of a pixel, whatever lies further left there hides it.
+        # 3. Remove shadows. A point lies at u - d in the projector's image. A pixel is in shadow if any pixel to its right lies
+        # further left in the projector's image.
         for column in range(columns):
             seen_at[column] = u[column] - np.float32(bf) * line[column]
         for column in range(columns - 1):
@@ -205,17 +213,17 @@ def _expose(
                 column -= 8
                 continue
             if fold[column]:
-                leftmost = seen_at[column + 1]  # of all to the right, since they are in order
+                leftmost = seen_at[column + 1]  # minimum over all pixels to the right, which are in order
                 while column >= 0 and seen_at[column] > leftmost:
                     if seen_at[column] > leftmost + np.float32(_SHADOW_MARGIN):
                         out[column] = 0
                     column -= 1
             column -= 1
-        # 4. Grazed surfaces, and the losses at random.
+        # 4. Remove pixels at grazing incidence and at random.
         above, below = w[max(row - 1, 0)], w[min(row + 1, rows - 1)]
         y, fx, fy = np.float32(row - camera[3]), np.float32(camera[0]), np.float32(camera[1])
         _graze(line, above, below, bits, x, y, fx, fy, np.float32(loss), out)
-        out[0] = out[columns - 1] = 0  # without a neighbour on one side
+        out[0] = out[columns - 1] = 0  # the border has no neighbour on one side
 
 
 @compiled
@@ -231,7 +239,10 @@ def _graze(
     loss: np.float32,
     out: NDArray[np.uint16],
 ) -> None:
-    """Take away pixels of a row on grazed surfaces and at random; x and y [px] from the optical axis."""
+    """Remove pixels of a row at grazing incidence and at random.
+
+    x and y are [px] from the optical axis.
+    """
     one = np.float32(1.0)
     per_fx, per_fy = one / fx, one / fy
     low, width = np.float32(GRAZING[0]), np.float32(GRAZING[1] - GRAZING[0]) / max(one - loss, np.float32(1e-6))
@@ -240,17 +251,17 @@ def _graze(
     ry2 = one + (y * per_fy) * (y * per_fy)
     for k in range(1, len(line) - 1):
         here = line[k]
-        # Of both neighbours the one nearer in depth: an edge of a level surface does not make it steep.
+        # Use the neighbour that is nearer in depth, so that the edge of a level surface does not count as steep.
         one_side, other = here - line[k - 1], line[k + 1] - here
         wu = one_side if abs(one_side) < abs(other) else other
         one_side, other = here - above[k], below[k] - here
         wv = one_side if abs(one_side) < abs(other) else other
-        # On a plane 1/z = w is linear in the pixel; its gradient gives the normal, and w = normal . ray.
+        # On a plane w = 1/z is linear in the pixel coordinates; its gradient gives the normal, and w = normal . ray.
         nx, ny, nz = fx * wu, fy * wv, here - wu * x[k] - wv * y
         rx = x[k] * per_fx
         chance = np.float32(np.int32(bits[k] & mask)) * to_unit
-        # Kept with a probability that grows linearly with the cosine of incidence, compared squared.
+        # Keep a pixel with a probability that is linear in the cosine of incidence; the comparison uses squares.
         needed = low + width * chance
         squares = (nx * nx + ny * ny + nz * nz) * (ry2 + rx * rx)
         kept = (chance < likely) & (here * here > needed * needed * squares)
-        out[k] = out[k] * np.uint16(kept)  # a choice would not be vectorised
+        out[k] = out[k] * np.uint16(kept)  # a conditional would prevent vectorisation

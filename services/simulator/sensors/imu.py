@@ -1,4 +1,4 @@
-"""Inertial sensor: white noise, a bias that differs from run to run, and its slow walk."""
+"""IMU model: white noise, a random bias per run, and a random walk of the bias."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,21 @@ from sextant.shared.geometry import Array
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Noise figures; densities are the MPU-6050's data sheet, biases what is left after calibration at rest (assumed)."""
+    """Noise parameters of the IMU.
+
+    The densities are from the data sheet of the MPU-6050. The biases are assumed residuals after calibration at rest.
+    """
 
     gyro_density: float = 8.7e-5  # [rad/s/sqrt(Hz)]
     force_density: float = 3.9e-3  # [m/s^2/sqrt(Hz)]
-    gyro_bias: float = 2e-3  # [rad/s] one sigma at the start
-    force_bias: float = 5e-2  # [m/s^2]
+    gyro_bias: float = 2e-3  # [rad/s] standard deviation at the start
+    force_bias: float = 5e-2  # [m/s^2] standard deviation at the start
     gyro_walk: float = 2e-5  # [rad/s/sqrt(s)]
     force_walk: float = 5e-4  # [m/s^2/sqrt(s)]
 
 
 class Imu:
-    """Makes readings of true motion."""
+    """IMU that adds noise and bias to the true motion."""
 
     def __init__(self, noise: ImuNoise, rng: np.random.Generator):
         self._noise, self._rng = noise, rng
@@ -28,7 +31,15 @@ class Imu:
         self._force_bias = rng.normal(0.0, noise.force_bias, 3)
 
     def update(self, rate: Array, force: Array, dt: float) -> tuple[Array, Array]:
-        """The reading after another dt [s] of angular rate (3,) [rad/s] and specific force (3,) [m/s^2], and in these units.
+        """Return the next reading.
+
+        Args:
+            rate: True angular rate (3,) [rad/s].
+            force: True specific force (3,) [m/s^2].
+            dt: Time since the last reading [s].
+
+        Returns:
+            Measured angular rate (3,) [rad/s] and specific force (3,) [m/s^2].
 
         Raises:
             ValueError: dt is not positive.

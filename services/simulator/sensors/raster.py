@@ -1,8 +1,8 @@
-"""The loops that draw: a z-buffer of planes, faces, height fields and capsules, compiled.
+"""Compiled z-buffer rasteriser of planes, faces, height fields and capsules.
 
-The buffer holds inverse depth, because on a plane 1/z is linear in the pixel: a face costs one multiplication and addition a
-pixel and is exact. Faces are drawn as convex polygons, the height field as its triangles, capsules by solving for the ray.
-Everywhere T is T_camera_world, and a colour is (3,) as seen in full light.
+The buffer holds inverse depth, because 1/z of a plane is linear in the pixel coordinates. A face is therefore exact and costs
+one multiplication and one addition per pixel. Faces are drawn as convex polygons, the height field as triangles, and capsules
+by ray casting. In all functions T is T_camera_world, and a colour is (3,) in full light.
 """
 
 from typing import NamedTuple
@@ -13,44 +13,47 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled, written_into
 
-BLOCK = 16  # cells of a height field culled together
-_NEAR = 1e-3  # [m] faces are clipped here
-_EDGE = 1e-9  # [px] faces overlap by this, so that rounding leaves no crack between neighbours
-_LEVEL = 1e-12  # [px] an edge that rises less bounds no row
+BLOCK = 16  # [cells] edge of the blocks of a height field that are culled together
+_NEAR = 1e-3  # [m] depth of the near plane, at which faces are clipped
+_EDGE = 1e-9  # [px] overlap of faces, which prevents cracks by rounding between neighbours
+_LEVEL = 1e-12  # [px] minimum rise of an edge that bounds rows
 
-# Tuples of numbers: in the inner loops they are registers, where arrays would be looked up and counted.
+# Tuples of numbers stay in registers in the inner loops; arrays would need memory access and reference counting.
 _Point = tuple[float, float, float]  # [m] {camera}, or a direction
 _Lens = tuple[float, float, float, float]  # [px] fx, fy, cx, cy
 _Vertex = tuple[float, float, float, float, float]  # x, y, z [m] {camera} and u, v [px]
 
 
 class Canvas(NamedTuple):
-    """What is drawn into, and by which lens and light."""
+    """Output buffers, intrinsics and light."""
 
-    w: NDArray[np.float32]  # (h, w) [1/m] inverse depth, zero where there is nothing
-    rgb: NDArray[np.uint8]  # (h, w, 3), or (0, 0, 3) where no colour is wanted
+    w: NDArray[np.float32]  # (h, w) [1/m] inverse depth, 0 without a surface
+    rgb: NDArray[np.uint8]  # (h, w, 3), or (0, 0, 3) without colour
     lens: _Lens
-    ramp: Array  # (n,) 0, 1, 2 ...: converting numbers of rows and columns in the inner loops would keep those from vectors
-    light: _Point  # toward the lamp
+    ramp: Array  # (n,) 0.0, 1.0, 2.0 ...; row and column numbers as floats, so that the inner loops are vectorised
+    light: _Point  # unit vector to the light {camera}
 
 
 class _Workspace(NamedTuple):
-    """What the drawing of a face writes down in between."""
+    """Scratch arrays for drawing a face."""
 
     corners: Array  # (4, 3) [m] {camera}
     image: Array  # (12, 2) [px] corners of the clipped face
-    edges: Array  # (12, 4) [px] of those that bound rows on the left u at row zero and slope, then of those on the right
+    edges: Array  # (12, 4) [px] left edges: u at row 0 and slope; right edges: u at row 0 and slope
     spans: NDArray[np.int32]  # (2, rows) first column and number of columns of each row
-    nearer: NDArray[np.float32]  # (columns,)
+    nearer: NDArray[np.float32]  # (columns,) new inverse depth of a row
 
 
 @compiled
 def draw_plane(canvas: Canvas, T: Array, height: float, colour: Array) -> None:
-    """Fill the buffer with level ground, or with nothing for a height of NaN; in colour it is chequered every 0.1 m."""
+    """Fill the buffer with level ground, in colour as a 0.1 m checkerboard.
+
+    A height of NaN clears the buffer.
+    """
     w, ramp = canvas.w, canvas.ramp
     rows, columns = w.shape
     n = T[:3, 2]
-    d = height + n[0] * T[0, 3] + n[1] * T[1, 3] + n[2] * T[2, 3]  # n . p = d for points p of the plane, seen from above if < 0
+    d = height + n[0] * T[0, 3] + n[1] * T[1, 3] + n[2] * T[2, 3]  # plane n . p = d, seen from above if d < 0
     if not d < 0.0:
         w[:] = 0.0
         return
@@ -69,7 +72,7 @@ def draw_plane(canvas: Canvas, T: Array, height: float, colour: Array) -> None:
 
 @compiled
 def draw_quads(canvas: Canvas, T: Array, quads: Array, colours: Array) -> None:
-    """Draw four-cornered faces (n, 4, 3) [m] {world}."""
+    """Draw quadrilateral faces (n, 4, 3) [m] {world}."""
     work = _workspace(canvas)
     corners = work.corners
     for face in range(len(quads)):
@@ -86,12 +89,12 @@ def draw_field(canvas: Canvas, T: Array, heights: Array, grid: Array, blocks: Ar
     """Draw the triangles of a height field.
 
     Args:
-        canvas: Drawn into.
-        T: As above.
-        heights: (nx, ny) [m] {world} of the corners of its cells.
-        grid: (3,) [m] x and y {world} of the first, and their spacing.
-        blocks: (b, 8) first cell's row and column, and the box {world} around each BLOCK x BLOCK cells: lowest, highest corner.
-        colour: Of it all.
+        canvas: Output buffers.
+        T: (4, 4) T_camera_world.
+        heights: (nx, ny) [m] {world} heights of the cell corners.
+        grid: (3,) [m] x and y {world} of the first corner, and the spacing.
+        blocks: (b, 8) row and column of the first cell, lowest and highest corner {world} of the bounding box of each block.
+        colour: (3,) colour of all triangles.
     """
     work, sides = _workspace(canvas), _pyramid(canvas)
     vertices = np.empty((BLOCK + 1, BLOCK + 1, 5))
@@ -144,7 +147,10 @@ def _workspace(canvas: Canvas) -> _Workspace:
 
 @compiled
 def _pyramid(canvas: Canvas) -> Array:
-    """The pyramid of view: inward normals (5, 3) {camera}, all through the lens."""
+    """Return the inward normals (5, 3) {camera} of the view frustum.
+
+    All planes contain the optical centre.
+    """
     rows, columns = canvas.w.shape
     fx, fy, cx, cy = canvas.lens
     return np.array(
@@ -160,7 +166,7 @@ def _pyramid(canvas: Canvas) -> Array:
 
 @compiled
 def _inverse_depth_of(lens: _Lens, nx: float, ny: float, nz: float, d: float) -> tuple[float, float, float]:
-    """Inverse depth of the plane n . p = d as a sum a u + b v + c."""
+    """Return a, b, c of the inverse depth a u + b v + c of the plane n . p = d."""
     fx, fy, cx, cy = lens
     a, b = nx / (fx * d), ny / (fy * d)
     return a, b, nz / d - a * cx - b * cy
@@ -168,7 +174,10 @@ def _inverse_depth_of(lens: _Lens, nx: float, ny: float, nz: float, d: float) ->
 
 @compiled
 def _shade(normal_x: float, normal_y: float, normal_z: float, light: _Point) -> float:
-    """Brightness of a surface with a normal of any length: half of it from all sides, half from the lamp."""
+    """Return the brightness of a surface with a normal of any length.
+
+    It is 0.45 ambient and 0.55 directional light.
+    """
     length = np.sqrt(normal_x * normal_x + normal_y * normal_y + normal_z * normal_z)
     cosine = (normal_x * light[0] + normal_y * light[1] + normal_z * light[2]) / length
     return float(0.45 + 0.55 * max(0.0, cosine))
@@ -182,7 +191,7 @@ def _paint(rgb: NDArray[np.uint8], row: int, column: int, colour: Array, bright:
 
 @compiled
 def _chequer(canvas: Canvas, T: Array, colour: Array, bright: float) -> None:
-    """Colour the ground wherever it is in view and not too far."""
+    """Colour the visible level ground up to a depth of 50 m as a checkerboard."""
     w = canvas.w
     fx, fy, cx, cy = canvas.lens
     for row in range(w.shape[0]):
@@ -204,7 +213,10 @@ def _chequer(canvas: Canvas, T: Array, colour: Array, bright: float) -> None:
 
 @compiled
 def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -> None:
-    """Draw the convex face of the workspace's corners, counter-clockwise seen from outside; its back is not drawn."""
+    """Draw the convex face of the workspace's corners, and cull back faces.
+
+    The corners are counterclockwise as seen from outside.
+    """
     nx, ny, nz, d = _normal(work.corners[0], work.corners[1], work.corners[2])
     if not d < 0.0:
         return
@@ -212,14 +224,14 @@ def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -
     m = _project(canvas.lens, work.corners, count, work.image)
     if m == 0:
         return
-    # 2. The rows that it covers, and the columns that its edges leave of each.
+    # 2. Find the covered rows, and the span of columns of each row.
     first, last = _rows(work.image, m, canvas.w.shape[0])
     if first > last:
         return
     widest = canvas.w.shape[1] - 1.0
     _bound(work.image, m, widest, work.edges)
     _span_rows(work.edges, canvas.ramp, first, last, widest, work.spans)
-    # 3. Pixels.
+    # 3. Fill the pixels.
     a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
     if canvas.rgb.shape[0] == 0:
         _fill(canvas, work, first, last, a, b, c)
@@ -229,7 +241,7 @@ def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -
 
 @compiled
 def _normal(p: Array | _Point, q: Array | _Point, r: Array | _Point) -> tuple[float, float, float, float]:
-    """Normal n and distance d of the plane n . p = d through three corners."""
+    """Return normal n and offset d of the plane n . p = d through three corners."""
     ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -238,7 +250,10 @@ def _normal(p: Array | _Point, q: Array | _Point, r: Array | _Point) -> tuple[fl
 
 @compiled
 def _project(lens: _Lens, corners: Array, count: int, image: Array) -> int:
-    """Clip a face at the near plane (Sutherland-Hodgman) and project it; the number of corners that it then has."""
+    """Clip a face at the near plane, project it, and return its number of corners.
+
+    The clipping is that of Sutherland and Hodgman.
+    """
     fx, fy, cx, cy = lens
     m = 0
     for i in range(count):
@@ -258,7 +273,7 @@ def _project(lens: _Lens, corners: Array, count: int, image: Array) -> int:
 
 @compiled
 def _rows(image: Array, m: int, rows: int) -> tuple[int, int]:
-    """First and last row of the picture that a face of m corners covers."""
+    """Return the first and last image row that a face of m corners covers."""
     lowest, highest = np.inf, -np.inf
     for i in range(m):
         lowest, highest = min(lowest, image[i, 1]), max(highest, image[i, 1])
@@ -267,10 +282,10 @@ def _rows(image: Array, m: int, rows: int) -> tuple[int, int]:
 
 @compiled
 def _bound(image: Array, m: int, widest: float, edges: Array) -> None:
-    """Find the edges that bound rows on the left, then those on the right: where each crosses row zero, and its slope.
+    """Compute the left and the right edges of a face: u at row 0 and slope of each.
 
-    Seen from outside in an image whose v points down, the corners run counter-clockwise: left edges go down. A side has four
-    edges at most, a clipped face having five corners; those that are missing bound nothing but the image.
+    The corners run counterclockwise as seen in the image, whose v points down, so left edges go down. A clipped face has at
+    most five corners, so a side has at most four edges. Unused edges are the image borders.
     """
     for i in range(4):
         edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3] = 0.0, 0.0, widest, 0.0
@@ -291,7 +306,10 @@ def _bound(image: Array, m: int, widest: float, edges: Array) -> None:
 
 @compiled
 def _span_rows(edges: Array, ramp: Array, first: int, last: int, widest: float, spans: NDArray[np.int32]) -> None:
-    """The columns of each row that the edges leave, without branches, so that it runs in vectors."""
+    """Compute the span of columns of each row between the edges.
+
+    The loop has no branches, so that it is vectorised.
+    """
     p0, p1, p2, p3 = edges[0, 0], edges[1, 0], edges[2, 0], edges[3, 0]
     q0, q1, q2, q3 = edges[0, 1], edges[1, 1], edges[2, 1], edges[3, 1]
     r0, r1, r2, r3 = edges[0, 2], edges[1, 2], edges[2, 2], edges[3, 2]
@@ -305,7 +323,7 @@ def _span_rows(edges: Array, ramp: Array, first: int, last: int, widest: float, 
 
 @compiled
 def _fill(canvas: Canvas, work: _Workspace, first: int, last: int, a: float, b: float, c: float) -> None:
-    """Write the inverse depth a u + b v + c into the spans of rows, wherever it is nearer."""
+    """Write the inverse depth a u + b v + c into the spans of rows where it is nearer."""
     w, ramp, spans, nearer = canvas.w, canvas.ramp, work.spans, work.nearer
     for k in range(last - first + 1):
         if spans[1, k] <= 0:
@@ -315,7 +333,7 @@ def _fill(canvas: Canvas, work: _Workspace, first: int, last: int, a: float, b: 
         start += a * begin
         for n in range(size):
             value, old = np.float32(start + a * ramp[n]), w[row, begin + n]
-            nearer[n] = value if value > old else old  # stored in place it would be a branch, and no vector
+            nearer[n] = value if value > old else old  # a conditional store into w would prevent vectorisation
         for n in range(size):
             w[row, begin + n] = nearer[n]
 
@@ -332,7 +350,7 @@ def _fill_in_colour(
     colour: Array,
     bright: float,
 ) -> None:
-    """The same, and colour with it."""
+    """Write inverse depth and colour into the spans of rows where the face is nearer."""
     for k in range(last - first + 1):
         begin = work.spans[0, k]
         _fill_row(canvas.w, canvas.rgb, first + k, begin, begin + work.spans[1, k] - 1, a, b * (first + k) + c, colour, bright)
@@ -350,7 +368,10 @@ def _fill_row(
     colour: Array,
     bright: float,
 ) -> None:
-    """Write the inverse depth a u + start into the columns of a row, the last one included, wherever it is nearer."""
+    """Write inverse depth and colour into a row where the surface is nearer.
+
+    The inverse depth is a u + start, in the columns begin to end (inclusive).
+    """
     for column in range(begin, end + 1):
         value = np.float32(start + a * column)
         if value > w[row, column]:
@@ -364,7 +385,7 @@ def _fill_row(
 
 @compiled
 def _in_view(sides: Array, T: Array, block: Array) -> bool:
-    """Whether any of a block's box may lie within the pyramid of view."""
+    """Return whether the bounding box of a block may intersect the view frustum."""
     for side in range(5):
         reach = 0.0
         for k in range(3):
@@ -380,7 +401,7 @@ def _in_view(sides: Array, T: Array, block: Array) -> bool:
 def _project_vertices(
     lens: _Lens, T: Array, heights: Array, grid: Array, i0: int, i1: int, j0: int, j1: int, vertices: Array
 ) -> None:
-    """Places [m] {camera} and in the image [px] of a block's vertices: x, y, z, u, v."""
+    """Compute x, y, z [m] {camera} and u, v [px] of the vertices of a block."""
     fx, fy, cx, cy = lens
     for i in range(i0, i1 + 1):
         x = grid[0] + i * grid[2]
@@ -402,7 +423,10 @@ def _vertex(vertices: Array, i: int, j: int) -> _Vertex:
 
 @written_into
 def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: Array) -> None:
-    """Draw a triangle before the lens, counter-clockwise seen from outside."""
+    """Draw a triangle in front of the near plane.
+
+    Its corners are counterclockwise as seen from outside.
+    """
     rows, columns = canvas.w.shape
     pu, pv, qu, qv, ru, rv = p[3], p[4], q[3], q[4], r[3], r[4]
     top = int(np.ceil(max(min(pv, qv, rv) - _EDGE, 0.0)))
@@ -416,7 +440,7 @@ def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: A
         return
     a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
     bright = _shade(nx, ny, nz, canvas.light) if canvas.rgb.shape[0] > 0 else 0.0
-    # Level edges have an infinite slope and bound no row.
+    # Level edges have an infinite slope; `_cut` ignores them.
     pq, qr, rp = (qu - pu) / (qv - pv), (ru - qu) / (rv - qv), (pu - ru) / (pv - rv)
     for row in range(top, bottom + 1):
         left, right = _cut(leftmost, rightmost, qv - pv, pu + (row - pv) * pq)
@@ -428,7 +452,10 @@ def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: A
 
 @compiled
 def _cut(left: float, right: float, rise: float, at: float) -> tuple[float, float]:
-    """What an edge that rises by so much leaves of a row that it crosses at a column."""
+    """Return the span of a row after clipping at an edge.
+
+    The edge has a rise [px] and crosses the row at the column `at`.
+    """
     if rise > _LEVEL:
         return max(left, at - _EDGE), right
     if rise < -_LEVEL:
@@ -441,7 +468,7 @@ def _cut(left: float, right: float, rise: float, at: float) -> tuple[float, floa
 
 @compiled
 def _span(x: float, z: float, radius: float, focal: float, centre: float, size: int) -> tuple[int, int]:
-    """First and last pixel along one image axis that a sphere can cover."""
+    """Return the first and last pixel along one image axis that a sphere can cover."""
     if z <= radius + _NEAR:
         return 0, size - 1
     root = radius * np.sqrt(x * x + z * z - radius * radius)
@@ -454,7 +481,10 @@ def _span(x: float, z: float, radius: float, focal: float, centre: float, size: 
 
 @compiled
 def _ray_sphere(ray: _Point, centre: _Point, radius: float) -> float:
-    """Depth where a ray, its last part being 1, enters a sphere {camera}; infinite if it misses."""
+    """Return the depth at which a ray enters a sphere {camera}.
+
+    The ray is (x, y, 1). The depth is infinite without intersection.
+    """
     a = ray[0] * ray[0] + ray[1] * ray[1] + 1.0
     b = ray[0] * centre[0] + ray[1] * centre[1] + centre[2]
     c = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius * radius
@@ -475,7 +505,10 @@ def _in_camera(T: Array, p: Array) -> _Point:
 
 @compiled
 def _ray_barrel(ray: _Point, p: _Point, axis: _Point, length: float, radius: float) -> float:
-    """Depth where a ray enters the mantle of a cylinder from p along its axis {camera}; infinite if it misses."""
+    """Return the depth at which a ray enters the side of a cylinder {camera}.
+
+    The depth is infinite without intersection. The cylinder starts at p and extends by its length along its axis.
+    """
     p_axial, ray_axial = _dot(p, axis), _dot(ray, axis)
     off, across = _beside(p, p_axial, axis), _beside(ray, ray_axial, axis)
     a, b = _dot(across, across), _dot(across, off)
@@ -494,7 +527,7 @@ def _dot(a: _Point, b: _Point) -> float:
 
 @compiled
 def _beside(a: _Point, along: float, axis: _Point) -> _Point:
-    """A vector less its part along an axis."""
+    """Return a vector minus its component along an axis."""
     return a[0] - along * axis[0], a[1] - along * axis[1], a[2] - along * axis[2]
 
 

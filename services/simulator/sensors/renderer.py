@@ -1,4 +1,4 @@
-"""Depth and colour pictures of the world without any graphics library: what is drawn, by the loops of `raster.py`."""
+"""Software renderer of depth and colour images, based on `raster.py`."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,13 +9,13 @@ from sextant.services.simulator.sensors.raster import BLOCK, Canvas, draw_capsul
 from sextant.shared.geometry import Array, inverse
 from sextant.shared.robot.camera import Intrinsics
 
-_LIGHT = np.array([-0.35, -0.45, 0.82])  # {world} toward the lamp
+_LIGHT = np.array([-0.35, -0.45, 0.82])  # direction to the light {world}
 _SKY = (178, 200, 220)
 _PLANE_COLOUR = (150, 148, 140)
 _BOX_COLOUR = (188, 160, 122)
 _FIELD_COLOUR = (142, 150, 112)
 _ROBOT_COLOUR = (62, 74, 92)
-# Corners of a box's six faces, outward and counter-clockwise, as signs along its axes.
+# Corners of the six faces of a box as signs along its axes, counterclockwise seen from outside.
 _FACES = np.array(
     [
         [[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]],
@@ -30,9 +30,9 @@ _FACES = np.array(
 
 
 class Renderer:
-    """Pictures of one terrain, and of whatever robot stands on it, by a pinhole camera.
+    """Pinhole camera renderer of one terrain with a robot.
 
-    The terrain's faces are prepared once; a frame only projects them.
+    The faces of the terrain are computed once, and each frame only projects them.
     """
 
     def __init__(self, terrain: Terrain, intrinsics: Intrinsics):
@@ -50,13 +50,13 @@ class Renderer:
             skirt = _skirt(field)
             quads, colours = np.concatenate([quads, skirt]), np.concatenate([colours, _colours(field_colour, len(skirt))])
         self._quads, self._colours = quads, colours
-        self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # faces of what may sink
+        self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # indices of the faces of weak boxes
         self._unsunk = quads[self._weak]
         self._robot_colour = np.array(_ROBOT_COLOUR, dtype=np.float64)
         self._plane = np.nan if terrain.plane is None else terrain.plane
         self._field = _FieldMesh(field, field_colour)
         self._lens = float(intrinsics.fx), float(intrinsics.fy), float(intrinsics.cx), float(intrinsics.cy)
-        # Numbers of rows and columns as floats: converting them in the inner loops would keep those from being vectorised.
+        # Row and column numbers as floats, because conversions in the inner loops would prevent vectorisation.
         self._ramp = np.arange(max(intrinsics.width, intrinsics.height), dtype=np.float64)
         shape = intrinsics.height, intrinsics.width
         self._inverse_depth = np.zeros(shape, dtype=np.float32)
@@ -64,13 +64,17 @@ class Renderer:
         self._no_rgb = np.zeros((0, 0, 3), dtype=np.uint8)
 
     def settle(self, sunk: Array) -> None:
-        """From now on draw what is weak of the terrain as deep as it has sunk (n,) [m]."""
+        """Set the sinking depths (n,) [m] of the terrain's weak boxes for the next frames."""
         self._quads[self._weak] = self._unsunk - np.repeat(sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
 
     def inverse_depth(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.float32]:
-        """Inverse depth (h, w) [1/m] seen from an optical camera pose (4, 4), zero where there is nothing.
+        """Render inverse depth (h, w) [1/m], 0 without a surface.
 
-        The array is the renderer's own and lasts until its next picture.
+        The returned array is a buffer of the renderer and is valid until the next frame.
+
+        Args:
+            T_world_camera: (4, 4) pose of the camera's optical frame.
+            robot: Solids to draw in addition to the terrain.
 
         Raises:
             ValueError: The pose is not (4, 4) or not finite.
@@ -78,19 +82,25 @@ class Renderer:
         return self._render(T_world_camera, robot, self._no_rgb)
 
     def depth(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.float32]:
-        """Depth (h, w) [m] along the optical axis, infinite where there is nothing; otherwise as `inverse_depth`."""
+        """Render depth (h, w) [m] along the optical axis, infinite without a surface.
+
+        The arguments are those of `inverse_depth`.
+        """
         w = self._render(T_world_camera, robot, self._no_rgb)
         with np.errstate(divide="ignore"):
             return np.asarray(np.float32(1.0) / w)
 
     def rgb(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.uint8]:
-        """Flat-shaded colour picture (h, w, 3) from an optical camera pose (4, 4)."""
+        """Render a flat-shaded colour image (h, w, 3); arguments as in `inverse_depth`."""
         return self.colored(T_world_camera, robot)[0].copy()
 
     def colored(
         self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Flat-shaded colour picture (h, w, 3) and its inverse depth (h, w) [1/m]; both are the renderer's own, as above."""
+        """Render a flat-shaded colour image (h, w, 3) and its inverse depth (h, w) [1/m].
+
+        Both are buffers of the renderer and are valid until the next frame.
+        """
         self._rgb[:] = _SKY
         return self._rgb, self._render(T_world_camera, robot, self._rgb)
 
@@ -116,7 +126,7 @@ class Renderer:
 
 
 class _FieldMesh:
-    """A height field in blocks, each with its box for culling."""
+    """Height field divided into blocks, with a bounding box per block for culling."""
 
     def __init__(self, field: HeightField | None, colour: Array):
         self.heights = np.zeros((0, 0)) if field is None else np.ascontiguousarray(field.heights)
@@ -134,29 +144,32 @@ class _FieldMesh:
 
 
 def _own_colour(own: Array | None, usual: tuple[int, int, int]) -> Array:
-    """A surface's own colour (3,), or where it has none the usual one."""
+    """Return the colour (3,) of a surface, the default colour if it is None or NaN."""
     return np.array(usual, dtype=np.float64) if own is None or np.isnan(own).any() else own
 
 
 def _box_quads(boxes: Boxes) -> Array:
-    """Faces (6 n, 4, 3) [m] {world} of boxes."""
+    """Return the faces (6 n, 4, 3) [m] {world} of boxes."""
     corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
     return np.asarray(corners.reshape(-1, 4, 3))
 
 
 def _colours(colour: ArrayLike, n: int) -> Array:
-    """One colour (n, 3) for n faces."""
+    """Repeat one colour for n faces, as an array (n, 3)."""
     return np.tile(np.asarray(colour, dtype=np.float64), (n, 1))
 
 
 def _skirt(field: HeightField) -> Array:
-    """The sides and the base (n, 4, 3) [m] {world} of a height field: it is as solid as in the physics."""
+    """Return the sides and the base (n, 4, 3) [m] {world} of a height field.
+
+    They make it solid, as it is in the physics.
+    """
     z, low = field.heights, float(field.heights.min())
     nx, ny = z.shape
     x = field.origin[0] + field.resolution * np.arange(nx)
     y = field.origin[1] + field.resolution * np.arange(ny)
     walls = []
-    rims = (  # counter-clockwise around the field
+    rims = (  # counterclockwise around the field
         (x, np.full(nx, y[0]), z[:, 0]),
         (np.full(ny, x[-1]), y, z[-1]),
         (x[::-1], np.full(nx, y[-1]), z[::-1, -1]),

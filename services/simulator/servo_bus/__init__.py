@@ -1,1 +1,1 @@
-"""Emulate the servos, their bus and the microcontroller bridge, down to the bytes."""
+"""Byte-level emulation of the servos, their bus and the microcontroller bridge."""

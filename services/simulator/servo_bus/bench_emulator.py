@@ -1,7 +1,8 @@
-"""Servos on a workbench: a box of new ones to be plugged in one by one, or a whole robot on a stand, its legs in the air.
+"""Emulated workbench with single servos or a whole robot on a stand.
 
-The same emulated bus and servos that walk in simulation, without a world around them: a joint follows its motor, and stays
-where a hand has bent it while the servo is limp. Time passes as the host talks: no thread, and no other clock.
+Single servos are new and are plugged in one by one. It has the same bus and servos as the simulator, but no physics: a joint
+follows its motor, and with torque off it stays where the operator has bent it. The time is that of the host's transfers; there
+is neither a thread nor another clock.
 """
 
 import re
@@ -18,16 +19,16 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 
-HORNS_DEG = 6.0  # by which the horns of the emulated robot sit wrong, at most
-_BENT_DEG = 150.0  # by hand, at most: as far as a servo can tell
-_STEP_NS = 4_000_000
-_PATIENCE_NS = 2_000_000_000  # what nobody looked at for longer has come to rest
-_RAM = dxl.TORQUE_ENABLE.address  # from here on the control table is lost with the power
+HORNS_DEG = 6.0  # [deg] maximum mounting error of the servo horns
+_BENT_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring range of a servo
+_STEP_NS = 4_000_000  # [ns] time step of the joints
+_PATIENCE_NS = 2_000_000_000  # [ns] maximum time to simulate after a pause, in which all joints come to rest
+_RAM = dxl.TORQUE_ENABLE.address  # start of the registers that are lost without power
 HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 
 
 class Workbench(ServoBusEmulator):
-    """A bus with a robot's worth of servos, some of them plugged in."""
+    """Bus with all servos of a robot, of which any number is plugged in."""
 
     def __init__(
         self,
@@ -38,18 +39,18 @@ class Workbench(ServoBusEmulator):
         rate: int | None = None,
         echo: bool = False,
     ):
-        """Lay the servos out.
+        """Create the servos.
 
         Args:
-            profile: What robot they are for.
-            rng: By which the horns sit wrong, and the shafts of new servos stand.
-            fresh: As they come from the factory, none plugged in; else built into the robot, set up, torque off.
-            rate: [1/s] at which the host talks, see `tune`; None is heard by all, as a network port has no rate.
-            echo: The adapter returns every byte sent.
+            profile: The robot that the servos belong to.
+            rng: Generator of the horns' mounting errors and of the shaft angles of new servos.
+            fresh: True for servos with factory settings, none plugged in; False for a configured robot with torque off.
+            rate: Baud rate of the host [bit/s], see `tune`; None reaches all servos, because a network port has no baud rate.
+            echo: Whether the adapter echoes all sent bytes.
         """
         trims = rng.uniform(-HORNS_DEG, HORNS_DEG, (len(LEGS), 3)).round(1)
         entries = [Calibration(leg, date.min, (c, f, t)) for leg, (c, f, t) in zip(LEGS, trims.tolist(), strict=True)]
-        self.robot = replace(profile, calibration=tuple(entries))  # as its horns truly sit
+        self.robot = replace(profile, calibration=tuple(entries))  # with the true mounting errors
         ids = list(profile.servo_names)
         q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
         self._servos = bank_of(profile.servo.model, ids, q)
@@ -60,19 +61,19 @@ class Workbench(ServoBusEmulator):
             self._servos.tables[:, dxl.BAUD_RATE.address] = dxl.BAUD_RATE.default
         self._plugged = set() if fresh else set(range(len(ids)))
         self._rate = rate
-        self._now_ns = -1  # of the joints
+        self._now_ns = -1  # time of the joints
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
-        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiled before the first packet comes ...
-        self._servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)  # ... and is answered in time
+        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
+        self._servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)  # ... whose response must be in time
         super().__init__(self._servos, BusTiming(), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes from the host, after the joints have come to this time."""
+        """Advance the joints to a time [ns], then process the bytes of the host."""
         self._catch_up(now_ns)
         return super().receive(data, now_ns)
 
     def tune(self, rate: int | None) -> None:
-        """Let the host talk at another baud rate [1/s]."""
+        """Set the baud rate [bit/s] of the host."""
         self._rate = rate
         self._find_listeners()
 
@@ -82,7 +83,7 @@ class Workbench(ServoBusEmulator):
         return [row for row in range(len(self._servos)) if row not in self._plugged]
 
     def plug(self, rows: Iterable[int]) -> None:
-        """Plug servos in: power comes, and with it what they forget without."""
+        """Plug servos in, which resets their RAM registers to factory values."""
         for row in rows:
             factory = self._servos.model.factory_table()
             self._servos.write(row, _RAM, factory[_RAM : dxl.PRESENT_POSITION.address])
@@ -91,22 +92,25 @@ class Workbench(ServoBusEmulator):
         self._find_listeners()
 
     def unplug(self, rows: Iterable[int]) -> None:
-        """Take servos off the bus."""
+        """Unplug servos from the bus."""
         self._plugged -= set(rows)
         self._find_listeners()
 
     def bend(self, leg: int, pose: Array) -> None:
-        """Bend a leg by hand until its joints (3,) [rad] are as wanted; servos with torque on move back."""
+        """Bend a leg by hand to joint angles (3,) [rad].
+
+        Servos with torque on move it back.
+        """
         servo = self.robot.servo_angles(np.tile(pose, (len(LEGS), 1)))[leg]
         for servo_id, angle in zip(self.robot.servo_ids[leg], servo, strict=True):
             self._q[self._with_id(int(servo_id))] = angle
-        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # what they measure from now on
+        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # updates the measured values
 
     def obey(self, line: str) -> str:
-        """Do what is typed at the terminal, and tell in words what is there then.
+        """Execute a command that the operator typed, and return the new state as text.
 
         Raises:
-            ValueError: What is typed is no order; the message says what would be one.
+            ValueError: The command is invalid; the message lists the valid ones.
         """
         words = line.split()
         bend = re.fullmatch(r"bend (.+?)((?: +-?\d+(?:\.\d*)?){3})", line.strip())

@@ -1,4 +1,7 @@
-"""A simulated microcontroller board: the reference firmware between a host's line and the emulated servo bus."""
+"""Simulated bridge board.
+
+It runs the reference firmware between a host port and the emulated servo bus.
+"""
 
 from collections import deque
 from typing import Protocol
@@ -7,46 +10,49 @@ from sextant.services.simulator.servo_bus.bridge_firmware import Firmware
 from sextant.services.simulator.servo_bus.bus import BusTiming
 from sextant.services.simulator.servo_bus.host_link import Outbox, Outlet, Reply, Wire
 
-_OUTBOX = 8  # frames that wait for a host that does not read; the oldest go
-_START_NS = 300_000_000  # [ns] a microcontroller takes to start
+_OUTBOX = 8  # maximum number of frames that wait for a host that does not read; the oldest are dropped
+_START_NS = 300_000_000  # [ns] boot time of the microcontroller
 
 
 class Servos(Wire, Protocol):
-    """The bus that the board is wired to."""
+    """Protocol of the bus behind the board."""
 
     def advance(self, now_ns: int) -> None:
-        """Let what was written by now take effect."""
+        """Apply the writes up to a time [ns]."""
 
 
 class Board:
-    """The other end of a host's port, in place of the bus itself. No thread, no clock: times come in as arguments."""
+    """Bridge board at a host port, in place of the bus.
+
+    It has neither thread nor clock; times are arguments.
+    """
 
     def __init__(self, bus: Servos, link: BusTiming | None = None) -> None:
-        """Wire the board up; it is switched on when it first hears of the time.
+        """Connect the board; it boots at the first time that it receives.
 
         Args:
-            bus: The servos, wired to the board: without a USB adapter's time.
-            link: What the line to the host costs; by default 1 Mbit/s and a USB frame.
+            bus: The servo bus, without the delay of a USB adapter.
+            link: Delays of the link to the host; by default 1 Mbit/s and a USB frame.
         """
         self.firmware = Firmware(boot=1)
         self.boots = 1
         self._bus = bus
         self._link = link or BusTiming()
         self._now_ns = -1
-        self._from_host: deque[Reply] = deque()  # what is on its way, and when it is there
+        self._from_host: deque[Reply] = deque()  # bytes in transit, with their times of arrival
         self._from_bus = Outbox()
         self._outbox: deque[Reply] = deque(maxlen=_OUTBOX)
-        self._in_free_ns = self._out_free_ns = 0  # until when the line is taken
+        self._in_free_ns = self._out_free_ns = 0  # [ns] times up to which the link is busy, per direction
         self._dead_until_ns = 0
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes that the host sends at a time; return what there is for it, with the time it has it."""
+        """Process bytes that the host sends at a time [ns]; return all waiting replies."""
         self._in_free_ns = max(now_ns, self._in_free_ns) + self._link.wire_ns(len(data))
         self._from_host.append(Reply(self._in_free_ns, data))
         return self.speak(now_ns)
 
     def speak(self, now_ns: int) -> list[Reply]:
-        """What it has said by now without being asked."""
+        """Return the unsolicited replies up to a time [ns]."""
         self._run(now_ns)
         said = list(self._outbox)
         self._outbox.clear()
@@ -54,21 +60,27 @@ class Board:
 
     @property
     def due_ns(self) -> int:
-        """[ns] when something happens on it next."""
+        """Time [ns] of the next event on the board."""
         ends = (self._from_host[0].due_ns if self._from_host else None, self._from_bus.due_ns)
         return max(min([self.firmware.due_ns, *(end for end in ends if end is not None)]), self._dead_until_ns)
 
     def outlet(self, now_ns: int) -> Outlet | None:
-        """How the board is reached: an adapter that is unplugged is the board's own cable."""
+        """Return the identity of the port.
+
+        If the adapter is unplugged, the USB cable of the board is unplugged.
+        """
         return self._bus.outlet(now_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass, and what was written to the servos by now take effect. Call before each physics step."""
+        """Run the firmware and apply the writes to the servos up to a time [ns].
+
+        Call it before each physics step.
+        """
         self._run(now_ns)
         self._bus.advance(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """Press the reset button: all is forgotten, and the servos stay as they are."""
+        """Reset the board: the firmware loses its state, and the servos keep theirs."""
         self._run(now_ns)
         self.boots += 1
         self._dead_until_ns = self._now_ns + _START_NS
@@ -78,7 +90,7 @@ class Board:
         self._from_bus = Outbox()
 
     def _run(self, now_ns: int) -> None:
-        """Give the firmware the time and the bytes, each as it comes."""
+        """Step the firmware through all events up to a time [ns]."""
         if self._now_ns < 0:
             self._now_ns = now_ns
             self.firmware = Firmware(self.boots, now_ns)

@@ -1,7 +1,8 @@
-"""The reference firmware of the bridge: a microcontroller that masters the servo bus for a host. docs/bridge.md says the same.
+"""Reference firmware of the bridge; see docs/bridge.md.
 
-A state machine without clock, thread or port, written to be carried over to C: time and bytes come in, bytes go out. It never
-turns torque on by itself, and never off but when told to; without fresh goals it lets the last ones stand.
+The bridge is a microcontroller that controls the servo bus for a host. It is a state machine without clock, thread or port,
+which can be ported to C: inputs are time and bytes, outputs are bytes. It turns torque on or off only by command. Without fresh
+goals it keeps the last ones.
 """
 
 from collections import deque
@@ -15,23 +16,23 @@ from sextant.shared.servo.bridge_protocol import NEVER, Message, Mode, Receiver,
 from sextant.shared.servo.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet
 
 NAME = "reference firmware, simulated"
-CYCLE_NS = 10_000_000  # [ns] in each of which all servos are read, once, and a state is sent
-GREETING_NS = 100_000_000  # [ns] between two welcomes while nobody has said hello
-ATTEMPTS = 3  # to read a servo while adopting
-NEAR_TICKS = 6  # 1.8 deg: a goal so near to the last one ends catching up
-CATCH_UP_TICKS_S = 102  # [ticks/s] 30 deg/s, at which goals further away are followed
-FAR_TICKS = 34  # 10 deg: torque is not turned on with a goal further than this from its servo
-FRESH_NS = 200_000_000  # [ns] by which the readings are new enough to turn torque on by
-QUESTIONS = 4  # that may wait
+CYCLE_NS = 10_000_000  # [ns] period in which each servo is read once and a state is sent
+GREETING_NS = 100_000_000  # [ns] period of Welcome messages before a session
+ATTEMPTS = 3  # attempts to read a servo in mode ADOPTING
+NEAR_TICKS = 6  # [ticks] 1.8 deg: distance between received and last written goals at which catching up ends
+CATCH_UP_TICKS_S = 102  # [ticks/s] 30 deg/s: speed of catching up
+FAR_TICKS = 34  # [ticks] 10 deg: maximum distance of a goal from its servo for turning torque on
+FRESH_NS = 200_000_000  # [ns] maximum age of readings for turning torque on
+QUESTIONS = 4  # maximum number of waiting requests
 
 _PASSED_ON = (Instruction.PING, Instruction.READ, Instruction.WRITE)
-_ADOPTED = (dxl.TORQUE_ENABLE.address, dxl.PRESENT_POSITION.address + 2 - dxl.TORQUE_ENABLE.address)  # one read of a table
+_ADOPTED = (dxl.TORQUE_ENABLE.address, dxl.PRESENT_POSITION.address + 2 - dxl.TORQUE_ENABLE.address)  # address and size
 _TORQUE_OFF = dxl.write(BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
-_COUNT = 0xFFFF_FFFF  # counts begin anew beyond it
+_COUNT = 0xFFFF_FFFF  # counters wrap to 0 after this value
 
 
 class Said(NamedTuple):
-    """What goes out."""
+    """Output of one step."""
 
     to_host: bytes
     to_bus: bytes
@@ -39,88 +40,88 @@ class Said(NamedTuple):
 
 @dataclass(slots=True)
 class _Servo:
-    """What is known of one servo."""
+    """Known state of one servo."""
 
     servo_id: int
-    asked_ns: int | None = None  # when the newest answered reading was asked for
+    asked_ns: int | None = None  # time of the request of the newest reading
     state: tuple[int, int, int, int, int] = (0, 0, 0, 0, 0)  # position, speed, load, voltage, temperature
     error: int = 0
-    torque: bool | None = None  # on, as adopted; None where it did not answer
-    goal: int | None = None  # [ticks] written last, or found; None where nobody knows
+    torque: bool | None = None  # torque state read in mode ADOPTING, None without a response
+    goal: int | None = None  # [ticks] last written goal, or the one read in mode ADOPTING; None if unknown
 
 
 class Firmware:
-    """Between a host's line and a servo bus."""
+    """Firmware between a host link and a servo bus."""
 
     def __init__(self, boot: int, now_ns: int = 0, name: str = NAME):
-        """Start up: nothing is known and nothing is touched.
+        """Start without a session and without access to the bus.
 
         Args:
-            boot: Another number than at the last start.
-            now_ns: [ns] the time.
-            name: Of board and firmware.
+            boot: Boot number, different from that of the last boot.
+            now_ns: Current time [ns].
+            name: Name of board and firmware.
         """
         self.mode = Mode.WAITING
         self._boot, self._name = boot, name
         self._now_ns = now_ns
         self._from_host = Receiver(bridge_protocol.FROM_HOST)
         self._to_host = bytearray()
-        # The session.
+        # Session.
         self._session = 0
         self._servos: list[_Servo] = []
-        self._heard = 0  # sequence of the newest order taken
+        self._heard = 0  # sequence of the newest accepted command
         self._host_clock = RemoteClock()
-        self._goals: bridge_protocol.Goals | None = None  # the newest
-        self._goals_ns = 0  # when they came
-        self._goals_due = False  # they are to be written
+        self._goals: bridge_protocol.Goals | None = None  # newest goals
+        self._goals_ns = 0  # their time of arrival
+        self._goals_due = False  # whether they are still to be written
         self._written_ns = 0
         self._limits: bridge_protocol.Limits | None = None  # to be written
         self._torque_on_due = self._torque_off_due = False
         self._off_ordered = False
         self._questions: deque[bridge_protocol.Ask] = deque()
-        # The bus.
+        # Servo bus.
         self._bus: BusMaster[_Servo | bridge_protocol.Ask] = BusMaster(now_ns)
-        self._to_read: deque[tuple[_Servo, int]] = deque()  # servos, and attempts left
-        # What is told.
+        self._to_read: deque[tuple[_Servo, int]] = deque()  # servos to read, with the remaining attempts
+        # State messages.
         self._tick_ns = now_ns + CYCLE_NS
         self._state_sequence = 0
         self._refusal, self._refused = Refusal.NONE, 0
 
     @property
     def due_ns(self) -> int:
-        """[ns] when it has to be given the time again, though no byte has come."""
+        """Latest time [ns] of the next `step` if no bytes arrive."""
         return min(self._tick_ns, self._bus.due_ns) if self._bus.waits or self._has_work() else self._tick_ns
 
     def step(self, now_ns: int, from_host: bytes = b"", from_bus: bytes = b"") -> Said:
-        """Take the time and what has come, and say what is to be said.
+        """Process received bytes, and return the bytes to send.
 
         Args:
-            now_ns: [ns] the time, never back.
-            from_host: Bytes that the host has sent.
-            from_bus: Bytes that the servos have sent.
+            now_ns: Current time [ns], monotonic.
+            from_host: Bytes received from the host.
+            from_bus: Bytes received from the servos.
         """
         self._now_ns = now_ns
-        # 1. What the servos answer, or do not.
+        # 1. Process responses and timeouts of servos.
         for closed in self._bus.hear(from_bus, now_ns):
             self._learn(*closed)
-        # 2. What the host wants.
+        # 2. Process messages of the host.
         for message in self._from_host.feed(from_host):
             self._obey(message)
         if self._from_host.other_version is not None:
             self._from_host.other_version = None
             self._refuse(Refusal.VERSION)
             self._welcome()
-        # 3. What time brings.
+        # 3. Process the time.
         self._judge_freshness()
         if now_ns >= self._tick_ns:
             self._tick()
-        # 4. The next packet for the servos.
+        # 4. Start the next packet to the servos.
         to_bus = self._next_packet() if not self._bus.waits and now_ns >= self._bus.due_ns else b""
         to_host = bytes(self._to_host)
         self._to_host.clear()
         return Said(to_host, to_bus)
 
-    # --------------------------------------------------------------------------------------------------- orders
+    # ------------------------------------------------------------------------------------------------- commands
 
     def _obey(self, message: Message) -> None:
         match message:
@@ -138,7 +139,10 @@ class Firmware:
                 self._take_question(message)
 
     def _greet(self, hello: bridge_protocol.Hello) -> None:
-        """Open a session, unless it is open already; nothing of an older one is left but what the servos hold."""
+        """Open a session unless it is already open.
+
+        A new session discards the state of the previous one.
+        """
         if hello.session != self._session:
             self._session, self._heard = hello.session, 0
             self._servos = [_Servo(servo_id) for servo_id in hello.ids]
@@ -158,7 +162,10 @@ class Firmware:
         lifetime_ms: int = bridge_protocol.ORDER_LIFETIME_MS,
         count: int | None = None,
     ) -> bool:
-        """Whether an order is of this session, newer than the last, fresh, and for as many servos as there are."""
+        """Return whether a command is accepted.
+
+        It must belong to the session, be newer than the last one, be fresh, and have one value per servo.
+        """
         if not self._session or order.session != self._session:
             return self._refuse(Refusal.SESSION)
         if order.sequence <= self._heard:
@@ -171,7 +178,10 @@ class Firmware:
         return True
 
     def _turn_off(self) -> None:
-        """Torque off, at once and in every cycle until on is ordered; goals from before count no more."""
+        """Turn torque off and discard the goals.
+
+        Torque off is repeated in each cycle until a torque-on command.
+        """
         self._off_ordered = self._torque_off_due = True
         self._torque_on_due = self._goals_due = False
         self._goals = None
@@ -179,7 +189,7 @@ class Firmware:
             self.mode = Mode.OFF
 
     def _turn_on(self) -> None:
-        """Torque on, where fresh goals say where to and each servo is near its own."""
+        """Turn torque on if the goals are fresh and each servo is near its goal."""
         if self.mode is Mode.ADOPTING or not self._fresh():
             self._refuse(Refusal.NO_GOALS)
         elif not self._are_near():
@@ -213,18 +223,21 @@ class Firmware:
     # ----------------------------------------------------------------------------------------------------- time
 
     def _fresh(self) -> bool:
-        """Whether the newest goals have not outlived themselves."""
+        """Return whether the newest goals are within their lifetime."""
         return self._goals is not None and self._now_ns - self._goals_ns <= self._goals.lifetime_ms * 1_000_000
 
     def _judge_freshness(self) -> None:
-        """Hold when goals stop coming; when they come again, catch up with them if they have gone ahead."""
+        """Change to HOLDING without fresh goals, and to CATCHING_UP when they return."""
         if self.mode in (Mode.ON, Mode.CATCHING_UP) and not self._fresh():
             self.mode = Mode.HOLDING
         elif self.mode is Mode.HOLDING and self._fresh():
             self.mode = Mode.CATCHING_UP
 
     def _tick(self) -> None:
-        """The beat of a cycle: tell all, and begin to read all again; while nobody is there, say that it is here."""
+        """Start a cycle: send the state, and read all servos again.
+
+        Without a session, send a Welcome message instead.
+        """
         if not self._session:
             self._tick_ns = self._now_ns + GREETING_NS
             self._welcome()
@@ -239,13 +252,16 @@ class Firmware:
     # -------------------------------------------------------------------------------------------------- the bus
 
     def _has_work(self) -> bool:
-        """Whether there is anything to be sent to the servos."""
+        """Return whether there are packets to send to the servos."""
         goals = self._goals_due and self.mode in (Mode.ON, Mode.CATCHING_UP)
         orders = self._torque_off_due or self._torque_on_due or self._limits is not None
         return orders or goals or bool(self._questions or self._to_read)
 
     def _next_packet(self) -> bytes:
-        """The most urgent packet for the servos: off, goals, on, limits, the host's questions, the next reading."""
+        """Return the most urgent packet to the servos.
+
+        The order is: torque off, goals, torque on, torque limits, requests of the host, the next reading.
+        """
         if self._torque_off_due:
             self._torque_off_due = False
             return self._bus.tell(_TORQUE_OFF, self._now_ns)
@@ -270,11 +286,14 @@ class Firmware:
         return b""
 
     def _goals_packet(self) -> bytes:
-        """The goals as they are to be written: as they came, or on the way to them, all servos together and slowly."""
+        """Return the packet of goals.
+
+        They are the received goals. While catching up, they move toward these slowly, so that all servos arrive together.
+        """
         assert self._goals is not None
         aims = list(zip(self._servos, self._goals.position, self._goals.speed, strict=True))
         furthest = max(abs(goal - servo.goal) if servo.goal is not None else 0 for servo, goal, _ in aims)
-        if furthest <= NEAR_TICKS or self._torque_on_due:  # torque comes on where the servos are
+        if furthest <= NEAR_TICKS or self._torque_on_due:  # before torque on, servos are near their goals
             self.mode = Mode.ON
         elapsed_ns = min(self._now_ns - self._written_ns, 2 * CYCLE_NS)
         reach = max(CATCH_UP_TICKS_S * elapsed_ns // 1_000_000_000, 1)
@@ -293,7 +312,7 @@ class Firmware:
         return dxl.sync_write(register.address, register.size, rows)
 
     def _learn(self, about: "_Servo | bridge_protocol.Ask", began_ns: int, packet: Packet | None) -> None:
-        """Take what a servo has said, or that it has said nothing."""
+        """Process the response of a servo, or its timeout (None)."""
         if isinstance(about, _Servo):
             self._note(about, began_ns, packet)
         elif packet is None:
@@ -302,7 +321,7 @@ class Firmware:
             self._say(bridge_protocol.Answer(self._session, about.sequence, Result.ANSWERED, packet.code, packet.parameters))
 
     def _note(self, servo: _Servo, began_ns: int, packet: Packet | None) -> None:
-        """Keep what a servo has said, and go on to the next one."""
+        """Store the response of a servo, and continue with the next one."""
         _, attempts = self._to_read.popleft()
         if packet is not None and len(packet.parameters) == _ADOPTED[1]:
             _adopt(servo, packet.parameters)
@@ -317,12 +336,15 @@ class Firmware:
             self._take_over()
 
     def _take_over(self) -> None:
-        """Go on as the servos stand: torque counts as on when every servo that answers has it on."""
+        """Leave mode ADOPTING.
+
+        Torque counts as on if it is on in all servos that responded.
+        """
         known = [servo.torque for servo in self._servos if servo.torque is not None]
         on = bool(known) and all(known) and not self._off_ordered
         self.mode = Mode.HOLDING if on else Mode.OFF
 
-    # -------------------------------------------------------------------------------------------------- telling
+    # ------------------------------------------------------------------------------------------------- messages
 
     def _say(self, message: Message) -> None:
         self._to_host += bridge_protocol.encode(message)
@@ -363,7 +385,10 @@ class Firmware:
 
 
 def _is_passed_on(ask: bridge_protocol.Ask) -> bool:
-    """Whether a question may go to a servo: pings, reads, and writes that do not turn torque on."""
+    """Return whether a request may be sent to a servo.
+
+    Allowed requests are pings, reads, and writes that do not turn torque on.
+    """
     if ask.instruction not in _PASSED_ON:
         return False
     if ask.instruction == Instruction.READ:
@@ -375,7 +400,7 @@ def _is_passed_on(ask: bridge_protocol.Ask) -> bool:
 
 
 def _is_plausible(parameters: bytes) -> bool:
-    """Whether registers hold what a servo can measure."""
+    """Return whether measured values are within the range of a servo."""
     if len(parameters) != PRESENT_STATE.size:
         return False
     position, speed, load, _, _ = PRESENT_STATE.unpack(parameters)
@@ -383,7 +408,10 @@ def _is_plausible(parameters: bytes) -> bool:
 
 
 def _adopt(servo: _Servo, table: bytes) -> None:
-    """Take torque and goal as they stand in a servo; a goal far from where it is counts as where it is."""
+    """Adopt torque state and goal of a servo.
+
+    The present position replaces a goal that is more than 10 deg away from it.
+    """
     start = dxl.TORQUE_ENABLE.address
     goal, position = (
         int.from_bytes(table[register.address - start : register.address - start + 2], "little")

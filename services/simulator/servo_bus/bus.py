@@ -1,8 +1,9 @@
-"""The servo bus as bytes: what a host sends at a time comes back as what the servos would answer, and when.
+"""Byte-level emulation of the servo bus.
 
-Packets are understood in the order of the wire, at once; what they write reaches the servos when simulated time reaches
-the packet's end (`ServoBusEmulator.advance`), and reads see writes that are still on their way. So a host that talks
-faster than the physics advances, as in lockstep, is answered as on a real bus, and joints move when real ones would.
+It converts bytes of the host into timed responses of the servos. Packets are parsed immediately, in the order of the wire. A
+write reaches the servos when simulated time reaches the end of its packet (`ServoBusEmulator.advance`), but reads already
+return pending writes. A host that is ahead of the physics, as in lockstep, therefore gets the responses of a real bus, and the
+joints move at the right time.
 """
 
 from collections import Counter, deque
@@ -16,33 +17,33 @@ from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 
 _SEC = 1_000_000_000
-_INTER_BYTE_NS = 100_000_000  # a servo gives a packet up when its next byte takes longer (AX-12 user's manual)
+_INTER_BYTE_NS = 100_000_000  # [ns] gap between bytes after which a servo discards a packet (AX-12 user's manual)
 _ANSWER_ALL, _ANSWER_READ = 2, 1  # status return levels
-# Baud rate, return delay and status level lie close: one read gives id, delay and level.
+# One read of adjacent registers returns id, baud rate, return delay and status return level.
 _HEAD_START, _HEAD_SIZE = dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address - dxl.ID.address + 1
-_FREE = dxl.TORQUE_ENABLE.address, dxl.TORQUE_LIMIT.address + dxl.TORQUE_LIMIT.size  # written also where the rest is locked
+_FREE = dxl.TORQUE_ENABLE.address, dxl.TORQUE_LIMIT.address + dxl.TORQUE_LIMIT.size  # writable while the servo is locked
 _HEAD_DELAY = dxl.RETURN_DELAY.address - dxl.ID.address
 
 
 @dataclass(frozen=True, slots=True)
 class BusTiming:
-    """What the wire and the adapter cost."""
+    """Delays of the bus and of the USB adapter."""
 
-    baud_rate: int = 1_000_000  # [1/s]
-    usb_transaction_ns: int = 1_000_000  # [ns] from the last byte on the wire to the host: the FTDI latency timer
+    baud_rate: int = 1_000_000  # [bit/s]
+    usb_transaction_ns: int = 1_000_000  # [ns] from the last byte on the wire to the host (FTDI latency timer)
 
     def __post_init__(self) -> None:
         if self.baud_rate <= 0 or self.usb_transaction_ns < 0:
             raise ValueError(f"a baud rate above 0 and a USB time of at least 0 ns expected, found {self}")
 
     def wire_ns(self, count: int) -> int:
-        """Time [ns] that bytes take on the wire."""
+        """Return the transmission time [ns] of a number of bytes."""
         return count * dxl.BITS_PER_BYTE * _SEC // self.baud_rate
 
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """A write on its way to the servos."""
+    """Pending write to the servos."""
 
     time_ns: int  # end of its packet on the wire
     address: int
@@ -52,54 +53,57 @@ class _Change:
 
 @dataclass(slots=True)
 class BusCounts:
-    """What went over the bus, for tests and for the operator."""
+    """Statistics of the bus, for tests and for the operator."""
 
-    instructions: Counter[int] = field(default_factory=Counter)  # by code, intact packets only
-    refused: Counter[str] = field(default_factory=Counter)  # by error words
-    unanswered: int = 0  # instructions to an id that nobody has
+    instructions: Counter[int] = field(default_factory=Counter)  # intact packets, by instruction code
+    refused: Counter[str] = field(default_factory=Counter)  # refused instructions, by error text
+    unanswered: int = 0  # instructions to an id without a servo
 
 
 class ServoBusEmulator(AnswersOnly):
-    """n servos on one half-duplex wire behind a USB adapter. No thread, no clock: times come in as arguments."""
+    """Half-duplex bus with n servos behind a USB adapter.
+
+    It has neither thread nor clock; times are arguments.
+    """
 
     def __init__(self, bank: ServoBank, timing: BusTiming | None = None, *, echo: bool = False) -> None:
         """Connect a bank of servos.
 
         Args:
             bank: The servos.
-            timing: What the wire and the adapter cost.
-            echo: The adapter hears itself and returns every byte sent, as single-wire adapters do.
+            timing: Delays of the bus and of the adapter.
+            echo: Whether the adapter echoes all sent bytes, as single-wire adapters do.
         """
         self.counts = BusCounts()
-        self.overhear: Callable[[bytes, int], object] = _nobody  # hears what arrives, and when
+        self.overhear: Callable[[bytes, int], object] = _nobody  # receives the arriving bytes and their time [ns]
         self._bank = bank
         self._timing = timing or BusTiming()
         self._echo = echo
         self._parser = PacketParser(keep_broken=True)
-        self._received = 0  # bytes so far
+        self._received = 0  # number of bytes received
         self._last_ns = 0  # time of the last bytes from the host
         self._wire_free_ns = 0
-        self._answered_ns = 0  # end of the last answer on the wire
+        self._answered_ns = 0  # end of the last response on the wire
         self._changes: deque[_Change] = deque()
-        self._registered: dict[int, tuple[int, bytes]] = {}  # row -> address and data that wait for an action
+        self._registered: dict[int, tuple[int, bytes]] = {}  # row -> address and data of REG_WRITE that wait for ACTION
         self._listeners: dict[int, list[int]] = {}  # id -> rows
-        self._cut_off: frozenset[int] = frozenset()  # rows that the wire does not reach
+        self._cut_off: frozenset[int] = frozenset()  # rows of disconnected servos
         self._find_listeners()
 
     @property
     def dropped(self) -> Counter[str]:
-        """Bytes and packets that the servos could not use, by reason."""
+        """Number of bytes and packets that the servos dropped, by reason."""
         return self._parser.dropped
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes that the host sends at a time and return the answers with the time each is due.
+        """Process bytes that the host sends at a time [ns], and return the responses.
 
-        Bytes queue behind what is still on the wire: the adapter's buffer holds them.
+        The adapter's buffer holds the bytes while the wire is busy.
         """
         replies = []
         self.overhear(data, now_ns)
         if self._parser.pending and now_ns - self._last_ns > _INTER_BYTE_NS:
-            self._parser.flush()  # nobody answers what arrives late
+            self._parser.flush()  # servos discard an incomplete packet
         self._last_ns = now_ns
         offset, start = self._received, max(now_ns, self._wire_free_ns)
         self._received += len(data)
@@ -112,17 +116,20 @@ class ServoBusEmulator(AnswersOnly):
         return replies
 
     def outlet(self, now_ns: int) -> Outlet | None:
-        """How the bus is reached: as ever."""
+        """Return the identity of the port, which never changes here."""
         return Outlet()
 
     def cut_off(self, rows: frozenset[int]) -> None:
-        """Let servos neither hear nor answer from now on, by their rows; all others do."""
+        """Disconnect the servos in these rows from the bus, and connect all others."""
         if rows != self._cut_off:
             self._cut_off = rows
             self._find_listeners()
 
     def advance(self, now_ns: int) -> None:
-        """Let the writes whose packets ended by now take effect. Call before each physics step."""
+        """Apply the writes whose packets have ended by a time [ns].
+
+        Call it before each physics step.
+        """
         while self._changes and self._changes[0].time_ns <= now_ns:
             change = self._changes.popleft()
             for row, data in change.rows.items():
@@ -157,7 +164,7 @@ class ServoBusEmulator(AnswersOnly):
             case Instruction.ACTION if not parameters:
                 error = self._action(rows, time_ns, broadcast)
             case Instruction.RESET if not parameters and not broadcast:
-                # The answer still goes out as the servo was: the caller listens there.
+                # The response is sent with the old id, where the caller expects it.
                 replies = self._answer(rows, time_ns, ServoError.NONE)
                 self._change(time_ns, 0, {row: self._factory(row) for row in rows})
                 return replies
@@ -205,7 +212,7 @@ class ServoBusEmulator(AnswersOnly):
     def _sync_write(self, time_ns: int, parameters: bytes) -> None:
         size = parameters[1] if len(parameters) > 1 else 0
         if size == 0 or (len(parameters) - 2) % (size + 1):
-            self._refuse(ServoError.INSTRUCTION)  # nobody answers a broadcast, not even to refuse it
+            self._refuse(ServoError.INSTRUCTION)  # servos never respond to a broadcast
             return
         address = parameters[0]
         accepted: dict[int, bytes] = {}
@@ -222,10 +229,13 @@ class ServoBusEmulator(AnswersOnly):
     # ------------------------------------------------------------------------------------------------- registers
 
     def _check(self, row: int, address: int, data: bytes) -> ServoError:
-        """Whether a servo takes a write: whole registers that may be written, in range, goals within the limits."""
+        """Return the error of a write, NONE for a valid one.
+
+        A valid write covers whole writable registers, has values in range, and goals within the angle limits.
+        """
         registers = _registers_in(address, len(data))
         if registers is None or (not _FREE[0] <= address <= _FREE[1] - len(data) and self._value(row, dxl.LOCK)):
-            return ServoError.RANGE  # locked until the power goes
+            return ServoError.RANGE  # the lock ends only with the power
         for register in registers:
             start = register.address - address
             value = data[start] if register.size == 1 else data[start] | data[start + 1] << 8
@@ -239,7 +249,7 @@ class ServoBusEmulator(AnswersOnly):
         return ServoError.NONE
 
     def _table(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
-        """Bytes of a servo as its next reader sees them, at a time: with the writes that are on their way."""
+        """Return bytes of a control table at a time [ns], with pending writes applied."""
         data = self._bank.read(row, address, size, at_ns)
         for change in self._changes:
             if change.address < address + size and address < change.address + change.size and row in change.rows:
@@ -262,26 +272,29 @@ class ServoBusEmulator(AnswersOnly):
             self._find_listeners()
 
     def _factory(self, row: int) -> bytes:
-        """Factory table of a servo; what it measures stays."""
+        """Return the factory table of a servo, with its current measured values."""
         start, end = dxl.PRESENT_POSITION.address, dxl.LOCK.address
         table = bytearray(self._bank.model.factory_table())
         table[start:end] = self._bank.read(row, start, end - start)
         return bytes(table)
 
     def _find_listeners(self) -> None:
-        """Which servos hear the host, by their ids."""
+        """Update the map from ids to the servos that receive the host's packets."""
         self._listeners = {}
         for row in filter(self._hears, range(len(self._bank))):
             self._listeners.setdefault(self._value(row, dxl.ID), []).append(row)
 
     def _hears(self, row: int) -> bool:
-        """Whether a servo hears the host: plugged in and set to its baud rate, within the 3 % that a receiver tolerates."""
+        """Return whether a servo is connected and has the host's baud rate.
+
+        The receiver tolerates a difference of 3 %.
+        """
         if row in self._cut_off:
             return False
         rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
 
-    # --------------------------------------------------------------------------------------------------- answers
+    # ------------------------------------------------------------------------------------------------- responses
 
     def _refuse(self, error: ServoError) -> ServoError:
         if error:
@@ -297,9 +310,12 @@ class ServoBusEmulator(AnswersOnly):
         always: bool = False,
         read: tuple[int, int] | None = None,
     ) -> list[Reply]:
-        """Status packets of the servos that answer at their status return level, one after the other on the wire."""
+        """Return the status packets of the servos, in sequence on the wire.
+
+        A servo responds if its status return level requires it.
+        """
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
-        answers: dict[int, list[tuple[int, bytes]]] = {}  # id -> delay and answer of each servo that has it
+        answers: dict[int, list[tuple[int, bytes]]] = {}  # id -> delay and response of each servo with the id
         for row in rows:
             head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:
@@ -318,7 +334,10 @@ class ServoBusEmulator(AnswersOnly):
         return replies
 
     def _heard(self, answers: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-        """Delays [ns] and what is heard of servos with one id: those who speak at the same time spoil each other's answer."""
+        """Return delays [ns] and bytes on the wire of servos with the same id.
+
+        Simultaneous responses collide.
+        """
         heard: list[tuple[int, bytes]] = []
         for delay, said in sorted(answers):
             if heard and delay < heard[-1][0] + self._timing.wire_ns(len(heard[-1][1])):
@@ -329,7 +348,10 @@ class ServoBusEmulator(AnswersOnly):
 
 
 def _collision(*packets: bytes) -> bytes:
-    """What a host hears when servos with the same id speak at once: an open-drain wire is low when any of them is."""
+    """Return the bytes of a collision of packets.
+
+    The wire is open-drain, so it is low if any servo pulls it low.
+    """
     size = max(len(packet) for packet in packets)
     heard = bytearray(b"\xff" * size)
     for packet in packets:
@@ -339,14 +361,15 @@ def _collision(*packets: bytes) -> bytes:
 
 
 def _nobody(data: bytes, now_ns: int) -> None:
-    """Hear nothing."""
+    """Ignore the bytes."""
 
 
 @lru_cache(maxsize=1024)
 def _registers_in(address: int, size: int) -> tuple[Register, ...] | None:
-    """The registers that a write of `size` bytes covers, or None where it may not: read-only, or half a register.
+    """Return the registers that a write of `size` bytes covers.
 
-    Unused addresses between registers take anything.
+    The result is None if it covers a read-only register, or a register only partly. Unused addresses between registers accept
+    any value.
     """
     end = address + size
     if end > dxl.TABLE_SIZE:
@@ -362,10 +385,11 @@ def _registers_in(address: int, size: int) -> tuple[Register, ...] | None:
 
 
 class MemoryPort:
-    """A serial port whose other end is an emulated bus, or a board before it, in the same process, for lockstep.
+    """In-process serial port of an emulated bus or board, for lockstep.
 
-    It has the part of pyserial's interface that the driver uses. Its time is virtual: the later of the given clock and its last
-    transfer. A read waits by moving that time on, never by sleeping, so the driver sees the bus's real delays at once.
+    It implements the part of pyserial's interface that the driver uses. Its virtual time is the later of the given clock and
+    its last transfer. A read advances virtual time instead of sleeping, so the driver observes the delays of the real bus
+    without waiting.
     """
 
     def __init__(
@@ -374,14 +398,14 @@ class MemoryPort:
         """Open the port.
 
         Args:
-            bus: The emulated bus; somebody else calls its `advance`.
+            bus: The emulated bus; the caller must also call its `advance`.
             clock: Simulated time [ns].
-            timeout: [s] longest wait of a read; None and 0 both mean no wait, for nothing else would move time on.
-            name: Of the port, as in `Outlet`; None for whichever is there.
-            start_ns: Virtual time is not before this: that of the port opened before, where one clock goes by both.
+            timeout: Maximum wait of a read [s]; None and 0 both mean no wait, because no other event advances virtual time.
+            name: Name of the port, as in `Outlet`; None for any name.
+            start_ns: Minimum of virtual time, e.g. the time of a previous port, so that a clock based on both is monotonic.
 
         Raises:
-            OSError: There is no port, or none of that name.
+            OSError: The adapter is unplugged, or its port has another name.
         """
         self.timeout = timeout
         self.is_open = True
@@ -389,31 +413,34 @@ class MemoryPort:
         self._clock = clock
         self._last_ns = start_ns
         self._outbox = Outbox()
-        self._buffer = bytearray()  # arrived, not read
+        self._buffer = bytearray()  # bytes that have arrived and are not read
         self._outlet = bus.outlet(self.now_ns())
         if self._outlet is None or name not in (None, self._outlet.name):
             found = "none" if self._outlet is None else f"{self._outlet.name}"
             raise OSError(f"port {'any' if name is None else name} of the simulated bus expected, found {found}")
 
     def now_ns(self) -> int:
-        """Virtual time [ns]: give it to the driver as its clock."""
+        """Return virtual time [ns]; use it as the driver's clock."""
         return max(self._clock(), self._last_ns)
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that a read gets without waiting."""
+        """Number of bytes that a read returns without waiting."""
         self._collect(self._check_open())
         return len(self._buffer)
 
     def write(self, data: bytes) -> int:
-        """Send bytes now; the adapter's buffer takes them at once."""
+        """Send bytes now; the adapter's buffer accepts them without delay."""
         now = self._check_open()
         self._last_ns = now
         self._outbox.put(self._bus.receive(bytes(data), now))
         return len(data)
 
     def read(self, size: int = 1) -> bytes:
-        """At most `size` bytes: as soon as there are as many, or what there is when the timeout is over."""
+        """Read up to `size` bytes.
+
+        The read returns once they have arrived, or returns fewer bytes after the timeout.
+        """
         now = self._check_open()
         deadline = now + round((self.timeout or 0.0) * _SEC)
         self._outbox.put(self._bus.speak(deadline))
@@ -429,12 +456,12 @@ class MemoryPort:
         return data
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard the bytes that have arrived."""
         self._collect(self._check_open())
         self._buffer.clear()
 
     def close(self) -> None:
-        """Close the port; any later use is an OSError."""
+        """Close the port; later use raises OSError."""
         self.is_open = False
 
     def _check_open(self) -> int:

@@ -1,7 +1,8 @@
-"""The emulated bus behind all that can go wrong with it: bytes, answers, single servos, the adapter and the supply.
+"""Fault injection for the emulated bus.
 
-Pure and seeded: the same faults, bytes and times give the same answers. Where no fault is on, it is the bus itself. What each
-fault means is said in `sextant.shared.servo.bus_fault.GRID`.
+Faults affect bytes, responses, single servos, the adapter and the supply. The result is deterministic: equal seeds, faults,
+bytes and times give equal responses. Without an active fault, all calls pass through to the bus.
+`sextant.shared.servo.bus_fault.GRID` describes each fault.
 """
 
 import math
@@ -18,26 +19,26 @@ from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
-_STREAM_BYTES = 100  # in each millisecond of a line that never rests
-_STREAM_MS = 8  # longer than a host waits for an answer
-_MOST_NOISE = 20  # [bytes] in front of an answer
-_ON_JOINTS = ("servo", "supply")  # targets whose faults the bank of servos suffers
+_STREAM_BYTES = 100  # bytes per millisecond of an endless stream
+_STREAM_MS = 8  # [ms] length of a stream after a request; longer than a host waits for a response
+_MOST_NOISE = 20  # [bytes] maximum noise in front of a response
+_ON_JOINTS = ("servo", "supply")  # targets whose faults the servo bank applies
 
 
 @dataclass(slots=True)
 class _Running:
-    """A fault with its own random numbers and what it remembers."""
+    """Injected fault with its random generator and state."""
 
-    number: int  # counted from the first that was injected
+    number: int  # index in order of injection
     fault: BusFault
-    begin_ns: int  # simulated, as all times here
+    begin_ns: int  # [ns] simulated time, as are all times of this class
     end_ns: int
-    row: int  # of its servo, -1 for none
+    row: int  # row of its servo in the bank, -1 without a servo
     rng: Random
-    until_hit: int = 0  # bytes that go unharmed before the next one does not
-    streamed_ns: int = 0  # up to when a line that never rests has sent
-    drain: float = 0.0  # [1/s]
-    earlier: dict[int, bytes] = field(default_factory=dict)  # servo -> its last answer; -1 -> the last of all
+    until_hit: int = 0  # number of bytes before the next corrupted one
+    streamed_ns: int = 0  # time up to which an endless stream has sent
+    drain: float = 0.0  # [1/s] discharge, as a share of the battery's capacity
+    earlier: dict[int, bytes] = field(default_factory=dict)  # servo id -> its last response; -1 -> last response of any servo
 
     def __post_init__(self) -> None:
         self.until_hit = self._gap()
@@ -47,22 +48,25 @@ class _Running:
         return self.fault.target, self.fault.kind
 
     def on(self, t_ns: int) -> bool:
-        """Whether it is there; one that comes and goes always is, between its beginning and its end."""
+        """Return whether a time is within the duration of the fault.
+
+        The pauses of an intermittent fault belong to its duration.
+        """
         return self.begin_ns <= t_ns < self.end_ns
 
     def away(self, t_ns: int) -> bool:
-        """Whether what fails now and then, or at all, fails now."""
+        """Return whether a silent or intermittent fault interrupts communication now."""
         fault = self.fault
         if fault.kind != "intermittent":
             return fault.kind == "silent"
         return (t_ns - self.begin_ns) / _MS % (fault.on_ms + fault.off_ms) >= fault.on_ms
 
     def strikes(self) -> bool:
-        """Whether the next answer is among those that it is about."""
+        """Draw whether the fault affects the next response."""
         return self.rng.random() < self.fault.share
 
     def hits(self, count: int) -> list[int]:
-        """Which of the next so many bytes it is about."""
+        """Draw the indices of the affected bytes among the next `count` bytes."""
         found = []
         while self.until_hit < count:
             found.append(self.until_hit)
@@ -71,44 +75,47 @@ class _Running:
         return found
 
     def _gap(self) -> int:
-        """Bytes between two hits, whose share each byte has for itself."""
+        """Draw the number of bytes between two affected ones.
+
+        Each byte is affected independently.
+        """
         share = self.fault.share
         return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
 
 
 class BusFaults(AnswersOnly):
-    """Servos on a bus where things go wrong; to the host and to the physics it is what `ServoBusEmulator` is."""
+    """Bus with faults, which has the interface of `ServoBusEmulator`."""
 
     def __init__(self, bus: ServoBusEmulator, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
-        """Come between a bus and its host.
+        """Wrap a bus.
 
         Args:
-            bus: The bus as it should be.
+            bus: The bus without faults.
             bank: Its servos.
-            seed: Of everything random.
-            faults: What goes wrong, and when.
+            seed: Random seed.
+            faults: Faults with their times.
 
         Raises:
-            ValueError: A fault of a servo that is not there.
+            ValueError: A fault names a servo that does not exist.
         """
-        self.origin_ns: int | None = 0  # bus time at the beginning of simulated time; None while that has not begun
+        self.origin_ns: int | None = 0  # bus time at which simulated time is 0; None before simulated time has started
         self._overhear: Callable[[bytes, int], object] | None = None
         self._bus = bus
         self._bank = bank
         self._seed = seed
         self._running: list[_Running] = []
         self._injected = 0
-        self._gone: list[_Running] = []  # those of them that take the port away
-        self._outlet = Outlet()  # after those that are over and forgotten
-        self._suffered: list[tuple[int, bool]] = []  # numbers of the faults that servos suffer, and whether each is away
+        self._gone: list[_Running] = []  # running faults that remove the port
+        self._outlet = Outlet()  # identity of the port after all faults that have been removed
+        self._suffered: list[tuple[int, bool]] = []  # number and `away` of each fault that the bank applies
         for fault in faults:
             self.inject(fault, 0)
 
     def inject(self, fault: BusFault, now_ns: int) -> None:
-        """Let a fault happen at its time, or from now [ns] on where that is past.
+        """Schedule a fault at its time, or from now [ns] on if that time has passed.
 
         Raises:
-            ValueError: There is no such servo.
+            ValueError: The fault names a servo that does not exist.
         """
         row = -1
         if fault.servo >= 0:
@@ -126,16 +133,19 @@ class BusFaults(AnswersOnly):
         self._injected += 1
 
     def overhear(self, sent: Callable[[bytes, int], object], arrived: Callable[[bytes, int], object]) -> None:
-        """Have a recorder hear what the host sends and what of it comes to the servos, and when [ns]."""
+        """Set callbacks that receive bytes and their time [ns].
+
+        The first receives the bytes that the host sends, the second those that reach the servos.
+        """
         self._overhear, self._bus.overhear = sent, arrived
 
     def words(self, now_ns: int) -> str:
-        """What is wrong now, or nothing."""
+        """Return the active faults as text, "" without faults."""
         t_ns = self._simulated(now_ns)
         return "; ".join(str(running.fault) for running in self._running if running.on(t_ns))
 
     def outlet(self, now_ns: int) -> Outlet | None:
-        """How the bus is reached now, None while its port is gone."""
+        """Return the identity of the port at a time [ns], None while the port is gone."""
         if not self._gone:
             return self._outlet
         t_ns = self._simulated(now_ns)
@@ -146,10 +156,10 @@ class BusFaults(AnswersOnly):
     def _simulated(self, now_ns: int) -> int:
         return 0 if self.origin_ns is None else now_ns - self.origin_ns
 
-    # ------------------------------------------------------------------------------------------------ the host's side
+    # ------------------------------------------------------------------------------------------- methods for the host
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes that the host sends at a time and return what it gets, as `ServoBusEmulator.receive`."""
+        """Process bytes that the host sends at a time [ns], and return the replies."""
         t_ns = self._simulated(now_ns)
         if self._overhear is not None:
             self._overhear(data, now_ns)
@@ -172,10 +182,13 @@ class BusFaults(AnswersOnly):
             replies = [reply for answer in replies for reply in _spoil_reply(running, answer, t_ns)]
         return replies
 
-    # --------------------------------------------------------------------------------------------- the physics' side
+    # ---------------------------------------------------------------------------------------- methods for the physics
 
     def advance(self, now_ns: int) -> None:
-        """Let the servos suffer what they have to, and the writes of the bus take effect. Call before each physics step."""
+        """Apply the faults of servos and supply, and the due writes of the bus.
+
+        Call it before each physics step.
+        """
         if self._running:
             t_ns = self._simulated(now_ns)
             self._suffer(t_ns)
@@ -194,7 +207,7 @@ class BusFaults(AnswersOnly):
         self._bank.ail(ailments if active else None)
 
     def _afflict(self, ailments: Ailments, running: _Running, away: bool) -> None:
-        """What one fault adds to what ails servos and supply."""
+        """Add one fault to the fault state of servos and supply."""
         fault, row = running.fault, running.row
         match running.cell:
             case "servo", ("silent" | "intermittent"):
@@ -218,7 +231,7 @@ class BusFaults(AnswersOnly):
                 ailments.drain += running.drain
 
     def _forget(self, t_ns: int) -> None:
-        """Let go of faults that are over."""
+        """Remove faults that are over."""
         if all(running.end_ns > t_ns for running in self._running):
             return
         self._outlet = _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
@@ -227,7 +240,7 @@ class BusFaults(AnswersOnly):
 
 
 def _after(outlet: Outlet, over: Sequence[_Running]) -> Outlet:
-    """Where the bus is found after the port was taken away some more times."""
+    """Return the identity of the port after faults that removed it are over."""
     return Outlet(outlet.name + sum(running.fault.renamed for running in over), outlet.times + len(over))
 
 
@@ -236,7 +249,10 @@ def _of(target: FaultTarget, active: Sequence[_Running]) -> list[_Running]:
 
 
 def _stream(running: _Running, now_ns: int) -> list[Reply]:
-    """What comes of a line that never rests, as far as a host waits."""
+    """Return the endless stream of a stuck or noisy bus after a request.
+
+    It ends after the longest time that a host waits.
+    """
     start_ns, end_ns = max(now_ns, running.streamed_ns), now_ns + _STREAM_MS * _MS
     running.streamed_ns = max(start_ns, end_ns)
     held = running.fault.kind == "stuck"
@@ -248,7 +264,10 @@ def _stream(running: _Running, now_ns: int) -> list[Reply]:
 
 
 def _spoil(running: _Running, data: bytes, t_ns: int) -> bytes:
-    """Bytes as they arrive over a bad line; late ones are whole."""
+    """Return bytes after corruption by a fault.
+
+    Faults that only delay bytes do not change them.
+    """
     fault, rng = running.fault, running.rng
     if fault.kind == "intermittent":
         return rng.randbytes(len(data)) if running.away(t_ns) else data
@@ -280,7 +299,10 @@ def _spoil_reply(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
 
 
 def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
-    """What becomes of one answer by one fault of answers, of a servo or of the whole bus; echoes pass."""
+    """Yield the replies that replace one response under a fault.
+
+    The fault is one of responses, a servo or the bus. Echoes pass unchanged.
+    """
     fault = running.fault
     if reply.servo_id < 0 or fault.servo not in (-1, reply.servo_id):
         yield reply
@@ -312,7 +334,10 @@ def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
 
 
 def _misspoken(running: _Running, reply: Reply) -> bytes:
-    """An answer that is wrong in one part though its checksum is right, or in two bits or bytes."""
+    """Return a response with one wrong part or with two wrong bits or bytes.
+
+    With one wrong part, the checksum is valid.
+    """
     servo_id, error, parameters, rng = reply.servo_id, reply.data[4], reply.data[5:-1], running.rng
     match running.fault.part:
         case "id":

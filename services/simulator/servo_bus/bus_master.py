@@ -1,4 +1,7 @@
-"""The firmware's half of the servo bus: one packet at a time on a half-duplex wire, and whose answer is awaited."""
+"""Master of the half-duplex servo bus, a part of the bridge firmware.
+
+It sends one packet at a time and matches responses to requests.
+"""
 
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
@@ -6,8 +9,8 @@ from typing import Generic, NamedTuple, TypeVar
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Packet, PacketParser
 
-TIMEOUT_NS = 2_000_000  # [ns] from the end of a request: a factory return delay, a whole table, and as much again
-BYTE_NS = 10_000  # [ns] at 1 Mbit/s
+TIMEOUT_NS = 2_000_000  # [ns] from the end of a request: twice the sum of factory return delay and transfer of a whole table
+BYTE_NS = 10_000  # [ns] duration of a byte at 1 Mbit/s
 
 T = TypeVar("T")
 
@@ -15,14 +18,14 @@ T = TypeVar("T")
 @dataclass(frozen=True, slots=True)
 class _Question(Generic[T]):
     servo_id: int
-    size: int  # parameters of a good answer
+    size: int  # number of parameters of a valid response
     about: T
     began_ns: int
-    until_ns: int  # no answer comes later
+    until_ns: int  # [ns] time of the timeout
 
 
 class Closed(NamedTuple, Generic[T]):
-    """A question that has its answer, or will have none."""
+    """Completed request, with its response or None after a timeout."""
 
     about: T
     began_ns: int
@@ -30,44 +33,53 @@ class Closed(NamedTuple, Generic[T]):
 
 
 class BusMaster(Generic[T]):
-    """Sends packets to servos, and knows which answer belongs to which question. `T` is what a question is about."""
+    """Bus master that matches responses to requests.
+
+    `T` is the type of the caller's data of a request.
+    """
 
     def __init__(self, now_ns: int):
-        """Take over a wire on which nobody speaks."""
-        self.silent = 0  # questions that were left open
-        self.garbled = 0  # packets that nobody had asked for, or of the wrong size
+        """Start with an idle bus."""
+        self.silent = 0  # number of requests without a response
+        self.garbled = 0  # number of packets that were not requested or have a wrong size
         self._parser = PacketParser(max_length=dxl.TABLE_SIZE + 2)
         self._question: _Question[T] | None = None
         self._free_ns = now_ns
 
     @property
     def broken(self) -> int:
-        """Packets and noise that were of no use, asked for or not."""
+        """Number of unusable packets, including broken packets and noise."""
         return self.garbled + self._parser.dropped.total()
 
     @property
     def due_ns(self) -> int:
-        """[ns] when the wire is free again, at the latest."""
+        """Latest time [ns] at which the bus is free again."""
         return self._question.until_ns if self._question else self._free_ns
 
     @property
     def waits(self) -> bool:
-        """Whether an answer is awaited."""
+        """Whether a request is pending."""
         return self._question is not None
 
     def tell(self, packet: bytes, now_ns: int) -> bytes:
-        """Send what nobody answers."""
+        """Start a packet without a response, and return its bytes."""
         self._free_ns = now_ns + len(packet) * BYTE_NS
         return packet
 
     def ask(self, packet: bytes, servo_id: int, size: int, about: T, now_ns: int) -> bytes:
-        """Send what one servo answers, with so many parameters, or refuses with none."""
+        """Start a request to one servo, and return its bytes.
+
+        A valid response has `size` parameters; a response that refuses the request has none.
+        """
         until_ns = now_ns + len(packet) * BYTE_NS + TIMEOUT_NS
         self._question = _Question(servo_id, size, about, now_ns, until_ns)
         return packet
 
     def hear(self, data: bytes, now_ns: int) -> list[Closed[T]]:
-        """Take what the servos have sent by now; the questions that are closed by it, or by time."""
+        """Process bytes from the servos, and return the completed requests.
+
+        A request is completed by a response or by its timeout.
+        """
         closed: list[Closed[T]] = []
         for packet in self._parser.feed(data):
             question = self._question
@@ -83,7 +95,10 @@ class BusMaster(Generic[T]):
         return closed
 
     def forget(self) -> None:
-        """Await no answer any more, and let none collide with what is sent next."""
+        """Cancel the pending request.
+
+        The bus stays reserved until its timeout, to prevent a collision.
+        """
         self._free_ns, self._question = self.due_ns, None
 
     def _close(self, question: _Question[T], packet: Packet | None, now_ns: int) -> Closed[T]:

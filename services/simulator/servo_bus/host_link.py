@@ -1,4 +1,7 @@
-"""The host's side of the emulated bus: what it gets and when, and whether there is a port at all."""
+"""Interface between a host port and the emulated bus.
+
+It covers replies with their times of arrival, and the state of the adapter.
+"""
 
 from bisect import insort
 from collections.abc import Iterable
@@ -6,71 +9,74 @@ from typing import NamedTuple, Protocol
 
 
 class Reply(NamedTuple):
-    """Bytes for the host, and when it can have them."""
+    """Bytes for the host and their time of arrival."""
 
-    due_ns: int
+    due_ns: int  # [ns] time of arrival at the host
     data: bytes
-    servo_id: int = -1  # whose answer it is; -1 for an echo or noise
+    servo_id: int = -1  # servo that sent the response, -1 for an echo or noise
 
 
 class Outlet(NamedTuple):
-    """How the bus is reached: a port that was opened works as long as this stays the same."""
+    """Identity of the adapter's port.
 
-    name: int = 0  # of the port: 0, then counted up with every return under another name
-    times: int = 0  # that it has been pulled out
+    An open port works only while the identity does not change.
+    """
+
+    name: int = 0  # number of the device name; increases with each return under another name
+    times: int = 0  # number of times the adapter was unplugged
 
 
 class Wire(Protocol):
-    """What a port is the other end of."""
+    """Protocol of a device at a host port: the servo bus, or a board in front of it."""
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
-        """Take bytes that the host sends at a time and return what it is to get."""
+        """Process bytes that the host sends at a time [ns], and return the replies."""
 
     def outlet(self, now_ns: int) -> Outlet | None:
-        """How the bus is reached now, None while its adapter is unplugged."""
+        """Return the identity of the port at a time [ns], None if it is unplugged."""
 
     @property
     def due_ns(self) -> int | None:
-        """[ns] when something happens there next of itself; None where questions are answered and that is all."""
+        """Time [ns] of the next event of the device; None if it only responds to requests."""
 
     def speak(self, now_ns: int) -> list[Reply]:
-        """What it has said by now without being asked."""
+        """Return the unsolicited replies up to a time [ns]."""
 
 
 class AnswersOnly:
-    """The part of a `Wire` that servos have not: to say something of themselves."""
+    """Mixin for a `Wire` that only responds to requests."""
 
     @property
     def due_ns(self) -> int | None:
-        """Never."""
+        """None, because the device has no events without a request."""
         return None
 
     def speak(self, now_ns: int) -> list[Reply]:
-        """Nothing."""
+        """Return no unsolicited replies."""
         return []
 
 
 class Outbox:
-    """Replies on their way to the host, in the order in which they are due."""
+    """Queue of replies to the host, ordered by time of arrival."""
 
     def __init__(self) -> None:
         self._replies: list[Reply] = []
 
     def put(self, replies: Iterable[Reply]) -> None:
-        """Take replies that are due at any time."""
+        """Add replies, with any times of arrival."""
         for reply in replies:
-            if self._replies and reply.due_ns < self._replies[-1].due_ns:  # as when an earlier one is late
+            if self._replies and reply.due_ns < self._replies[-1].due_ns:  # e.g. if an earlier reply is delayed by a fault
                 insort(self._replies, reply, key=lambda other: other.due_ns)
             else:
                 self._replies.append(reply)
 
     @property
     def due_ns(self) -> int | None:
-        """When the next one is due."""
+        """Time of arrival [ns] of the next reply, None without one."""
         return self._replies[0].due_ns if self._replies else None
 
     def take(self, now_ns: int) -> bytes:
-        """The bytes that are due by now."""
+        """Remove and return the bytes that have arrived by a time [ns]."""
         data = b""
         while self._replies and self._replies[0].due_ns <= now_ns:
             data += self._replies.pop(0).data

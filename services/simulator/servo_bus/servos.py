@@ -1,9 +1,9 @@
-"""A bank of emulated Dynamixel servos: control tables, and the electronics, heat and supply around each joint.
+"""Emulated Dynamixel servos: control tables, controllers, heat and supply.
 
-The joint itself, its damping and friction belong to the physics engine. Each step it tells the bank where the joints are and
-what torque the motors gave; the bank answers with the position controller that the servos are: setpoint, stiffness, limit.
+The physics engine simulates the joints with damping and friction. In each step it passes joint angles, speeds and motor torques
+to the bank. The bank returns the servos' position controllers: setpoint, stiffness and torque limit.
 
-Not emulated: wheel mode (both angle limits 0; such a servo is limp) and punch, which about cancels the gear's friction.
+Not emulated: wheel mode (both angle limits 0; torque is off in it), and punch, which about cancels the friction of the gear.
 """
 
 from collections.abc import Sequence
@@ -20,37 +20,44 @@ from sextant.shared.servo.dynamixel import ServoError, ServoModel
 
 Array = NDArray[np.float64]
 
-_EPS = 1e-9  # rounding: a duty, or a sum of time steps, may fall this much short of the limit it should reach
+_EPS = 1e-9  # rounding tolerance of a duty or of a sum of time steps at a limit
 
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """What one motor gives and takes. Source: ROBOTIS e-manual, AX-12A; standby current from the RX-64 page."""
+    """Torque and currents of one motor.
+
+    Source: ROBOTIS e-manual, AX-12A; the standby current is from the RX-64 page.
+    """
 
     stall_torque: float = 1.5  # [N m] at a duty of 1
     stall_current: float = 1.5  # [A] at a duty of 1
-    standby_current: float = 0.05  # [A] always
+    standby_current: float = 0.05  # [A] also without torque
 
 
 @dataclass(frozen=True, slots=True)
 class Protection:
-    """When a servo shuts itself down. Duty is |motor torque| / stall torque.
+    """Conditions under which a servo shuts down.
 
-    Assumed, for no public measurement exists; chosen so that one third of the stall torque is the continuous limit.
+    Duty is |motor torque| / stall torque. The values are assumed, because no public measurement exists. They make one third of
+    the stall torque the continuous limit.
     """
 
-    stall_duty: float = 0.95  # overload latches at this duty ...
-    stall_time: float = 1.5  # [s] ... held this long,
-    mean_duty: float = 0.8  # or when the mean duty exceeds this ...
-    mean_time: float = 10.0  # [s] ... over this window
+    stall_duty: float = 0.95  # [1] overload latches after `stall_time` at this duty
+    stall_time: float = 1.5  # [s]
+    mean_duty: float = 0.8  # [1] overload latches when the mean duty over `mean_time` exceeds this
+    mean_time: float = 10.0  # [s]
     ambient: float = 25.0  # [deg C]
     cooling_time: float = 400.0  # [s] time constant of cooling to ambient
-    heating: float = 1.01  # [K/s] at a duty of 1, in proportion to its square
+    heating: float = 1.01  # [K/s] at a duty of 1, proportional to the square of the duty
 
 
 @dataclass(frozen=True, slots=True)
 class Supply:
-    """One battery for all servos and the computer: a 3S lithium polymer pack, its voltage falling straight with charge."""
+    """Battery of all servos and the computer: a 3S LiPo pack.
+
+    Its voltage is linear in the charge.
+    """
 
     full_voltage: float = 12.6  # [V] open circuit
     empty_voltage: float = 9.9  # [V] open circuit
@@ -60,7 +67,7 @@ class Supply:
 
 
 AX_12A_MOTOR = Motor()
-# At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are in proportion to the voltage, as those of a DC motor are.
+# At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are scaled with the voltage, as for a DC motor.
 RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
 RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
 AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
@@ -72,13 +79,13 @@ _ELECTRICS = {
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
 }
 
-# For so long [ns] from a physics step joints are taken to go on as they do: in lockstep a cycle reads as far ahead of it.
+# [ns] limit of the extrapolation of joint motion from a physics step; in lockstep, a cycle reads up to this far ahead of it.
 _FURTHEST_NS = 6_000_000
-_JAM = 5.0  # times as stiff and strong as its servo is what a jammed joint is held by
-_BUCKETS = 100  # of the sliding window of the mean duty
+_JAM = 5.0  # [1] stiffness and torque limit that hold a jammed joint, relative to its servo
+_BUCKETS = 100  # number of slices of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
-# Handed to the compiled loops: they would freeze a constant, and their cache does not notice when another file changes. The
-# error bits above are the protocol's and will not.
+# Units are arguments of the compiled loops, because these compile global constants in, and their cache does not detect changes
+# in another file. The error bits above are fixed by the protocol.
 _UNITS = tuple(map(float, (dxl.TICK_CENTRE, dxl.TICK_RAD, dxl.TICK_MAX, dxl.SPEED_RAD_S, dxl.LOAD_UNIT, dxl.DIRECTION_CW)))
 _LIVE_START = dxl.PRESENT_POSITION.address
 _AIM_START, _AIM_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
@@ -87,22 +94,22 @@ _LIVE_END = dxl.MOVING.address + dxl.MOVING.size
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
-    """The position controllers of n servos for one physics step: torque = clip(stiffness (setpoint - q), +-limit).
+    """Position controllers of n servos for one physics step.
 
-    The arrays belong to the bank and change at its next step.
+    The torque is clip(stiffness (setpoint - q), +-torque_limit). The arrays belong to the bank and change at its next step.
     """
 
-    setpoint: Array  # (n,) [rad] servo angle, the compliance margin already taken off
+    setpoint: Array  # (n,) [rad] servo angle, with the compliance margin subtracted
     stiffness: Array  # (n,) [N m/rad]
-    torque_limit: Array  # (n,) [N m] 0 where the servo is limp
+    torque_limit: Array  # (n,) [N m] 0 with torque off
 
 
 class _Wear(NamedTuple):
-    """`Protection` for the compiled loop: numbers alone."""
+    """Parameters of `Protection` for the compiled loop."""
 
     stall_duty: float
     stall_time: float  # [s]
-    most_duty: float  # [s] greatest sum of duties over the window
+    most_duty: float  # [s] maximum integral of the duty over the window
     ambient: float  # [deg C]
     cooling_time: float  # [s]
     heating: float  # [K/s]
@@ -120,10 +127,13 @@ def _age(
     dt: float,
     wear: _Wear,
 ) -> tuple[float, bool]:
-    """One step of heat and overload of n servos, in place; the sum of the duties and whether any servo trips.
+    """Update heat and overload of n servos by one step, in place.
 
-    `bucket` is the slice of the duty window being filled and `duty_sum` [s] the rest of it. `tripped` becomes the error bits
-    whose cause is there.
+    `bucket` [s] is the current slice of the duty window, and `duty_sum` [s] is the sum of all other slices. `tripped` is set to
+    the error bits whose conditions are met.
+
+    Returns:
+        The sum of the duties, and whether any servo trips.
     """
     total, any_tripped = 0.0, False
     for i in range(load.size):
@@ -152,7 +162,10 @@ def _measure(
     speed: NDArray[np.uint16],
     effort: NDArray[np.uint16],
 ) -> None:
-    """What n servos measure, into their registers: position clipped to the range, speed and load as magnitude and sign."""
+    """Write measured values of n servos to their registers.
+
+    The position is clipped; speed and load are magnitude and sign bit.
+    """
     centre, tick, last_tick, speed_unit, load_unit, clockwise = units
     for i in range(q.size):
         position[i] = np.uint16(min(max(np.rint(centre + q[i] / tick), 0.0), last_tick))
@@ -173,11 +186,13 @@ def _pull(
     out_setpoint: Array,
     out_stiffness: Array,
 ) -> None:
-    """Where n servos pull to, and how stiffly: the ramp moves on to the goal by `reach` [rad] at most, in place.
+    """Compute setpoint and stiffness of n servos.
 
-    margin and stiffness (2, n) are those for a pull clockwise and counterclockwise. Outside the margin the torque starts
-    from zero at its edge; inside, the setpoint is where the joint is. A limp servo's ramp starts where its joint is when
-    torque returns.
+    The ramp moves toward the goal by at most `reach` [rad], in place.
+
+    margin and stiffness (2, n) are those for clockwise and counterclockwise torque. Outside the compliance margin the torque
+    rises from zero at its edge. Inside the margin the setpoint is the joint angle. While torque is off, the ramp follows the
+    joint, so that it starts there when torque is turned on.
     """
     for i in range(goal.size):
         step = goal[i] - ramp[i]
@@ -192,7 +207,10 @@ def _pull(
 
 
 class ServoBank:
-    """n servos in servo coordinates: 0 rad at tick 512, counterclockwise positive."""
+    """Bank of n emulated servos.
+
+    Servo coordinates are 0 rad at tick 512, counterclockwise positive.
+    """
 
     def __init__(
         self,
@@ -206,20 +224,20 @@ class ServoBank:
         charge: float = 1.0,
         temperature: float | None = None,
     ) -> None:
-        """Switch the servos on with factory values and torque off.
+        """Create servos with factory values and torque off.
 
         Args:
             servo_ids: Ids 0 to 253, all different.
             model: Register defaults of the servo type.
             motor: Torque and currents of the servo type.
-            protection: Overload and heat.
+            protection: Overload and heat parameters.
             supply: The battery.
-            q: (n,) [rad] joint angles at the start in servo coordinates; None is all 0.
-            charge: Charge of the battery at the start, 0 to 1.
-            temperature: [deg C] of the motors at the start; None is ambient.
+            q: (n,) [rad] initial joint angles in servo coordinates, 0 by default.
+            charge: Initial charge of the battery, 0 to 1.
+            temperature: Initial temperature of the motors [deg C], ambient by default.
 
         Raises:
-            ValueError: An id out of range or given twice, or a charge outside 0 to 1.
+            ValueError: An id is out of range or not unique, or the charge is outside 0 to 1.
         """
         n = len(servo_ids)
         if len(set(servo_ids)) != n or not all(0 <= i <= dxl.MAX_ID for i in servo_ids):
@@ -238,7 +256,7 @@ class ServoBank:
 
         self._bytes = bytearray(model.factory_table() * n)
         self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, dxl.TABLE_SIZE)
-        self._words = self.tables.view("<u2")  # every two-byte register lies at an even address
+        self._words = self.tables.view("<u2")  # all two-byte registers have even addresses
         self.tables[:, dxl.ID.address] = servo_ids
         self._torque_limits = self._column(dxl.TORQUE_LIMIT)
         self._torque_limits[:] = self._column(dxl.MAX_TORQUE)
@@ -248,20 +266,20 @@ class ServoBank:
         self.temperature: Array = np.full(n, start)  # (n,) [deg C]
         self.voltage = self._open_circuit()  # [V] at the servos
         self._faults = np.zeros(n, dtype=np.uint8)  # latched OVERLOAD and OVERHEATING
-        self._tripped = np.zeros(n, dtype=np.uint8)  # those whose cause is there now
+        self._tripped = np.zeros(n, dtype=np.uint8)  # error bits whose conditions are met now
         self._stalled_for = np.zeros(n)  # [s]
         self._buckets = np.zeros((_BUCKETS, n))  # [s] duty integrated over each slice of the window
         self._bucket, self._bucket_time = 0, 0.0
-        self._duty_sum = np.zeros(n)  # [s] over the window but for the slice being filled
+        self._duty_sum = np.zeros(n)  # [s] over the window without the current slice
 
         self._q = np.zeros(n) if q is None else np.array(q, dtype=np.float64)  # [rad]
         self._qd, self._load = np.zeros(n), np.zeros(n)  # [rad/s], fraction of stall
-        self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
-        self._at_ns: int | None = None  # when that was, None where nobody has said
-        self._shown_ns = 0  # [ns] after it of which the tables show what the servos measure
-        self._measured = False  # whether they show any of it
+        self._setpoint = self._q.copy()  # [rad] current angle of the ramp to the goal, without compliance margin
+        self._at_ns: int | None = None  # bus time of the last physics step, None if unknown
+        self._shown_ns = 0  # [ns] time after that step to which the measured values in the tables belong
+        self._measured = False  # whether the tables have the measured values of that step
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._aims_changed = self._others_changed = True  # a goal or speed changed, another register changed
+        self._aims_changed = self._others_changed = True  # whether a goal or speed, or another register, has changed
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
@@ -274,13 +292,13 @@ class ServoBank:
         """Number of servos."""
         return len(self._q)
 
-    # ----------------------------------------------------------------------------------------------- the bus side
+    # --------------------------------------------------------------------------------------- methods for the bus
 
     def read(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
-        """Bytes of one servo's control table.
+        """Return bytes of one servo's control table.
 
-        Measured values are those of the last physics step; where it is known when that was, moved on, or back, as the joints
-        move, to the time `at_ns` of the reading: a servo's registers do not wait for anybody's step.
+        Measured values are those of the last physics step. If its bus time is known, they are extrapolated with the joint
+        speeds to the time `at_ns` of the reading, because the registers of real servos change continuously.
         """
         if address < _LIVE_END and address + size > _LIVE_START:
             after_ns = 0 if at_ns is None or self._at_ns is None else min(max(at_ns - self._at_ns, -_FURTHEST_NS), _FURTHEST_NS)
@@ -290,11 +308,11 @@ class ServoBank:
         return bytes(self._bytes[start : start + size])
 
     def write(self, row: int, address: int, data: bytes) -> None:
-        """Change one servo's control table; the caller has checked the values.
+        """Write to one servo's control table; the caller has validated the values.
 
-        Turning torque on makes the present position the goal, so that no servo jumps to a forgotten one (ROBOTIS forum
-        24472, RX-28). Writing a goal does not turn torque on: no source says so of the AX-12A. Writing Torque Limit
-        ends a shutdown, until the next step finds its cause still there.
+        Turning torque on makes the present position the goal, so that the servo does not jump to an old goal (ROBOTIS forum
+        24472, RX-28). Writing a goal does not turn torque on, because no source states this for the AX-12A. Writing Torque
+        Limit ends a shutdown, which the next step repeats if its condition is still met.
         """
         end = address + len(data)
         start = row * dxl.TABLE_SIZE
@@ -310,10 +328,10 @@ class ServoBank:
         self._others_changed |= not (address >= _AIM_START and end <= _AIM_END)
 
     def ail(self, ailments: Ailments | None) -> None:
-        """Ail from now on as told, or be well again; what happens to a servo at the change happens here."""
+        """Set the active faults, None for no faults, and apply their immediate effects."""
         before, now = self._ailments, Ailments.none(len(self)) if ailments is None else ailments
         if not self._measured:
-            self._refresh(0)  # registers freeze as they are
+            self._refresh(0)  # frozen registers keep the current values
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
             self._power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
@@ -321,7 +339,10 @@ class ServoBank:
         self._measured, self._others_changed = False, True
 
     def _power_up(self, row: int) -> None:
-        """Begin with factory values where nothing is kept without power; torque is off and no error is latched."""
+        """Reset the RAM registers of a servo to factory values.
+
+        Torque is off and no error is latched.
+        """
         start = dxl.TORQUE_ENABLE.address
         self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
         self._torque_limits[row] = self._column(dxl.MAX_TORQUE)[row]
@@ -330,17 +351,17 @@ class ServoBank:
 
     @property
     def shutdown(self) -> NDArray[np.bool_]:
-        """(n,) servos that have latched an overload or a heat fault."""
+        """Servos (n,) that have latched an overload or overheating error."""
         return np.asarray(self._faults != 0)
 
     def error(self, row: int) -> int:
-        """Error bits of one servo that belong to its state and not to an instruction."""
+        """Return the error bits of one servo's state, without those of an instruction."""
         start = row * dxl.TABLE_SIZE
         volts = round(self.voltage / dxl.VOLT_UNIT)
         low, high = self._bytes[start + dxl.MIN_VOLTAGE.address], self._bytes[start + dxl.MAX_VOLTAGE.address]
         return int(self._faults[row]) | (0 if low <= volts <= high else int(ServoError.INPUT_VOLTAGE))
 
-    # ------------------------------------------------------------------------------------------- the physics side
+    # ----------------------------------------------------------------------------------- methods for the physics
 
     def step(self, q: Array, qd: Array, torque: Array, dt: float) -> ServoCommand:
         """Advance the servos by one physics step.
@@ -349,10 +370,10 @@ class ServoBank:
             q: (n,) [rad] joint angles in servo coordinates.
             qd: (n,) [rad/s] joint speeds.
             torque: (n,) [N m] motor torques that acted in the last step.
-            dt: [s] the step.
+            dt: Duration of the step [s].
 
         Returns:
-            The position controllers for the coming step.
+            The position controllers for the next physics step.
         """
         self.feel(q, qd, torque)
         if self._ailing:
@@ -362,28 +383,34 @@ class ServoBank:
         if self._others_changed:
             self._settings()
         self._drain(self._protect(dt), dt)
-        if self._others_changed:  # a shutdown
+        if self._others_changed:  # by a shutdown
             self._settings()
         return self._control(dt)
 
     def feel(self, q: Array, qd: Array, torque: Array, at_ns: int | None = None) -> None:
-        """Take in how the joints are, as `step` does: what is measured from now on; at a time of the bus, if that is known."""
+        """Set the state of the joints that the servos measure.
+
+        The arguments are those of `step`; `at_ns` is the bus time of this state, if known.
+        """
         self._measured, self._at_ns = False, at_ns
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
 
     def _suffer(self, dt: float) -> None:
-        """What ails the servos in this step, but for what they measure."""
+        """Apply the active faults to heat, charge and load for one step."""
         ailments = self._ailments
         self.temperature += ailments.heating * dt
         self.charge = max(self.charge - ailments.drain * dt, 0.0)
-        if ailments.jammed.any():  # the motor pulls as it can, against what holds the joint
+        if ailments.jammed.any():  # the motor works against the jam, up to its torque limit
             pull = np.clip(self._out.stiffness * (self._goal - self._q), -self._limit, self._limit)
             self._load[:] = np.where(ailments.jammed, pull / self.motor.stall_torque, self._load)
 
     def _protect(self, dt: float) -> float:
-        """Age overload and heat by one step and shut down what they ask for; return the sum of the duties."""
+        """Update heat and overload by one step, and shut down tripped servos.
+
+        The result is the sum of the duties.
+        """
         p = self.protection
         duty_sum, tripped = _age(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
@@ -425,7 +452,10 @@ class ServoBank:
         return out
 
     def _jam(self, out: ServoCommand) -> ServoCommand:
-        """The command with jammed joints held where they are, by more than their motors have."""
+        """Return the command with jammed joints held in place.
+
+        The hold has more torque than their motors.
+        """
         jammed, stiffest = self._ailments.jammed, _JAM * self._stiffness.max(axis=0)
         return ServoCommand(
             np.where(jammed, self._jammed_at, out.setpoint),
@@ -434,18 +464,18 @@ class ServoBank:
         )
 
     def _aims(self) -> None:
-        """Goals and speeds of the registers: what a host writes in every cycle."""
+        """Convert the registers of goals and speeds, which a host writes in every cycle."""
         self._aims_changed = False
         self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
         speed = self._column(dxl.MOVING_SPEED)
         self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
 
     def _settings(self) -> None:
-        """Physical values of the other registers, made only when one of them has changed."""
+        """Convert the other registers to physical values; called only after a change."""
         self._others_changed = False
         self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
 
-        # The AX-12A knows seven slopes, the powers of two; at an error of one slope it gives its full torque.
+        # The AX-12A has seven slopes, all powers of two. At an error of one slope the torque is the full torque.
         for i, (margin, slope) in enumerate(
             [
                 (dxl.CW_COMPLIANCE_MARGIN, dxl.CW_COMPLIANCE_SLOPE),
@@ -464,13 +494,14 @@ class ServoBank:
         self._out.torque_limit[:] = self._limit
 
     def _column(self, register: dxl.Register) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """One register of all servos, a view of the tables."""
+        """Return one register of all servos, as a view of the tables."""
         return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
 
     def _after(self, s: float) -> tuple[Array, Array, Array]:
-        """Angles [rad], speeds [rad/s] and loads (n,) a little after the last step: what a motor gives as its joint is then.
+        """Return angles [rad], speeds [rad/s] and loads [1] `s` after the last step.
 
-        Torques that acted in a step are of its beginning; they are shown only where nobody has said when that was.
+        Each array is (n,), and s is in [s]. The load is that of the motor at the extrapolated angle. If the bus time of the
+        step is unknown, the result is the state passed to the step, whose torques belong to the beginning of the step.
         """
         if self._at_ns is None:
             return self._q, self._qd, self._load
@@ -482,7 +513,10 @@ class ServoBank:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
 
     def _refresh(self, after_ns: int) -> None:
-        """Put what all servos measure so long after the last physics step into their tables, when somebody looks."""
+        """Write the values that all servos measure to their tables, before a read.
+
+        The values are those at `after_ns` after the last physics step.
+        """
         self._measured, self._shown_ns = True, after_ns
         words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
         position, before = words[0], words[0].copy() if self._ailing else None
@@ -498,9 +532,9 @@ class ServoBank:
 
 
 def bank_of(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:
-    """Servos of a model, by its name, at joint angles q (n,) [rad], with the motors and the supply that go with it.
+    """Create servos of a named model, with its motors and its supply.
 
-    What a battery holds [A h] counts where the supply is one.
+    The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage.
     """
     motor, supply = _ELECTRICS[model]
     supply = replace(supply, capacity_ah=battery_ah)

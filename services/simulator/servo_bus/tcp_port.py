@@ -1,4 +1,7 @@
-"""The emulated servo bus on a TCP port, as a serial-to-network adapter would offer it: `socket://host:port` for pyserial."""
+"""TCP server of the emulated servo bus, like a serial-to-network adapter.
+
+Its URL for pyserial is `socket://host:port`.
+"""
 
 import logging
 import select
@@ -16,14 +19,16 @@ log = logging.getLogger(__name__)
 _CHUNK = 4096  # [bytes]
 _SEC = 1e9
 _STOP_TIMEOUT = 2.0  # [s]
-_BREATH_NS = 500_000  # [ns] between two looks at an end that speaks of itself
+_BREATH_NS = 500_000  # [ns] polling period of a device with unsolicited replies
 
 
 class TcpBusServer:
-    """Serves an emulated bus to one client at a time, from a thread of its own; answers leave when they are due.
+    """Server of an emulated bus for one client at a time.
 
-    Whoever steps the physics must hold `lock` around `ServoBusEmulator.advance` and the bank's step: the servos are shared. An
-    adapter that is unplugged hangs up and listens no more; under another name it is back on the other port.
+    It runs in a separate thread and sends replies when they are due. The caller must hold `lock` around
+    `ServoBusEmulator.advance` and the bank's step, because both threads use the servos. If the adapter is unplugged, the server
+    closes the connection and its listening socket. If the adapter returns under another name, the server listens on the other
+    port.
     """
 
     def __init__(
@@ -37,25 +42,25 @@ class TcpBusServer:
         answering: Callable[[int], bool] = lambda _now_ns: True,
         turns_away: bool = False,
     ) -> None:
-        """Listen and start serving.
+        """Open the listening socket and start the thread.
 
         Args:
             bus: The emulated bus.
             host: Address to listen on.
             port: Port to listen on, 0 for a free one.
-            other_port: Port to listen on when the bus is back under another name, and so to and fro.
-            clock: Bus time [ns]; answers are held back until it reaches them. It is never faster than real time.
-            answering: Whether the physics is up to date at a bus time [ns]; while it is not, the servos stay silent
-                rather than report where they were some time ago.
-            turns_away: Hang up on whoever comes while somebody is connected; else they wait until that one has left.
+            other_port: Port to listen on after the adapter returns under another name; the ports alternate.
+            clock: Bus time [ns], at which replies become due. It must not run faster than real time.
+            answering: Returns whether the physics is up to date at a bus time [ns]. While it is not, the servos do not respond,
+                because their measured values would be outdated.
+            turns_away: Whether to close further connections while a client is connected; by default they wait.
 
         Raises:
-            OSError: The address cannot be listened on.
+            OSError: The address is not available.
         """
         self.lock = threading.Lock()
-        self.clients = 0  # connections taken so far
+        self.clients = 0  # number of accepted connections
         self._bus = bus
-        self._speaks = bus.due_ns is not None  # of itself, too
+        self._speaks = bus.due_ns is not None  # whether the bus has unsolicited replies
         self._clock = clock
         self._answering = answering
         self._turns_away = turns_away
@@ -69,17 +74,17 @@ class TcpBusServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port being listened on, or listened on last."""
+        """Host and port of the current or last listening socket."""
         return self._address
 
     @property
     def url(self) -> str:
-        """What to open with pyserial."""
+        """URL for pyserial."""
         host, port = self.address
         return f"socket://{host}:{port}"
 
     def close(self) -> None:
-        """Hang up, stop listening and wait for the thread; safe to call twice."""
+        """Close all sockets and join the thread; safe to call twice."""
         if self._closing:
             return
         self._closing = True
@@ -90,7 +95,7 @@ class TcpBusServer:
                 end.close()
 
     def replug(self) -> None:
-        """Look whether the adapter was plugged in or out, and hang up if so."""
+        """Check whether the adapter was plugged in or out, and close the connection if so."""
         self._wake.send(b"x")
 
     def __enter__(self) -> "TcpBusServer":
@@ -109,7 +114,7 @@ class TcpBusServer:
                 self._accept(self._listener)
 
     def _follow(self, outlet: Outlet | None) -> None:
-        """Listen where the bus is found now, if at all."""
+        """Listen on the port of the adapter's current name, if it is plugged in."""
         if outlet == self._outlet:
             return
         if self._listener is not None:
@@ -135,9 +140,12 @@ class TcpBusServer:
         log.info("servo bus client %s left: %s", peer, reason)
 
     def _talk(self, client: socket.socket) -> str:
-        """Serve one client until it leaves, the adapter is unplugged or the server closes; return why it ended."""
+        """Serve one client, and return the reason for the end of the connection.
+
+        It ends when the client disconnects, the adapter is unplugged or the server closes.
+        """
         outbox = Outbox()
-        self._spoken()  # to nobody
+        self._spoken()  # discards the replies from before the connection
         try:
             while True:
                 doors = [self._listener] if self._turns_away and self._listener else []
@@ -157,7 +165,7 @@ class TcpBusServer:
                     outbox.put(answers if self._answering(self._clock()) else ())
                     hold(SERVO_BUS, None if outbox.due_ns is None else outbox.due_ns + REACTION_NS)
                 for door in doors:
-                    if door in ready:  # and the client is still there
+                    if door in ready:  # while the client is still connected
                         other, peer = door.accept()
                         other.close()
                         log.info("servo bus client %s turned away: another is connected", peer)
@@ -165,11 +173,11 @@ class TcpBusServer:
                 due = outbox.take(self._clock())
                 if due:
                     client.sendall(due)
-        except OSError as error:  # reset or broken pipe: the client went away without a word
+        except OSError as error:  # reset or broken pipe: the client did not close the connection
             return str(error)
 
     def _spoken(self) -> list[Reply]:
-        """What has been said without being asked."""
+        """Return the unsolicited replies of the bus."""
         if not self._speaks:
             return []
         with self.lock:
@@ -177,7 +185,7 @@ class TcpBusServer:
         return said if self._answering(self._clock()) else []
 
     def _wait_s(self, outbox: Outbox) -> float | None:
-        """[s] until there is something to do, though no byte comes; None where there is nothing."""
+        """Return the time [s] to the next due reply or poll, None without one."""
         now_ns = self._clock()
         due = [] if outbox.due_ns is None else [outbox.due_ns]
         if self._speaks:

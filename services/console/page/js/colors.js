@@ -1,4 +1,4 @@
-// How a layer's bytes are coloured: 256 colours each, and what the ends of the legend say.
+// Colour maps of the map layers, with 256 colours each, and the labels at both ends of their legends.
 
 const UNKNOWN = [74, 84, 92];
 
@@ -24,7 +24,7 @@ const POOR = [224, 130, 62];
 const NONE = [138, 42, 42];
 
 export const TABLES = {
-  score: ramp([[0, GOOD], [60, FAIR], [99, POOR], [100, NONE], [254, [88, 26, 30]]]), // 100 is the limit of a foothold
+  score: ramp([[0, GOOD], [60, FAIR], [99, POOR], [100, NONE], [254, [88, 26, 30]]]), // a cell is a foothold up to 100
   evaluation: ramp([[0, [36, 120, 170]], [15, GOOD], [24, FAIR], [25, NONE], [50, [70, 24, 30]], [254, [70, 24, 30]]]),
   variance: ramp([[0, [38, 60, 110]], [60, [52, 140, 150]], [140, FAIR], [254, [226, 90, 60]]]),
 };
@@ -36,5 +36,5 @@ export const LEGENDS = {
   color: ["as the camera sees it", ""],
 };
 
-/** Places 0..254 of the table that the legend shows. */
+/** Last index (0 to 254) of each table that the legend shows. */
 export const SHOWN = { score: 140, evaluation: 50, variance: 254 };

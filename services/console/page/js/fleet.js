@@ -1,4 +1,4 @@
-// All robots of a base at a glance: how each fares, and a stop for each and for all.
+// Overview of all robots of a base station: a summary of each robot, and stop buttons for each and for all.
 
 import { Link } from "./link.js";
 
@@ -16,7 +16,7 @@ class Card {
     this.name = name;
     this.item = made("li", "robot");
     this.title = made("a", "name", name);
-    this.title.href = `${name}/${location.hash}`; // the token goes along
+    this.title.href = `${name}/${location.hash}`; // keeps the token
     this.mode = made("b", "mode lost", "no link");
     this.reason = made("p", "reason", "connecting");
     this.planner = made("p", "dim");
@@ -25,7 +25,7 @@ class Card {
     const stop = made("button", "stop", "stop");
     const off = made("button", "off", "torque off");
     for (const [button, order] of [[stop, "stop"], [off, "off"]]) {
-      // At the press already, and again at the click, which keys and helpers make: to order it twice does no harm.
+      // Send on pointerdown, and again on click, which keyboards and assistive tools produce; a repeat is harmless.
       for (const event of ["pointerdown", "click"]) button.addEventListener(event, () => this.order(order));
     }
     const heading = made("h2");

@@ -1,4 +1,4 @@
-// The socket to the console. Texts and frames come in; what is asked for goes out; it connects anew by itself.
+// WebSocket to the console: receives texts and binary frames, sends requests, and reconnects automatically.
 
 const PROTOCOL = "sextant.1";
 const AGAIN_MS = 1000;
@@ -6,7 +6,7 @@ const AGAIN_MS = 1000;
 export class Link {
   /**
    * @param {{text: (message: object) => void, frame: (header: object, body: DataView) => void, up: () => void, down: (why: string) => void}} hear
-   * @param {string} path of the socket, seen from this page
+   * @param {string} path path of the socket, relative to this page
    */
   constructor(hear, path = "socket") {
     this.hear = hear;
@@ -35,7 +35,7 @@ export class Link {
     return this.socket !== null && this.socket.readyState === WebSocket.OPEN;
   }
 
-  /** Ask for something; false where nobody hears. */
+  /** Send a request; returns false without a connection. */
   ask(type, fields = {}) {
     if (!this.open) return false;
     this.socket.send(JSON.stringify({ type, ...fields }));

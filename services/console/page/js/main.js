@@ -1,4 +1,4 @@
-// Joins the parts: what comes in is shown, what is pressed is asked for.
+// Main module of the page: shows the console's messages and sends the operator's requests.
 
 import { Link } from "./link.js";
 import { Pad } from "./pad.js";
@@ -45,7 +45,7 @@ const link = new Link({
         panels.log(message);
         break;
       case "refused":
-        pad.cut(); // whatever is held moves nothing any more
+        pad.cut(); // a held pad no longer moves the robot
         panels.notice(message.words);
         break;
     }
@@ -110,7 +110,7 @@ function clicked(point) {
 }
 
 for (const order of ["off", "stop"]) {
-  // At the press already, and again at the click, which keys and helpers make: to order it twice does no harm.
+  // Send on pointerdown, and again on click, which keyboards and assistive tools produce; a repeat is harmless.
   for (const name of ["pointerdown", "click"]) $(order).addEventListener(name, () => link.ask("order", { order }));
 }
 for (const button of document.querySelectorAll("[data-order]")) button.onclick = () => link.ask("order", { order: button.dataset.order });
@@ -148,13 +148,13 @@ window.addEventListener("keydown", (event) => {
 });
 setInterval(() => document.hidden || link.ask("here"), HERE_MS);
 
-window.sextant = { view, link, pad }; // for a look with the browser's own tools, and for tests
+window.sextant = { view, link, pad }; // for the browser's developer tools and for tests
 
-// Of several robots behind one address each has its page below its name; a console by itself knows of no others.
+// Behind a fleet proxy, each robot's page is below its name. A console without a proxy returns an empty list of robots.
 const { robots, here } = await (await fetch("robots.json")).json();
 if (robots.length > 0) {
   $("fleet").hidden = false;
-  $("all-robots").href = `../${location.hash}`; // the token goes along
+  $("all-robots").href = `../${location.hash}`; // keeps the token
   $("robots").replaceChildren(...robots.map((name) => new Option(name, name, name === here, name === here)));
   $("robots").onchange = () => location.assign(`../${$("robots").value}/${location.hash}`);
 }

@@ -1,4 +1,4 @@
-// A surface lit by one light, worked out at its corners: without a graphics card anything finer is too slow.
+// Material with one directional light, computed per vertex: per-pixel lighting is too slow for software rendering.
 
 import * as THREE from "../vendor/three/three.module.js";
 
@@ -24,7 +24,11 @@ void main() {
   shown = vec4(vColor, 1.0);
 }`;
 
-/** @param {boolean} colored whether its corners have colours of their own */
+/**
+ * Create the material.
+ * @param {number} color base colour
+ * @param {boolean} colored whether the geometry has vertex colours
+ */
 export function matte(color = 0xffffff, colored = false) {
   return new THREE.ShaderMaterial({
     glslVersion: THREE.GLSL3,

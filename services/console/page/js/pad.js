@@ -1,8 +1,9 @@
-// The hold-to-move pad: mouse, touch, keys and gamepad make one press; let go, look away or freeze, and it is over.
+// Hold-to-move pad: mouse, touch, keys and gamepad together make one press. The press ends when all inputs are released, when
+// the page loses focus or visibility, or when the page freezes.
 
-const SAY_MS = 66; // between two words of a press, of which a beat of the console passes on the newest
-const FROZEN_MS = 300; // between two looks, after which this page has been frozen, as the console has it: what is held counts no more
-const DEAD_ZONE = 0.25; // of a gamepad's stick
+const SAY_MS = 66; // period of the drive message while the pad is held; the console publishes only the newest
+const FROZEN_MS = 300; // gap between two updates after which the page counts as frozen; equals the console's dead-man time
+const DEAD_ZONE = 0.25; // of a gamepad axis, as a share of its range
 const TURN = 0.3; // [rad/s] at full speed
 const KEYS = {
   KeyW: [1, 0, 0], ArrowUp: [1, 0, 0], KeyS: [-1, 0, 0], ArrowDown: [-1, 0, 0],
@@ -11,10 +12,10 @@ const KEYS = {
 
 export class Pad {
   /**
-   * @param {(fields: object) => boolean} drive says a press once more
-   * @param {() => void} release says that it is over
-   * @param {() => {speed: number}} walk how fast
-   * @param {(words: string) => void} sayCut tells why a press was cut off
+   * @param {(fields: object) => boolean} drive sends the velocity of the press; returns false without a connection
+   * @param {() => void} release sends the end of the press
+   * @param {() => {speed: number}} walk returns the speed and the walking parameters
+   * @param {(words: string) => void} sayCut shows why a press was ended
    */
   constructor(drive, release, walk, sayCut) {
     this.drive = drive;
@@ -23,7 +24,7 @@ export class Pad {
     this.sayCut = sayCut;
     this.press = 0; // number of the newest press
     this.held = false;
-    this.stale = false; // what is held was cut off: all of it must be let go before anything counts
+    this.stale = false; // the press was ended while inputs were held; they are ignored until all are released
     this.stick = [0, 0];
     this.turns = new Map(); // pointer -> direction
     this.keys = new Set();
@@ -38,7 +39,7 @@ export class Pad {
     setInterval(() => this.look(), SAY_MS);
   }
 
-  /** What is asked for: forward, left, turn, each -1 to 1; null for nothing. */
+  /** Return the wanted motion [forward, left, turn], each from -1 to 1; null without input. */
   wish() {
     let [forward, left, turn] = [this.stick[0], this.stick[1], 0];
     for (const direction of this.turns.values()) turn += direction;
@@ -89,14 +90,14 @@ export class Pad {
     this.release();
   }
 
-  /** What is held is over, and counts no more until it has been let go. */
+  /** End the press; held inputs are ignored until they are released. */
   cut() {
     this.end();
     this.stick = [0, 0];
     this.pointer = undefined;
     this.turns.clear();
     this.keys.clear();
-    this.stale = this.gamepad.some(Boolean); // a pointer or a key is forgotten, a stick has to come back to its middle
+    this.stale = this.gamepad.some(Boolean); // pointers and keys are cleared, but a stick must return to its centre
     this.draw(null);
   }
 
@@ -165,7 +166,7 @@ export class Pad {
   draw(wish) {
     const [forward, left] = wish ?? [0, 0];
     const looks = [this.held, ...(wish ?? [])].join();
-    if (looks === this.drawn) return; // to lay it out takes longer than all the rest of a look
+    if (looks === this.drawn) return; // layout takes longer than the rest of an update
     this.drawn = looks;
     this.pad.classList.toggle("held", this.held);
     const reach = this.pad.clientWidth / 2 - 20;

@@ -1,17 +1,17 @@
-// What stands beside the view: mode, leader, planner, servos, services, log. Text is set as text, never as markup.
+// Panels next to the view: mode, lease holder, planner, servos, services and log. All text is set as text, never as HTML.
 
 import { LEGENDS, SHOWN, TABLES } from "./colors.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_LINES = 200;
-const NUMBERS_MS = 200; // between two looks at numbers, which nobody reads quicker: to lay them out takes longer than to draw the robot
+const NUMBERS_MS = 200; // period of numeric values; their layout takes longer than drawing the robot
 
 function set(id, words, kind = "") {
   write($(id), words);
   mark($(id), kind);
 }
 
-// A page that is given what it has already is laid out anew all the same.
+// Skip unchanged text, because the browser repeats the layout even if the new text is the same.
 function write(element, words) {
   if (element.textContent !== words) element.textContent = words;
 }
@@ -25,7 +25,7 @@ export class Panels {
     this.seat = 0;
     this.robot = null;
     this.cells = [];
-    this.newest = null; // state that is not shown in numbers yet
+    this.newest = null; // newest state whose numbers are not shown yet
   }
 
   hello(message) {
@@ -33,7 +33,7 @@ export class Panels {
     this.robot = message.robot;
     set("robot", `Sextant: ${message.robot.name}`);
     document.title = `${message.robot.name} - Sextant`;
-    $("entries").replaceChildren(); // all that there is follows
+    $("entries").replaceChildren(); // the console sends the whole log next
     const body = $("loads");
     body.replaceChildren();
     this.cells = message.robot.legs.map((leg, i) => {

@@ -1,13 +1,13 @@
-// A renderer without a graphics card draws aside, and its picture is laid on the page once it is done. A canvas that it draws on
-// by itself holds the page up for as long as a picture takes, and with it whoever holds the pad.
+// Asynchronous display for software rendering: the renderer draws off-screen, and the finished picture is copied to the page.
+// Drawing directly on the page's canvas would block the page, and the pad with it, for the duration of a picture.
 
-const SHARE = 0.4; // of the time that drawing takes at most: what holds the pad, and a robot simulated on this machine, want it, too
-const LOOK_MS = 10; // between two looks whether the picture is done
+const SHARE = 0.4; // maximum share of time for drawing; the pad and a simulator on the same machine also need the CPU
+const LOOK_MS = 10; // period of the check whether the picture is finished
 
 export class Paper {
   /**
-   * @param {HTMLCanvasElement} canvas of the page
-   * @param {WebGL2RenderingContext} gl of a canvas that is not on it, and of the same size
+   * @param {HTMLCanvasElement} canvas canvas on the page
+   * @param {WebGL2RenderingContext} gl context of an off-screen canvas of the same size
    */
   constructor(canvas, gl) {
     this.canvas = canvas;
@@ -17,7 +17,7 @@ export class Paper {
     this.image = null;
   }
 
-  /** Lay what was just drawn on the page; done when it is there and the next one may be drawn. */
+  /** Copy the picture that was just drawn to the page; resolves when the next picture may be drawn. */
   async lay() {
     const began = performance.now();
     const { gl, buffer } = this;
@@ -37,7 +37,7 @@ export class Paper {
 
   fetch(width, height) {
     const { gl, buffer, canvas, context } = this;
-    const rows = new Uint8Array(4 * width * height); // from below
+    const rows = new Uint8Array(4 * width * height); // from bottom to top
     gl.bindBuffer(gl.PIXEL_PACK_BUFFER, buffer);
     gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, rows);
     gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);

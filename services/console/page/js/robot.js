@@ -1,4 +1,4 @@
-// The robot as its profile describes it, its joints as they are measured; where it stands, and what it is about to do.
+// Model of the robot: its profile, measured joint angles, support polygon, trail, and planned path and footholds.
 
 import * as THREE from "../vendor/three/three.module.js";
 import { matte } from "./matte.js";
@@ -10,7 +10,7 @@ const IN_AIR = 0xf4f1e8;
 const TRAIL = 200; // points
 const TRAIL_STEP = 0.02; // [m]
 const MOST_FOOTHOLDS = 512;
-const LIFT = 0.004; // [m] of what is drawn on the ground above it
+const LIFT = 0.004; // [m] offset of ground markers above the ground
 
 export class Robot {
   constructor() {
@@ -18,8 +18,8 @@ export class Robot {
     this.trunk = new THREE.Group(); // {body}
     this.trunk.matrixAutoUpdate = false;
     const flat = () => new THREE.MeshBasicMaterial({ side: THREE.DoubleSide });
-    this.rings = new THREE.InstancedMesh(new THREE.RingGeometry(0.012, 0.018, 16), flat(), 6); // where feet shall come down
-    this.footholds = new THREE.InstancedMesh(new THREE.CircleGeometry(0.008, 8), flat(), MOST_FOOTHOLDS); // of a passage
+    this.rings = new THREE.InstancedMesh(new THREE.RingGeometry(0.012, 0.018, 16), flat(), 6); // planned touchdown points
+    this.footholds = new THREE.InstancedMesh(new THREE.CircleGeometry(0.008, 8), flat(), MOST_FOOTHOLDS); // footholds of a gap crossing
     this.rings.material.color.setHex(0xffffff);
     for (const mesh of [this.rings, this.footholds]) {
       mesh.count = 0;
@@ -41,7 +41,7 @@ export class Robot {
     this.built = false;
   }
 
-  /** Build it as its profile says. */
+  /** Build the model of a robot profile. */
   build(profile) {
     this.trunk.clear();
     this.profile = profile;
@@ -60,7 +60,7 @@ export class Robot {
     this.built = true;
   }
 
-  /** Foot centres {body} by joint angles, drawing the legs there. */
+  /** Draw the legs at joint angles [rad], and return the foot centres {body}. */
   pose(q, contact) {
     const [coxa, femur, tibia] = this.profile.links;
     const feet = this.profile.legs.map((leg, i) => {
@@ -80,7 +80,7 @@ export class Robot {
     return feet;
   }
 
-  /** Show a state. */
+  /** Show the state of the robot. */
   show(state) {
     if (!this.built || !state.legs || !state.pose) return;
     this.T.copy(matrix(state.pose.T));
@@ -127,7 +127,7 @@ export class Robot {
     this.rings.instanceMatrix.needsUpdate = true;
   }
 
-  /** Show a planned section of a passage. */
+  /** Show a planned section of a gap crossing. */
   passage(plan) {
     const places = pairs(plan.footholds, 3).slice(0, MOST_FOOTHOLDS);
     places.forEach(([x, y, z], k) => {
@@ -169,7 +169,7 @@ function flag() {
   return group;
 }
 
-/** Corners of the convex hull in x and y, in order. */
+/** Return the corners of the convex hull in x and y, counterclockwise. */
 function hull(points) {
   const sorted = [...points].sort((a, b) => a.x - b.x || a.y - b.y);
   const turn = (o, a, b) => (a.x - o.x) * (b.y - o.y) - (a.y - o.y) * (b.x - o.x);

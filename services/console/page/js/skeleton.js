@@ -1,11 +1,11 @@
-// All legs as one body of few corners, worked out anew for each state: without a graphics card every call and corner counts.
+// All legs as one mesh with few vertices, recomputed for each state: software rendering pays for each draw call and vertex.
 
 import * as THREE from "../vendor/three/three.module.js";
 import { matte } from "./matte.js";
 
 const SIDES = 6;
 const RADII = [0.012, 0.011, 0.008]; // [m] coxa, femur, tibia
-const COLORS = [0x3a4750, 0x6d808c, null]; // the tibia's is that of its tripod
+const COLORS = [0x3a4750, 0x6d808c, null]; // the tibia has the colour of its tripod
 const TRIPODS = [0x7fb7f0, 0xe8b64c];
 const LIMBS = 3;
 const FOOT = new THREE.OctahedronGeometry(1, 1);
@@ -39,7 +39,7 @@ export class Skeleton {
     this.mesh.frustumCulled = false;
   }
 
-  /** Place a leg's limbs between its four joints {body}, its foot in a colour. */
+  /** Place the limbs of leg `i` between its four joints {body}, and colour its foot. */
   leg(i, joints, footColor) {
     const first = i * this.perLeg;
     for (let limb = 0; limb < LIMBS; limb++) {
@@ -76,7 +76,7 @@ export class Skeleton {
     }
   }
 
-  /** All legs are placed. */
+  /** Upload the vertices after all legs are placed. */
   done() {
     for (const attribute of Object.values(this.mesh.geometry.attributes)) attribute.needsUpdate = true;
   }

@@ -1,4 +1,5 @@
-// The height map: a grid of what is known, its heights the card's, its colours a texture, so that a new map is three uploads and nothing else.
+// Elevation map: a mesh of the known cells. Heights are a vertex attribute and colours are a texture, so a new map takes only
+// three GPU uploads: heights, index and colours.
 
 import * as THREE from "../vendor/three/three.module.js";
 import { TABLES } from "./colors.js";
@@ -39,7 +40,7 @@ void main() {
 }`;
 
 export class Terrain {
-  /** @param {number} flat [mm] off a square that covers many cells, up to which one does */
+  /** @param {number} flat [mm] maximum height error of one square that replaces many cells */
   constructor(flat = 1) {
     this.flat = flat;
     this.material = new THREE.ShaderMaterial({
@@ -60,19 +61,19 @@ export class Terrain {
     this.header = null;
   }
 
-  /** Take over a map frame. */
+  /** Show a map frame: header, buffer, and offset [bytes] of the heights in it. */
   show(header, data, offset) {
     const { nx, ny } = header;
     const cells = nx * ny;
     const bytes = new Uint8Array(data, offset + 2 * cells);
     const colored = header.layer === "color";
     this.fit(nx, ny, colored);
-    this.heights.set(new Int16Array(data, offset, cells)); // where the card's copy is made of, too
+    this.heights.set(new Int16Array(data, offset, cells)); // also the source of the GPU upload
     const { geometry } = this.mesh;
     geometry.attributes.mm.needsUpdate = true;
     const corners = this.weave(nx, ny, geometry.index.array);
     geometry.index.clearUpdateRanges();
-    geometry.index.addUpdateRange(0, corners); // most of it is room for ground that is less flat
+    geometry.index.addUpdateRange(0, corners); // the rest of the buffer is reserve for less flat ground
     geometry.index.needsUpdate = true;
     geometry.setDrawRange(0, corners);
     const uniforms = this.material.uniforms;
@@ -96,8 +97,8 @@ export class Terrain {
   }
 
   /**
-   * Join the cells that are known to triangles, one square for many where the ground is flat: a renderer without a graphics
-   * card has a microsecond or more to pay for each. How many entries of the index that takes.
+   * Write the triangles between known cells to the index, and return the number of entries. One square replaces many cells on
+   * flat ground, because software rendering takes a microsecond or more per triangle.
    */
   weave(nx, ny, index) {
     const { heights, flat } = this;
@@ -138,7 +139,7 @@ export class Terrain {
     return k;
   }
 
-  /** Make a texture and a grid of the map's size, where it is another one. */
+  /** Create the geometry and the texture for the size of the map, if the size has changed. */
   fit(nx, ny, colored) {
     const uniforms = this.material.uniforms;
     const known = this.header;
@@ -173,7 +174,7 @@ export class Terrain {
     return this.tables[layer];
   }
 
-  /** Height [m] of the ground at a place, or null where nothing is known. */
+  /** Return the height [m] of the ground at a point {world}, null if it is unknown. */
   heightAt(x, y) {
     if (!this.header) return null;
     const { origin, resolution, nx, ny } = this.header;
@@ -184,7 +185,7 @@ export class Terrain {
     return mm === NO_HEIGHT ? null : mm * 0.001;
   }
 
-  /** Where a ray first meets the ground, or null. */
+  /** Return the first intersection of a ray with the ground, null without one. */
   meet(ray) {
     const step = 0.01;
     const point = new THREE.Vector3();

@@ -1,24 +1,27 @@
-// The 3-D view. It is drawn when something has changed, and never otherwise.
+// 3-D view. It is drawn only after a change.
 
 import * as THREE from "../vendor/three/three.module.js";
 import { Paper } from "./paper.js";
 import { Terrain } from "./terrain.js";
 import { Robot } from "./robot.js";
 
-const CLICK_PX = 5; // a pointer that moved less has clicked
+const CLICK_PX = 5; // a pointer that moved less counts as a click
 
 export class View {
-  /** @param {HTMLCanvasElement} canvas */
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {(point: THREE.Vector3 | null) => void} clicked receives the point on the ground {world} of a click
+   */
   constructor(canvas, clicked) {
     this.canvas = canvas;
-    this.clicked = clicked; // is told where on the ground a click went
-    THREE.ColorManagement.enabled = false; // colours are the page's, as they are
+    this.clicked = clicked;
+    THREE.ColorManagement.enabled = false; // colours are sRGB values of the page, without conversion
     this.renderedBy = rendererName();
     const software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderedBy);
     const drawnOn = software ? document.createElement("canvas") : canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas: drawnOn, antialias: !software, powerPreference: "low-power" });
     this.paper = software ? new Paper(canvas, this.renderer.getContext()) : null;
-    this.sharpness = software ? 1 : 2; // pixels of the picture to one of the page, at most
+    this.sharpness = software ? 1 : 2; // maximum device pixels per CSS pixel
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.setClearColor(0x0b1115);
     this.scene = new THREE.Scene();
@@ -30,8 +33,8 @@ export class View {
     this.target = new THREE.Vector3();
     this.eye = { azimuth: Math.PI, elevation: 0.75, distance: 1.7 };
     this.follow = true;
-    this.frames = 0; // drawn so far
-    this.dirty = this.drawing = false; // whether there is something new to draw; whether a picture is under way
+    this.frames = 0; // number of frames drawn
+    this.dirty = this.drawing = false; // whether the scene has changed; whether a frame is being drawn
     this.pointers = new Map();
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
@@ -39,7 +42,7 @@ export class View {
     this.touch();
   }
 
-  /** What is shown is no longer what is drawn. */
+  /** Request a new frame after a change of the scene. */
   touch() {
     this.dirty = true;
     if (this.drawing) return;
@@ -67,7 +70,7 @@ export class View {
     this.frames++;
   }
 
-  /** How many frames [1/s] it draws at most, measured over some seconds of going round. */
+  /** Measure and return the maximum frame rate [1/s] while the camera circles for some seconds. */
   async benchmark(seconds = 3) {
     const gl = this.renderer.getContext();
     const pixel = new Uint8Array(4);
@@ -76,7 +79,7 @@ export class View {
     while (performance.now() - began < seconds * 1000) {
       this.eye.azimuth += 0.02;
       this.render();
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel); // until it is drawn: `finish` does not wait everywhere
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel); // waits for the frame; `finish` does not wait in all browsers
       this.paper?.fetch(gl.canvas.width, gl.canvas.height);
       await new Promise((done) => setTimeout(done, 0));
     }
@@ -95,7 +98,7 @@ export class View {
     this.touch();
   }
 
-  /** Look from above or behind. */
+  /** Move the camera to the view "above" or "behind" of the robot. */
   look(from) {
     this.follow = true;
     this.eye = { azimuth: (this.yaw ?? 0) + Math.PI, elevation: from === "above" ? 1.5 : 0.6, distance: from === "above" ? 2.6 : 1.5 };
@@ -173,7 +176,7 @@ export class View {
     this.clicked(this.terrain.meet(caster.ray));
   }
 
-  /** Where on the canvas [px] a place {world} is drawn: for tests that click there. */
+  /** Return the position in the window [px] of a point {world}, for tests that click there. */
   pixel(x, y, z) {
     const at = new THREE.Vector3(x, y, z).project(this.camera);
     const box = this.canvas.getBoundingClientRect();
@@ -181,7 +184,7 @@ export class View {
   }
 }
 
-/** Who draws in this browser: a graphics card, or a program in place of one. */
+/** Return the name of the browser's renderer: a GPU or a software renderer; "" if unknown. */
 function rendererName() {
   const gl = document.createElement("canvas").getContext("webgl2");
   const info = gl?.getExtension("WEBGL_debug_renderer_info");
