@@ -60,7 +60,7 @@ def seeds_of_commit(count: int) -> list[int]:
     """
     made_by = commit()
     if not re.fullmatch(r"[0-9a-f]{7,}", made_by):
-        raise ValueError(f"a checkout without changes expected, its commit is to give the seeds; found {made_by or 'none'}")
+        raise ValueError(f"a checkout without changes expected, because its commit gives the seeds; found {made_by or 'none'}")
     head = _git(_ROOT, "rev-parse", "HEAD")
     found: set[int] = set()
     numbers = itertools.count()

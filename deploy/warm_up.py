@@ -54,7 +54,7 @@ _SHARES = ((_planner,), (_perception, _mapper, _simulator))  # both take about e
 def main() -> int:
     """Compile for all scenarios; on two cores if much is to be compiled."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.warm_up", description=__doc__)
-    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    parser.add_argument("--parent", type=int, help="id of the parent process; this process ends with it")
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)

@@ -70,7 +70,7 @@ def in_copy(work: Callable[[], Result]) -> Result:
             return ours.recv()  # type: ignore[no-any-return]
         except EOFError:
             copy.join()
-            words = f"a result of a copy of this process expected, it ended with exit code {copy.exitcode}; see stderr for why"
+            words = f"a worker process ended with exit code {copy.exitcode} and without a result; stderr shows the cause"
             raise RuntimeError(words) from None
         finally:
             copy.join()

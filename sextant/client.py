@@ -12,8 +12,8 @@ from typing import Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.order import SETTLED, STOPS, RouterRefusals, refusal
-from sextant.deploy.robot_time import RobotTime
+from sextant.deploy.robot_clock import RobotClockEstimate
+from sextant.deploy.send_command import SETTLED, STOPS, RouterRefusals, refusal
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire import topics
@@ -314,7 +314,7 @@ class Commander:
         self.leads = False  # whether this client holds the lease, or held it last and no other does
         self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
         self._may_lead, self._take = may_lead, take
-        self._robot = RobotTime()
+        self._robot = RobotClockEstimate()
         self._routers = RouterRefusals()
         self._holder = ""  # of the lease, in the newest state
         self._command: tuple[Command, int] | None = None  # and its sequence number: the robot's time [ns] when it was given

@@ -15,7 +15,7 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
-from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.shared.robot.profiles import load_profile
 from tests.test_readme import commands
 
@@ -91,7 +91,7 @@ def test_the_tutorial_runs_as_it_is_written(
     emulators.append(Emulator(box))
     status, told = run(set_id, plug, plug, "q")
     assert status == 1  # left before its end
-    assert "servo 3 (left front femur) is set, and read back: AX-12A" in told
+    assert "servo 3 (left front femur) is set and verified: AX-12A" in told
     assert "servo 5 (left front tibia) is set" in told
     status, told = run(again, plug, "q")
     assert told.startswith("2 of 18 servos have their ids")
@@ -105,7 +105,7 @@ def test_the_tutorial_runs_as_it_is_written(
     status, told = run(calibrate, *[""] * 12)
     assert (status, told.splitlines()[-1]) == (0, "6 of 6 legs calibrated; torque is off")
     own = load_profile("my_robot.toml")
-    bench = Workbench(load_profile("phantomx_mk2"), np.random.default_rng(3))
+    bench = BenchEmulator(load_profile("phantomx_mk2"), np.random.default_rng(3))
     np.testing.assert_allclose(own.trims, bench.robot.trims, atol=np.radians(0.3))
     assert {entry.date for entry in own.calibration} <= {date.today(), date.fromordinal(date.today().toordinal() - 1)}
     status, told = run([*test, "--leg", "left front"], "y", "n")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.process_table import TABLE, router_command
+from sextant.deploy.launch.process_table import TABLE, router_command
 from tests.test_readme import commands
 
 ROOT = Path(__file__).parents[1]

@@ -9,11 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sextant.deploy.output import complain as complain
-from sextant.deploy.output import say as say
+from sextant.deploy.terminal.output import complain as complain
+from sextant.deploy.terminal.output import say as say
+from sextant.shared.errors import SextantError
 
 if TYPE_CHECKING:
-    from sextant.deploy.progress import Progress
+    from sextant.deploy.terminal.progress import Progress
     from sextant.shared.scenario.scenario import Link, Scenario
     from sextant.shared.wire.transport import Endpoints
 
@@ -21,7 +22,7 @@ ROUTER = "tcp/127.0.0.1:7447"  # of the robot, by default
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
-class InputError(ValueError):
+class InputError(SextantError, ValueError):
     """Invalid input by the caller, with what is expected."""
 
 
@@ -49,7 +50,7 @@ def out_folder(arguments: argparse.Namespace, name: str) -> Path:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}; give another with --out") from None
+        raise InputError(f"cannot create the folder {out}: {error.strerror}; give another with --out") from None
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"this user may not write to the folder {out}; give another with --out")
     return out
@@ -57,7 +58,7 @@ def out_folder(arguments: argparse.Namespace, name: str) -> Path:
 
 def open_progress(as_json: bool) -> "Progress":
     """Return a progress display on stdout, or on stderr if the result is JSON."""
-    from sextant.deploy.progress import progress_for
+    from sextant.deploy.terminal.progress import progress_for
 
     return progress_for(sys.stderr if as_json else sys.stdout)
 
@@ -69,8 +70,8 @@ def warm_up(progress: "Progress") -> None:
         InputError: It failed; the message says why.
         KeyboardInterrupt: The operator interrupted it.
     """
-    from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.runs.live_run import warm_up
+    from sextant.deploy.terminal.interrupts import Interrupts
 
     with Interrupts() as interrupts:
         problem = warm_up(progress, interrupts)

@@ -1,4 +1,4 @@
-"""`sextant doctor` and `sextant compose`: machine checks and compose files."""
+"""`sextant doctor` and `sextant service compose`: machine checks and compose files."""
 
 import argparse
 from pathlib import Path
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.checks import Check
+    from sextant.deploy.doctor.check import Check
 
 
 def doctor(arguments: argparse.Namespace) -> int:
     """`sextant doctor`: check that this machine meets the services' requirements."""
-    from sextant.deploy import doctor as checks
-    from sextant.deploy.checks import Level
+    from sextant.deploy.doctor import machine_checks as checks
+    from sextant.deploy.doctor.check import Level
 
     if arguments.stranger:
         found = _strange(arguments.stranger, arguments.key_folder)
@@ -26,9 +26,9 @@ def doctor(arguments: argparse.Namespace) -> int:
 def _strange(endpoint: str, keys: str | None) -> "list[Check]":
     """Try to connect to an endpoint without authorisation."""
     try:
-        from sextant.deploy.network.stranger import examine
+        from sextant.deploy.security.security_probe import examine
     except ImportError as error:
-        raise InputError(f"{error}; their certificates are made with it: pip install 'sextant[access]'") from None
+        raise InputError(f"{error}; it makes the certificates that --stranger tries: pip install 'sextant[access]'") from None
     try:
         return examine(endpoint, Path(keys) if keys else None)
     except ValueError as error:
@@ -36,7 +36,7 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
 
 
 def compose(arguments: argparse.Namespace) -> int:
-    """`sextant compose`: print compose.yaml of a local or an offboard launch."""
+    """`sextant service compose`: print compose.yaml of a local or an offboard launch."""
     from sextant.deploy.launch.compose import compose_yaml, offboard_yaml
 
     text = offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import SUCCESS, InputError, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.network.authority import Held
+    from sextant.deploy.security.authority import Held
 
 
 def new(arguments: argparse.Namespace) -> int:
@@ -23,12 +23,12 @@ def new(arguments: argparse.Namespace) -> int:
         made: tuple[Held, ...] = authority.new(folder, addresses, arguments.days)
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}") from None
-    say(f"{folder / 'ca'}: the authority; keep it where nobody else is, it is needed by no machine that runs")
+    say(f"{folder / 'ca'}: certificate authority; keep it private, no running machine needs it")
     for one in made:
         say(f"{one.file.parent}: for {_what(one.role)}; until {one.ends:%Y-%m-%d}")
     if not arguments.robot_address:
-        say("the robot listens on this machine's loopback alone by these names; give --robot-address NAME_OR_IP for others")
-    say("copy to each machine the folder of its role, and start it with --keys FOLDER")
+        say("the robot's certificate is valid on loopback only; give --robot-address NAME_OR_IP for other machines")
+    say("copy the folder of each role to its machine, and start sextant there with --keys FOLDER")
     return SUCCESS
 
 
@@ -49,7 +49,7 @@ def _what(role: str) -> str:
 
 def _authority() -> ModuleType:
     try:
-        from sextant.deploy.network import authority
+        from sextant.deploy.security import authority
     except ImportError as error:
         raise InputError(f"{error}; certificates are made with cryptography: pip install 'sextant[access]'") from None
     return authority

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.order import Order
+    from sextant.deploy.send_command import Order
     from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.05
@@ -17,7 +17,7 @@ _LOOK_S = 0.05
 
 def order(arguments: argparse.Namespace) -> int:
     """`sextant order`: send one order to the legs, and report the result."""
-    from sextant.deploy.order import STOPS, Order
+    from sextant.deploy.send_command import STOPS, Order
     from sextant.shared.wire import topics
     from sextant.shared.wire.transport import TransportError
 
@@ -31,7 +31,7 @@ def order(arguments: argparse.Namespace) -> int:
     except TransportError as error:
         if arguments.what != "off":
             raise
-        raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` lets go without an actuator.") from None
+        raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` needs no actuator.") from None
 
 
 def _whoever_this_is() -> str:
@@ -47,7 +47,7 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
     """Send an order until it has a result, or the operator interrupts."""
     import threading
 
-    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.zenoh_runner import run_live
     from sextant.shared.wire import codec, topics
     from sextant.shared.wire.transport import ZenohLink

@@ -10,7 +10,7 @@ from sextant.shared.spelling import hint
 
 def plot(arguments: argparse.Namespace) -> int:
     """`sextant plot`: draw the figures of one run, or compare several."""
-    from sextant.deploy.plots.figures import FIGURES, draw, misfit
+    from sextant.deploy.figures.run_figures import FIGURES, draw, misfit
 
     if arguments.list:
         width = max(map(len, FIGURES))
@@ -21,17 +21,17 @@ def plot(arguments: argparse.Namespace) -> int:
         raise InputError(f"--what: no figure {unknown[0]!r}; {hint(unknown[0], FIGURES)}")
     paths = [Path(run) for run in arguments.run]
     if not paths:
-        raise InputError("a run's folder expected, found none; `sextant plot --list` names the figures")
+        raise InputError("the folder of a run expected, found none; `sextant plot --list` lists the figures")
     misfits = [words for name in arguments.what or () if (words := misfit(name, len(paths)))]
     if misfits:
         raise InputError(f"--what: {misfits[0]}")
-    from sextant.deploy.plots.numbers import comparison, markdown
-    from sextant.deploy.plots.recorded import recorded_run
+    from sextant.deploy.figures.comparison_table import comparison, markdown
+    from sextant.deploy.figures.recorded_run import recorded_run
 
     runs = [recorded_run(path, arguments.scenario) for path in paths]
     for path, run in zip(paths, runs, strict=True):
         if run.cut_off:
-            complain(f"warning: {path} was cut off; drawn as far as it goes")
+            complain(f"warning: {path} is truncated; only its readable part is drawn")
     folder = out_folder(arguments, "plot")
     drawn: list[str] = []
     empty: list[str] = []
@@ -46,5 +46,5 @@ def plot(arguments: argparse.Namespace) -> int:
         say(f"written to {folder}: {', '.join(f'{name}.{arguments.format}' for name in drawn)}")
     missing = [name for name in empty if arguments.what]
     if missing:
-        complain(f"sextant plot: nothing to show in {', '.join(missing)}: `sextant plot --list` says what each needs")
+        complain(f"sextant plot: no data for {', '.join(missing)}; `sextant plot --list` shows what each figure needs")
     return FAILED if missing or not drawn else SUCCESS

@@ -46,35 +46,35 @@ def record(arguments: argparse.Namespace) -> int:
         try:
             rotation = open_rotation(folder, profile, settings, about)
         except OSError as error:
-            raise InputError(f"nothing can be recorded to {folder}: {error}; give another folder with --out") from None
-        say(f"recording to {folder}; Ctrl-C ends it")
+            raise InputError(f"cannot record to {folder}: {error}; give another folder with --out") from None
+        say(f"recording to {folder}; Ctrl-C stops it")
         return rotation
 
     recording = _listen(arguments, opened, arguments.seconds)
     if recording.problem:
         complain(f"sextant record: {recording.problem}")
         return FAILED
-    lost = f", {recording.dropped} lost: the disk was too slow" if recording.dropped else ""
+    lost = f", {recording.dropped} lost, because the disk was too slow" if recording.dropped else ""
     say(f"recorded {recording.taken} messages, {recording.size / 1e6:.1f} MB to {folder}{lost}")
     return SUCCESS
 
 
 def foxglove(arguments: argparse.Namespace) -> int:
-    """`sextant foxglove`: serve live topics to Foxglove and Lichtblick until Ctrl-C."""
+    """`sextant topics foxglove`: serve live topics to Foxglove and Lichtblick until Ctrl-C."""
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.wire.transport import TransportError
 
     try:
-        from sextant.deploy.foxglove_server import FoxgloveServer
+        from sextant.deploy.viewers.foxglove_server import FoxgloveServer
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[foxglove]'") from None
     profile = load_profile(arguments.robot)
     try:
         server = FoxgloveServer(profile, arguments.host, arguments.port)
     except OSError as error:
-        complain(f"sextant foxglove: {error}")
+        complain(f"sextant topics foxglove: {error}")
         return FAILED
-    say(f"open {server.target} in Foxglove or Lichtblick (Open connection, Foxglove WebSocket); Ctrl-C ends it")
+    say(f"open {server.target} in Foxglove or Lichtblick (Open connection, Foxglove WebSocket); Ctrl-C stops it")
     try:
         recording = _listen(arguments, lambda: server)
     except TransportError:
@@ -91,7 +91,7 @@ def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds
     """
     import time
 
-    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.recording.live import LiveRecorder
     from sextant.shared.wire.transport import ZenohLink
 
@@ -112,18 +112,18 @@ def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds
 
 def _progress(recording: "LiveRecorder", elapsed_s: float, endpoint: str) -> str:
     if not recording.taken:
-        return f"nothing has been said at {endpoint} for {elapsed_s:.0f} s; `sextant up` starts the services"
+        return f"no message received at {endpoint} for {elapsed_s:.0f} s; `sextant up` starts the services"
     return f"{elapsed_s:6.0f} s  {recording.taken} messages, {recording.size / 1e6:.1f} MB"
 
 
 def export(arguments: argparse.Namespace) -> int:
-    """`sextant export`: write a recording in another tool's format."""
+    """`sextant recording export`: write a recording in another tool's format."""
     source = Path(arguments.recording)
     target = Path(arguments.rerun)
     if target.suffix != ".rrd":
         raise InputError(f"--rerun: a file that ends in .rrd expected, found {target}")
     try:
-        from sextant.deploy import rerun_export
+        from sextant.deploy.viewers import rerun_export
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[rerun]'") from None
     count = rerun_export.export(source, target, open_progress(False))
@@ -132,7 +132,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 
 def info(arguments: argparse.Namespace) -> int:
-    """`sextant info`: describe the contents of a recording."""
+    """`sextant recording info`: describe the contents of a recording."""
     from sextant.shared.recording.contents import as_table, contents, in_words
 
     found = contents(Path(arguments.recording))
@@ -141,7 +141,7 @@ def info(arguments: argparse.Namespace) -> int:
 
 
 def recover(arguments: argparse.Namespace) -> int:
-    """`sextant recover`: repair recordings that a crash truncated."""
+    """`sextant recording recover`: repair recordings that a crash truncated."""
     from sextant.shared.recording.layout import RecordingError
     from sextant.shared.recording.reader import files_of, is_recovered, is_whole, recovered
     from sextant.shared.recording.recovery import recover as rescue
@@ -155,18 +155,18 @@ def recover(arguments: argparse.Namespace) -> int:
             continue
         target = recovered(path)
         if target.exists() and is_whole(target):
-            say(f"{target}: recovered already; to do it again, move it away first")
+            say(f"{target}: already recovered; move it away to recover it again")
             continue
         try:
             found = rescue(path, target)
         except RecordingError as error:  # the other files of a folder are still recovered
-            complain(f"sextant recover: {error}")
+            complain(f"sextant recording recover: {error}")
             status = WRONG_INPUT
             continue
         if found.was_empty:
-            say(f"{path}: an empty recording, nothing to recover")
+            say(f"{path}: empty recording, nothing to recover")
         elif found.was_whole:
-            say(f"{path}: whole already, {found.messages} messages over {found.span_s:.1f} s")
+            say(f"{path}: already complete, {found.messages} messages over {found.span_s:.1f} s")
         else:
             words = f"; lost: {', '.join(found.lost)}" if found.lost else ""
             say(f"{target}: {found.messages} messages over {found.span_s:.1f} s{words}")
@@ -191,7 +191,7 @@ def replay(arguments: argparse.Namespace) -> int:
         from sextant.deploy.replay import sequence
 
         if arguments.only:
-            raise InputError("--only is for recorded runs: of a depth sequence everything is fed")
+            raise InputError("--only is for recorded runs; a depth sequence is always replayed in full")
         table = sequence.replay_folder(source, out, progress)
         words = sequence.in_words(table)
     text = json.dumps(table, indent=1)

@@ -1,4 +1,4 @@
-"""`sextant ros2`: the robot as a ROS 2 node, without a ROS installation."""
+"""`sextant topics ros2`: the robot as a ROS 2 node, without a ROS installation."""
 
 import argparse
 
@@ -8,7 +8,7 @@ _LOOK_S = 0.1
 
 
 def ros2(arguments: argparse.Namespace) -> int:
-    """`sextant ros2`: run a ROS 2 node over rmw_zenoh until Ctrl-C."""
+    """`sextant topics ros2`: run a ROS 2 node over rmw_zenoh until Ctrl-C."""
     import threading
     import time
 
@@ -16,9 +16,9 @@ def ros2(arguments: argparse.Namespace) -> int:
         from sextant.deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, Bridge
     except ImportError as error:
         raise InputError(f"{error}: pip install 'sextant[ros2]'") from None
-    from sextant.deploy.interrupts import Interrupts
     from sextant.deploy.ros2.lead import Lead, Walk
     from sextant.deploy.ros2.names import Node
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.runtime.zenoh_runner import run_live
     from sextant.shared.wire import codec, topics
@@ -28,7 +28,7 @@ def ros2(arguments: argparse.Namespace) -> int:
     lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))
     endpoints = met(arguments)
     if endpoints.keys is not None and not arguments.ros_connect:
-        raise InputError("nodes of ROS have no certificates: name their router, on this machine, with --ros-connect")
+        raise InputError("ROS nodes have no certificates; give their router, on this machine, with --ros-connect")
     stop = threading.Event()
     with (
         Interrupts() as interrupts,
@@ -41,9 +41,9 @@ def ros2(arguments: argparse.Namespace) -> int:
             raise InputError(str(error)) from None
         bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, arguments.pictures)
         published = (*PUBLISHED, *(PICTURES if arguments.pictures else ()))
-        say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C ends it")
+        say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C stops it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
-        say(f"listens to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")
+        say(f"subscribes to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")
         running = threading.Thread(target=run_live, args=(bridge, link, stop), kwargs={"role": endpoints.role}, name="ros2")
         running.start()
         try:

@@ -30,12 +30,12 @@ def install(arguments: argparse.Namespace) -> int:
     try:
         written = units.install(made, folder)
     except OSError as error:
-        hint = "; as root, by sudo, or leave --system out" if manager.system else ""
+        hint = "; run this command with sudo, or leave --system out" if manager.system else ""
         raise InputError(f"cannot write units to {folder}: {error.strerror}{hint}") from None
     for path in written:
         say(str(path))
     if not manager.system:
-        say("they run while you are logged in; `loginctl enable-linger` has them run from the machine's start")
+        say("they run while you are logged in; `loginctl enable-linger` starts them at boot")
     say(f"next: {manager.systemctl} daemon-reload && {manager.systemctl} enable --now {units.TARGET}")
     return SUCCESS
 
@@ -53,8 +53,8 @@ def uninstall(arguments: argparse.Namespace) -> int:
     for path in removed:
         say(f"removed {path}")
     for path in left:
-        say(f"left {path}: not as `sextant service install` left it")
-    say(f"next: {manager.systemctl} daemon-reload" if removed else f"nothing of ours is in {folder}")
+        say(f"kept {path}: changed since `sextant service install` wrote it")
+    say(f"next: {manager.systemctl} daemon-reload" if removed else f"no units of sextant in {folder}")
     return SUCCESS
 
 
@@ -74,9 +74,8 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     Raises:
         AccessError: The router would admit any client without --open, or the keys are wrong.
     """
-    from sextant.deploy import process_table
     from sextant.deploy.commands.up import asked, gate_of
-    from sextant.deploy.launch import units
+    from sextant.deploy.launch import process_table, units
     from sextant.shared.wire.transport import Endpoints
 
     rows, chosen, extra = asked(arguments)

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
-from sextant.deploy.interrupts import Interrupts
+from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.set_ids import Found, Line
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
-_NOBODY_SAYS = "nobody says that torque is off: see whether the legs give way, else switch the servos' power off"
+_NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LAST_PORT = 65535
 
 
@@ -55,7 +55,7 @@ class Terminal:
         sys.stdout.flush()
         line = sys.stdin.readline()
         if not line:
-            raise InputError("an answer expected, found the end of the input; in a script calibrate and test take --yes")
+            raise InputError("an answer expected, found the end of the input; in a script, give --yes to calibrate and test")
         return line.strip()
 
     def agree(self, question: str) -> bool:
@@ -74,7 +74,7 @@ def scan(arguments: argparse.Namespace) -> int:
     with _line(arguments, profile) as line:
         rates = " and ".join(map(str, line.rates))
         tell = complain if arguments.json else say
-        tell(f"asking {len(arguments.ids)} ids at {rates} baud; those that nobody has take a while")
+        tell(f"scanning {len(arguments.ids)} ids at {rates} baud; unused ids take longer")
         found = set_ids.scan(line, arguments.ids)
     wrong = set_ids.verdict(found, profile, arguments.ids, each=arguments.json)
     if arguments.json:
@@ -84,7 +84,7 @@ def scan(arguments: argparse.Namespace) -> int:
     if found:
         say(set_ids.in_words(found, profile))
     if holding := set_ids.holding(found, profile):
-        say(f"{holding}; `sextant servos off` lets go")
+        say(f"{holding}; `sextant servos off` turns torque off")
     for advice, alike in groupby(wrong, key=lambda problem: problem.advice):
         for problem in alike:
             say(problem.words)
@@ -92,7 +92,7 @@ def scan(arguments: argparse.Namespace) -> int:
     if not wrong:
         count, asked = len(profile.servo_names), sum(i in arguments.ids for i in profile.servo_names)
         which = f"all {count} servos of {profile.name}"
-        say(f"{which} are in order" if asked == count else f"{asked} of {which} were asked, and are in order")
+        say(f"{which} are in order" if asked == count else f"{asked} of {which} were scanned and are in order")
     return FAILED if wrong else SUCCESS
 
 
@@ -101,17 +101,17 @@ def off(arguments: argparse.Namespace) -> int:
 
     The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
-    from sextant.services.actuator.commissioning.torque_off import let_go
-    from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError
+    from sextant.services.actuator.commissioning.torque_off import torque_off
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError
 
     profile = _profile(arguments.robot)
     unlatched = _latch_off(arguments.port)
     with _ended_once():
         try:
             bus = _bridge(arguments, profile) if arguments.bridge else _bus(arguments, profile)
-        except BusGone as error:
+        except BusDisconnectedError as error:
             used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
-            lets_go = "torque is latched off: an actuator that has this port lets go at once, or as soon as its servos are back"
+            lets_go = "torque is latched off: an actuator on this port turns it off at once, or as soon as its servos respond"
             say(unlatched or lets_go)
             complain(_NOBODY_SAYS)
             if not used:
@@ -120,13 +120,13 @@ def off(arguments: argparse.Namespace) -> int:
             return FAILED
         with closing(bus):
             try:
-                left = let_go(bus)
+                left = torque_off(bus)
             except BusSetupError as error:
                 complain(f"{_NOBODY_SAYS}\nsextant servos off: {error}")
                 return FAILED
     _say_who_holds(left, profile, arguments.bridge)
     if unlatched:
-        complain(f"{unlatched}; an actuator that begins now leaves torque on where a servo has not heard this")
+        complain(f"{unlatched}; an actuator that starts now leaves torque on at servos that have not received torque off")
     return FAILED if left or unlatched else SUCCESS
 
 
@@ -137,12 +137,12 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
     alike = set(left.values())
     if off == 0 and len(alike) == 1:
-        bridge = "" if bridged else "where a microcontroller drives them --bridge reaches them, else "
+        bridge = "" if bridged else "if a microcontroller drives them, add --bridge; otherwise "
         say(f"each of {count} servos {alike.pop()}\n  -> {bridge}switch their power off")
     else:
         for servo_id, words in left.items():
-            say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
-    say(f"{off} of {count} servos say that torque is off" if left else f"torque is off: {off} of {count} servos say so")
+            say(f"{named(servo_id, profile.servo_names)} {words}\n  -> check its cable, or switch the servos' power off")
+    say(f"{off} of {count} servos confirm torque off" if left else f"torque is off: confirmed by {off} of {count} servos")
 
 
 def _latch_off(port: str) -> str:
@@ -180,13 +180,13 @@ def calibrate(arguments: argparse.Namespace) -> int:
             calibration.see_pose(profile, leg, pose)
     except ValueError as error:
         raise InputError(f"--pose: {error}") from None
-    say(f"calibrating {', '.join(legs)} into {path}" + (f"; it has {', '.join(known)}" if known else ""))
+    say(f"calibrating {', '.join(legs)} into {path}" + (f"; already calibrated: {', '.join(known)}" if known else ""))
     with _line(arguments, profile) as line:
         done = calibration.calibrate(
             line.at(line.rates[0]),
             profile,
             Terminal(arguments.yes),
-            lambda entry: say(f"{entry.leg}: kept in {calibration_file.keep(path, entry, base) and path}"),
+            lambda entry: say(f"{entry.leg}: written to {calibration_file.keep(path, entry, base) and path}"),
             date.today(),
             legs=legs,
             pose_deg=pose,
@@ -196,14 +196,14 @@ def calibrate(arguments: argparse.Namespace) -> int:
 
 def test(arguments: argparse.Namespace) -> int:
     """`sextant servos test`: move each joint a little, one at a time."""
-    from sextant.services.actuator.commissioning.joint_test import exercise
+    from sextant.services.actuator.commissioning.joint_test import run_joint_test
     from sextant.shared.robot.profile import LEGS
 
     profile = _profile(arguments.robot)
     chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
     operator, legs = Terminal(arguments.yes), arguments.leg or LEGS
     with _line(arguments, profile) as line:
-        moved = exercise(line.at(line.rates[0]), profile, operator, time.monotonic_ns, legs=legs, hold_after=chosen)
+        moved = run_joint_test(line.at(line.rates[0]), profile, operator, time.monotonic_ns, legs=legs, hold_after=chosen)
     if moved is None:
         return FAILED
     wrong = [one.name for one in moved if one.problem]
@@ -216,13 +216,13 @@ def emulate(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     try:
-        from sextant.services.simulator.servo_bus.bench_emulator import HELP, Workbench
+        from sextant.services.simulator.servo_bus.bench_emulator import HELP, BenchEmulator
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
-        raise InputError(f"{error}; pip install -e '.[simulator]' brings what emulated servos need") from None
+        raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
     if arguments.listen > _LAST_PORT:
         raise InputError(f"a port up to {_LAST_PORT} expected, found {arguments.listen}; give another with --listen")
-    bench = Workbench(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
+    bench = BenchEmulator(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
     try:
         server = TcpBusServer(bench, port=arguments.listen, turns_away=True)
     except OSError as error:
@@ -279,7 +279,7 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
     """Open the servos at the port, at a baud rate [1/s]; None is the robot's own.
 
     Raises:
-        BusGone: The port cannot be opened.
+        BusDisconnectedError: The port cannot be opened.
     """
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
     from sextant.shared.servo import dynamixel as dxl
@@ -300,7 +300,7 @@ def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
     """Open the servos behind a microcontroller at the port.
 
     Raises:
-        BusGone: The port cannot be opened.
+        BusDisconnectedError: The port cannot be opened.
     """
     from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
@@ -324,7 +324,7 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
     if path.suffix != ".toml":  # `--robot` accepts only .toml files as profiles
         raise InputError(f"--out: a file that ends in .toml expected, found {path}")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(f"--out: a folder that is there and may be written expected, found {path.parent.resolve()}")
+        raise InputError(f"--out: an existing, writable folder expected, found {path.parent.resolve()}")
     base, profile = robot, _profile(robot)
     if robot.endswith(".toml"):
         base = os.path.relpath(Path(robot).resolve(), path.resolve().parent)
@@ -337,12 +337,12 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
-    from sextant.services.actuator.commissioning.bus_scan import Voice
+    from sextant.services.actuator.commissioning.bus_scan import BusResponse
     from sextant.shared.servo import dynamixel as dxl
 
     seen = one.seen
     row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}
-    if seen.voice is not Voice.CLEAR:
-        return row | {"problem": seen.voice.value}
+    if seen.response is not BusResponse.CLEAR:
+        return row | {"problem": seen.response.value}
     measured = {"voltage": round(seen.voltage, 1), "temperature": seen.temperature}
     return row | {"model": seen.model, "firmware": seen[dxl.FIRMWARE], **measured}

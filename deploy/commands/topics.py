@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.overheard import Heard
+    from sextant.deploy.topics.passive_subscriber import Heard
     from sextant.shared.runtime.service import AnyTopic
 
 _LOOK_S = 0.1
@@ -33,19 +33,19 @@ def list_topics(arguments: argparse.Namespace) -> int:
 def docs(arguments: argparse.Namespace) -> int:
     """`sextant topics docs`: print docs/keys.md."""
     try:
-        from sextant.deploy.keys_page import page
+        from sextant.deploy.topics.keys_page import page
 
         text = page()
     except ImportError as error:
-        raise InputError(f"{error}; who reads and writes is asked of all services: pip install 'sextant[all]'") from None
+        raise InputError(f"{error}; the page needs all services installed: pip install 'sextant[all]'") from None
     say(text.rstrip("\n"))
     return SUCCESS
 
 
 def echo(arguments: argparse.Namespace) -> int:
     """`sextant topics echo`: print messages until Ctrl-C or up to a count."""
-    from sextant.deploy.interrupts import Interrupts
-    from sextant.deploy.overheard import Mailbox, listen
+    from sextant.deploy.terminal.interrupts import Interrupts
+    from sextant.deploy.topics.passive_subscriber import Mailbox, listen
     from sextant.shared.wire.transport import ZenohLink
 
     wanted, told = _wanted(arguments), 0
@@ -70,13 +70,17 @@ def echo(arguments: argparse.Namespace) -> int:
 
 def _tell(heard: "Heard", as_json: bool) -> int:
     """Print one message, or why it cannot be decoded; return how many were printed."""
-    from sextant.deploy import shown
+    from sextant.deploy.topics import message_format
     from sextant.shared.wire.codec import DecodeError
 
     try:
-        text = json.dumps(shown.for_scripts(heard), ensure_ascii=False) if as_json else shown.in_words(heard) + "\n"
+        text = (
+            json.dumps(message_format.for_scripts(heard), ensure_ascii=False)
+            if as_json
+            else message_format.in_words(heard) + "\n"
+        )
     except DecodeError as error:
-        complain(shown.refusal(heard.topic, error))
+        complain(message_format.refusal(heard.topic, error))
         return 0
     say(text)
     return 1
@@ -84,13 +88,13 @@ def _tell(heard: "Heard", as_json: bool) -> int:
 
 def hz(arguments: argparse.Namespace) -> int:
     """`sextant topics hz`: measure rate and bandwidth of each topic."""
-    from sextant.deploy import rates
-    from sextant.deploy.interrupts import Interrupts
-    from sextant.deploy.overheard import listen
+    from sextant.deploy.terminal.interrupts import Interrupts
+    from sextant.deploy.topics import topic_stats
+    from sextant.deploy.topics.passive_subscriber import listen
     from sextant.shared.wire.transport import ZenohLink
 
     wanted = _wanted(arguments)
-    counted, endpoints = rates.Rates(wanted), met(arguments)
+    counted, endpoints = topic_stats.Rates(wanted), met(arguments)
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         began_ns = time.monotonic_ns()
         listen(link, wanted, counted.take, time.monotonic_ns)
@@ -98,7 +102,7 @@ def hz(arguments: argparse.Namespace) -> int:
         rows = counted.rows(duration_s)
     if not any(row.frames for row in rows):
         return _silent(wanted, argparse.Namespace(**{**vars(arguments), "within": duration_s}))
-    say(json.dumps(rates.for_scripts(rows, duration_s), indent=1) if arguments.json else rates.in_words(rows))
+    say(json.dumps(topic_stats.for_scripts(rows, duration_s), indent=1) if arguments.json else topic_stats.in_words(rows))
     return INTERRUPTED if interrupts.asked() else SUCCESS
 
 
@@ -110,14 +114,14 @@ def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
 
 
 def _wanted(arguments: argparse.Namespace) -> "tuple[AnyTopic, ...]":
-    from sextant.deploy.overheard import ONLY_BY_NAME, topics_named
+    from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, topics_named
 
     try:
         wanted = topics_named(arguments.keys)
     except ValueError as error:
         raise InputError(str(error)) from None
     if not arguments.keys:
-        complain(f"without {', '.join(t.key for t in ONLY_BY_NAME)}, which are heavy or made only for who asks: name them")
+        complain(f"not subscribed: {', '.join(t.key for t in ONLY_BY_NAME)} (large, or published only on request); name them")
     return wanted
 
 
@@ -125,8 +129,8 @@ def _silent(wanted: "tuple[AnyTopic, ...]", arguments: argparse.Namespace) -> in
     where = ", ".join(arguments.connect or [ROUTER])
     what = wanted[0].key if len(wanted) == 1 else f"any of {len(wanted)} topics"
     complain(
-        f"sextant {arguments.name}: nothing was heard of {what} within {arguments.within:.3g} s at {where}, namespace "
-        f"{arguments.namespace}; is the robot up (`sextant up`), and was it given another --namespace? `sextant topics hz` "
-        "shows which topics speak"
+        f"sextant {arguments.name}: no message of {what} received within {arguments.within:.3g} s at {where}, namespace "
+        f"{arguments.namespace}; is the robot up (`sextant up`), and does it use this --namespace? `sextant topics hz` "
+        "shows which topics are published"
     )
     return FAILED

@@ -13,13 +13,13 @@ def trials(arguments: argparse.Namespace) -> int:
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
     out = out_folder(arguments, f"trials-{scenario.name}")
-    from sextant.deploy.trials import batch as batches
+    from sextant.deploy.campaign import trials as batches
 
     progress = open_progress(arguments.json)
     seeing = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, say=progress.say)
     baseline = None
     if arguments.blind:
-        progress.say("the same without a map")
+        progress.say("now the same seeds without a map")
         baseline = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, blind=True, say=progress.say)
     text = batches.to_json(seeing, baseline)
     say(text.rstrip("\n") if arguments.json else batches.words(seeing, baseline))
@@ -34,10 +34,10 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
     Print one table of all of them.
     """
-    from sextant.deploy.trials import campaign_table as tables
-    from sextant.deploy.trials import kept
-    from sextant.deploy.trials.campaign import run_campaign
-    from sextant.deploy.trials.passage_table import markdown as sections
+    from sextant.deploy.campaign import campaign_table as tables
+    from sextant.deploy.campaign import results_store
+    from sextant.deploy.campaign.campaign import run_campaign
+    from sextant.deploy.campaign.passage_table import markdown as sections
 
     passages = arguments.scenario == "passages"
     asked = as_asked(arguments)
@@ -48,7 +48,7 @@ def _campaign(arguments: argparse.Namespace) -> int:
     found = run_campaign(courses, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear, table=table)
     say(tables.to_json(found).rstrip("\n") if arguments.json else tables.markdown(found, table))
     if passages and not arguments.json:
-        say(sections(kept.read(out / "campaign.jsonl")))
+        say(sections(results_store.read(out / "campaign.jsonl")))
     tables.write(found, out, table)
     if not arguments.json:
         say(f"written to {out}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
@@ -57,11 +57,11 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
 def table(arguments: argparse.Namespace) -> int:
     """`sextant trials table`: print a table of stored runs, without running anything."""
-    from sextant.deploy.trials import campaign_table as tables
-    from sextant.deploy.trials import kept, passage_table
+    from sextant.deploy.campaign import campaign_table as tables
+    from sextant.deploy.campaign import passage_table, results_store
 
-    paths = kept.files([Path(place) for place in arguments.kept])
-    runs = [run for path in paths for run in kept.read(path)]
+    paths = results_store.files([Path(place) for place in arguments.kept])
+    runs = [run for path in paths for run in results_store.read(path)]
     if not runs:
         raise InputError(f"no finished run in {', '.join(map(str, paths))}")
     if arguments.of == "sections" and not arguments.json:

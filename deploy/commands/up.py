@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.network.gate import Gate
-    from sextant.deploy.process_table import Choices, Process
+    from sextant.deploy.launch.process_table import Choices, Process
+    from sextant.deploy.security.router_security import Gate
 
 
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: run the processes of a role until Ctrl-C."""
-    from sextant.deploy import process_table
-    from sextant.deploy.interrupts import Interrupts
-    from sextant.deploy.launch.half import Half
+    from sextant.deploy.launch import process_table
+    from sextant.deploy.launch.host_launcher import Half
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.process_priority import allow_many_files
 
     rows, chosen, extra = asked(arguments)
@@ -35,7 +35,7 @@ def up(arguments: argparse.Namespace) -> int:
         gated = _apart(gate_of(arguments, rows, _usual(arguments)))
         with Half(arguments.role, rows, chosen, extra, gated, complain) as half:
             say(half.where())
-            say(f"starting {', '.join(half.names)}; Ctrl-C ends them")
+            say(f"starting {', '.join(half.names)}; Ctrl-C stops them")
             if paged:
                 say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
             problem = ""
@@ -46,7 +46,7 @@ def up(arguments: argparse.Namespace) -> int:
             else:
                 half.stop(interrupts.insisted)
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
-        say("the servos hold, or hang, as they did; `sextant servos off` takes their torque off")
+        say("the servos keep their torque on or off, as it was; `sextant servos off` turns it off")
     return FAILED if problem else INTERRUPTED
 
 
@@ -71,7 +71,7 @@ def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices,
 
 def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
     """Return the requested processes: those of the role, plus --with, minus --without."""
-    from sextant.deploy import process_table
+    from sextant.deploy.launch import process_table
 
     usual = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
     try:
@@ -92,10 +92,10 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
     Raises:
         AccessError: The router would admit any client without --open, or the keys are wrong.
     """
-    from sextant.deploy.network import gate
+    from sextant.deploy.security import router_security
 
     keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
-    gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
+    gated = router_security.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
     gated.configuration()  # raises if the keys are wrong, before anything starts
     if misplaced := gated.misplaced([row.name for row in rows]):
         raise InputError(misplaced)
@@ -115,7 +115,7 @@ def _apart(gated: "Gate") -> "Gate":
 def _usual(arguments: argparse.Namespace) -> str:
     """Return the usual router endpoint, or one with a free port if it is taken."""
     from sextant.deploy.launch.launcher import free_port, port_taken
-    from sextant.deploy.process_table import ROUTER_ENDPOINT
+    from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
 
     if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
@@ -124,7 +124,7 @@ def _usual(arguments: argparse.Namespace) -> str:
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
     from sextant.deploy.launch.launcher import free_port
-    from sextant.deploy.process_table import Choices, choices
+    from sextant.deploy.launch.process_table import Choices, choices
     from sextant.shared.scenario.scenario import load_scenario
 
     robot = asked_robot(arguments)
@@ -148,7 +148,7 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
 
     if not any(row.side == "device" for row in rows):
         if camera:
-            raise InputError("--camera: no camera is started here; leave --scenario out, and take the role all or onboard")
+            raise InputError("--camera: no camera is started here; leave --scenario out, and use the role all or onboard")
         return "none"
     device = str(camera or load_profile(robot).camera.device)
     if device not in ("openni2", "realsense", "none"):
@@ -161,7 +161,7 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
-    from sextant.deploy.process_table import further_settings
+    from sextant.deploy.launch.process_table import further_settings
 
     try:
         return further_settings(assignments, rows)
@@ -180,7 +180,7 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
     if not port_taken(usual):
         return usual
     port = free_port()
-    say(f"port {usual} is taken, so the operator's page is on {port}; --set console.port=PORT takes another")
+    say(f"port {usual} is taken, so the operator's page is on {port}; --set console.port=PORT selects another")
     return port
 
 
@@ -192,8 +192,8 @@ def _see_servo_port(settings: Sequence[str]) -> None:
     port = load_settings(Settings, None, settings).port
     if "://" not in port and not Path(port).exists():
         raise InputError(
-            f"no servo port {port}; plug in its adapter, or name another with --set actuator.port=/dev/ttyUSB1, or --scenario "
-            "simulates the robot; `sextant doctor --port` checks one"
+            f"no servo port {port}; plug in its adapter, name another with --set actuator.port=/dev/ttyUSB1, or simulate it "
+            "with --scenario; `sextant doctor --port` checks a port"
         )
 
 

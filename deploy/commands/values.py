@@ -80,7 +80,7 @@ def minutes(text: str) -> float:
     except ValueError:
         found = 0.0
     if not 0.5 <= found <= 1440.0:
-        raise argparse.ArgumentTypeError(f"minutes of at least half a one and at most a day expected, found {text!r}")
+        raise argparse.ArgumentTypeError(f"minutes from 0.5 to 1440 expected, found {text!r}")
     return found
 
 
@@ -91,7 +91,7 @@ def seconds(text: str) -> float:
     except ValueError:
         found = 0.0
     if not 0.0 < found <= 86400.0:
-        raise argparse.ArgumentTypeError(f"seconds of more than 0 and at most a day expected, found {text!r}")
+        raise argparse.ArgumentTypeError(f"seconds above 0 and up to 86400 expected, found {text!r}")
     return found
 
 
@@ -117,7 +117,7 @@ def times(text: str) -> float:
 
 def rate(text: str) -> float:
     """Parse a frame rate [Hz]."""
-    return _number(text, 1.0, 120.0, "pictures a second")
+    return _number(text, 1.0, 120.0, "frames per second")
 
 
 def instant(text: str) -> float:

@@ -12,7 +12,7 @@ from sextant.deploy.commands.common import SUCCESS, InputError, complain, say
 if TYPE_CHECKING:
     from sextant.deploy.video.ground import Ground
     from sextant.deploy.video.sinking import Sinking
-    from sextant.deploy.video.story import Story
+    from sextant.deploy.video.timeline import Story
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
@@ -21,26 +21,26 @@ _FEET_OFF = 0.02  # [m] median height of standing feet off the ground beyond whi
 
 def video(arguments: argparse.Namespace) -> int:
     """`sextant video`: draw the recorded robot on its ground."""
-    from sextant.deploy.video import files
+    from sextant.deploy.video import video_writer
     from sextant.deploy.video.film import Cut, Film
-    from sextant.deploy.video.story import Story
+    from sextant.deploy.video.timeline import Story
     from sextant.shared.recording.reader import Recording
     from sextant.shared.robot.profiles import load_profile
 
     run = Path(arguments.run)
     out = Path(arguments.out) if arguments.out else _beside(run)
-    if out.suffix.lower() not in files.SUFFIXES:
-        raise InputError(f"--out: a name that ends in one of {', '.join(files.SUFFIXES)} expected, found {out.name!r}")
+    if out.suffix.lower() not in video_writer.SUFFIXES:
+        raise InputError(f"--out: a name that ends in one of {', '.join(video_writer.SUFFIXES)} expected, found {out.name!r}")
     recording = Recording(_recording_of(run))
     story = Story.read(recording)
     for path in recording.cut_off:
-        complain(f"{path} was cut off: it is drawn as far as it goes, {story.duration_s:.1f} s")
+        complain(f"{path} is truncated; its first {story.duration_s:.1f} s are drawn")
     about = _about(run, recording.about, story)
     profile = load_profile(about["robot"])
     ground, sinking = _ground(about, story, profile, arguments.scenario)
     cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
     try:
-        title = _title(about) if ground is not None else f"{_title(about)}, on the map it made"
+        title = _title(about) if ground is not None else f"{_title(about)}, on the robot's map"
         film = Film(recording.path, story, profile, ground, title, cut, sinking)
     except ValueError as error:
         raise InputError(f"{run}: {error}") from None
@@ -54,12 +54,12 @@ def video(arguments: argparse.Namespace) -> int:
             began = now
         elif now - told >= _TOLD_EVERY_S:
             told = now
-            say(f"{done:6d} of {total} pictures, {(now - began) / (done - 1) * (total - done):.0f} s to go")
+            say(f"{done:6d} of {total} frames, {(now - began) / (done - 1) * (total - done):.0f} s left")
 
     workers = min(os.cpu_count() or 1, 8)
-    count = files.write(out, film.frames(workers, tell), cut.fps, cut.size)
+    count = video_writer.write(out, film.frames(workers, tell), cut.fps, cut.size)
     seconds, size = count / cut.fps, out.stat().st_size
-    say(f"{out}: {count} pictures, {seconds:.1f} s at {cut.fps:g} a second, {size / 1e6:.1f} MB")
+    say(f"{out}: {count} frames, {seconds:.1f} s at {cut.fps:g} frames per second, {size / 1e6:.1f} MB")
     return SUCCESS
 
 
@@ -70,7 +70,7 @@ def _beside(run: Path) -> Path:
 def _recording_of(run: Path) -> Path:
     """Return the path of a run; raise InputError if it does not exist."""
     if not run.exists():
-        raise InputError(f"{run}: no such run; give the folder that `sextant run` left, or a recording")
+        raise InputError(f"{run}: no such run; give the output folder of `sextant run`, or a recording")
     return run
 
 
@@ -106,7 +106,7 @@ def _ground(
 
     from sextant.deploy.video.ground import of_terrain
     from sextant.deploy.video.sinking import Sinking
-    from sextant.deploy.video.story import trail
+    from sextant.deploy.video.timeline import trail
     from sextant.services.simulator.physics.terrain import build_terrain
     from sextant.shared.files.config import ConfigError
     from sextant.shared.scenario.scenario import load_scenario
@@ -122,9 +122,9 @@ def _ground(
         problem = str(error).splitlines()[0]
     else:
         off = float(story.feet_off(terrain.height_at, profile.foot.radius))
-        problem = f"the feet stood {100 * off:.0f} cm off the ground of {name} as it is now" if off > _FEET_OFF else ""
+        problem = f"the feet stood {100 * off:.0f} cm off the present ground of {name}" if off > _FEET_OFF else ""
     if problem:
-        complain(f"{problem}: drawn on the map that the robot made; --scenario FILE names another ground")
+        complain(f"{problem}; the video shows the robot's map instead; --scenario FILE selects another ground")
         story.draw_truth(False)
         return None, None
     steps = range(story.began_ns, story.ended_ns + 1, 500_000_000)

@@ -20,14 +20,14 @@ from sextant.deploy.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from sextant.deploy.judging.report import Report
+    from sextant.deploy.evaluation.report import Report
     from sextant.shared.wire.transport import Endpoints
 
 
 def run(arguments: argparse.Namespace) -> int:
     """`sextant run`: run one scenario, over Zenoh or in lockstep."""
     if arguments.lockstep and arguments.connect:
-        raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
+        raise InputError("--lockstep runs in one process and connects to no router; leave --connect out")
     if arguments.bridge and arguments.connect:
         raise InputError("--bridge is for services that this command starts; leave --connect out")
     if arguments.record_depth and not arguments.lockstep:
@@ -57,12 +57,12 @@ DEMOS = {
     ),
     "gap": _Demo(
         "passage1",
-        "A six-legged robot stands before a gap of 80 cm that only six pillars bridge. It stops, looks from higher up, plans "
-        "foothold by foothold on what it saw, and crosses one leg at a time.",
+        "A six-legged robot stands before a gap of 80 cm with only six pillars in it. It stops, looks from higher up, plans "
+        "each foothold on its map, and crosses one leg at a time.",
         "passage.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
     ),
 }
-_TALKING = "Six processes talk over Zenoh; the simulator is only a camera and a servo bus to them."
+_TALKING = "Six processes communicate over Zenoh; the simulator stands in for the camera and the servo bus."
 _LINE = 119  # characters
 
 
@@ -102,10 +102,10 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
 def _run_live(arguments: argparse.Namespace) -> int:
     scenario = asked_scenario(arguments)
     if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
-        raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
+        raise InputError(f"{scenario.name} injects faults into services that this command starts; leave --connect out")
     progress = open_progress(arguments.json)
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
-    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
     with Interrupts() as interrupts:
@@ -131,7 +131,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
 
 
 def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --lockstep or close programs") -> int:
-    from sextant.deploy.judging.report import FILE, to_json
+    from sextant.deploy.evaluation.report import FILE, to_json
 
     if as_json:
         say(to_json(report).rstrip("\n"))

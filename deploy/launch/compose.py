@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from sextant.deploy.process_table import (
+from sextant.deploy.launch.process_table import (
     ENVIRONMENT,
     ROUTER_ENDPOINT,
     Choices,
@@ -35,7 +35,7 @@ _LATCHED = ("actuator", "stop")
 PIDS = 128  # limit of processes and threads per container; the measured maximum is 55
 _HANG_S = 5.0  # [s] a health check may take in addition to its wait for a sign of life
 _HEAD = """\
-# Made by `sextant compose{option}`; change deploy/process_table.py or deploy/launch/compose.py and make it again.
+# Made by `sextant service compose{option}`; change process_table.py or compose.py in deploy/launch, and make it again.
 {usage}
 name: {name}
 
@@ -83,7 +83,7 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
     """
     if scenario.endswith(".toml"):
         raise ConfigError(
-            "scenario", ["the name of a scenario that comes with sextant expected: containers do not see the file"]
+            "scenario", ["the name of a scenario that comes with sextant expected; containers cannot read a file"]
         )
     chosen: Choices = choices(load_scenario(scenario), scenario, seed)
     services = commands(rows("all", simulated=True), chosen, _ENDPOINTS)
@@ -203,7 +203,7 @@ def _health(command: Command) -> list[str]:
     ends = ("--end-hung",) if command.watchdog_s else ()
     return [
         "    healthcheck:",
-        f"      test: {json.dumps(['CMD', 'python', '-m', 'sextant.deploy.healthy', *port, *ends])}",
+        f"      test: {json.dumps(['CMD', 'python', '-m', 'sextant.deploy.launch.healthcheck', *port, *ends])}",
         "      interval: 10s",
         f"      timeout: {round(command.watchdog_s + _HANG_S)}s",
         "      retries: 1",

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
-from sextant.deploy import process_table
-from sextant.deploy.launch.half import Half
+from sextant.deploy.launch import process_table
+from sextant.deploy.launch.host_launcher import Half
 from sextant.deploy.launch.launcher import Launcher, free_port
-from sextant.deploy.network.gate import Gate
-from sextant.deploy.process_table import ENVIRONMENT, Choices, Command, Process
+from sextant.deploy.launch.process_table import ENVIRONMENT, Choices, Command, Process
+from sextant.deploy.security.router_security import Gate
 from sextant.services.console.config import Settings
 from sextant.services.console.fleet_proxy.config import is_name
+from sextant.shared.errors import SextantError
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile
 
@@ -25,7 +26,7 @@ _LOBBY_SILENT_S = 10.0
 _LOBBY_MB = 128
 
 
-class FleetError(ValueError):
+class FleetError(SextantError, ValueError):
     """A fleet that cannot be started; the message names the robot."""
 
 
@@ -41,7 +42,7 @@ class Member:
     set: tuple[str, ...] = ()  # SERVICE.KEY=VALUE, as for `sextant up --set`
 
     checks = (
-        config.together("connect", lambda connect: len(connect) > 0, "one endpoint at least, e.g. tls/hexapod.local:7448,"),
+        config.together("connect", lambda connect: len(connect) > 0, "at least one endpoint, e.g. tls/hexapod.local:7448,"),
         *config.each("connect", lambda endpoint: "/" in endpoint, "an endpoint, e.g. tls/hexapod.local:7448,"),
     )
 
@@ -79,7 +80,7 @@ class Fleet:
 
     checks = (
         config.Check(("robots",), lambda robots: _misnamed(robots)),
-        config.together("robots", lambda robots: len(robots) > 0, "one table [robots.NAME] at least"),
+        config.together("robots", lambda robots: len(robots) > 0, "at least one table [robots.NAME]"),
     )
 
     def __post_init__(self) -> None:
@@ -207,15 +208,15 @@ class Base:
         """
         for name, (half, own) in list(self._halves.items()):
             if problem := half.beat(0.0):
-                self._say(f"{name}: {problem}; the other robots go on")
+                self._say(f"{name}: {problem}; the other robots continue")
                 del self._halves[name]
                 own.close()
         if not self._halves:
-            return "nothing is left that runs"
+            return "no robot's processes are left running"
         for ended in self._lobby.wait(wait_s):
             self._say(str(ended))
             if not ended.restarted:
-                return "the page of all robots does not stay up"
+                return "the page of all robots keeps failing"
         return ""
 
     def stop(self, insisted: Callable[[], bool]) -> None:

@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import Self
 
 from sextant.deploy.launch.ports import port_taken as port_taken
-from sextant.deploy.launch.pulses import LOOK_S, Pulses, unwatched
-from sextant.deploy.process_table import Command
+from sextant.deploy.launch.process_table import Command
+from sextant.deploy.launch.watchdog_listener import LOOK_S, WatchdogListener, unwatched
 from sextant.shared.wire.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # [s] between SIGTERM and SIGKILL
@@ -45,7 +45,7 @@ def free_port() -> int:
         if port not in _given and not port_taken(port):
             _given.append(port)
             return port
-    raise TransportError(f"no free TCP port found in {_PORTS.start} to {_PORTS.stop} on 127.0.0.1; close what listens there")
+    raise TransportError(f"no free TCP port in {_PORTS.start} to {_PORTS.stop} on 127.0.0.1; close programs that listen there")
 
 
 @contextlib.contextmanager
@@ -81,7 +81,7 @@ class Ended:
     restarted: bool  # whether it was started again
 
     def __str__(self) -> str:
-        said = f"; its last words: {self.last_words}" if self.last_words else " without a word"
+        said = f"; last output: {self.last_words}" if self.last_words else " without output"
         return f"{self.name} ended ({self.how}){said}{'; started again' if self.restarted else ''}"
 
 
@@ -124,12 +124,12 @@ class Launcher:
         self._children: dict[str, _Child] = {}
         self._waiting: list[Command] = []  # not started yet, because they wait for others to be ready
         self._stirred = threading.Event()  # a child may have ended
-        self._pulses: Pulses | None = None  # signs of life of the watched children
+        self._pulses: WatchdogListener | None = None  # signs of life of the watched children
 
     def __enter__(self) -> Self:
         self._waiting = list(self._commands)
         if any(command.watchdog_s for command in self._commands):
-            self._pulses = Pulses(time.monotonic())
+            self._pulses = WatchdogListener(time.monotonic())
         try:
             self._start_waiting()
         except OSError:
@@ -318,7 +318,7 @@ def last_words(lines: Sequence[str]) -> str:
     said = [line for line in lines if line.strip()]
     frames = [match for line in said[_aborted(said) :] if (match := _FRAME.fullmatch(line))][:_FRAMES]
     if frames:
-        return "it was in " + ", called by ".join(f"{frame['function']} ({frame['file']}:{frame['line']})" for frame in frames)
+        return "stopped in " + ", called by ".join(f"{frame['function']} ({frame['file']}:{frame['line']})" for frame in frames)
     starts = [i for i, line in enumerate(said) if line.startswith("Traceback (most recent call last)")]
     if starts:
         after = said[starts[-1] + 1 :]

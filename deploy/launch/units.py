@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sextant.deploy.process_table import Command
+from sextant.deploy.launch.process_table import Command
+from sextant.shared.errors import SextantError
 from sextant.shared.files import whole_files
 
 TARGET = "sextant.target"
@@ -81,7 +82,7 @@ class Manager:
         return Path("/etc/systemd/system") if self.system else Path.home() / ".config" / "systemd" / "user"
 
 
-class UnitError(ValueError):
+class UnitError(SextantError, ValueError):
     """A unit that `install` did not write, with advice."""
 
 
@@ -109,8 +110,8 @@ def install(made: Mapping[str, str], folder: Path) -> list[Path]:
     """
     if foreign := [name for name in made if (folder / name).exists() and not _ours(folder / name)]:
         raise UnitError(
-            f"{', '.join(str(folder / name) for name in foreign)}: not as `sextant service install` left it; move it away, and "
-            "put changes of your own into a drop-in (`systemctl edit`)"
+            f"{', '.join(str(folder / name) for name in foreign)}: changed since `sextant service install` wrote it; move it "
+            "away, and make your changes in a drop-in (`systemctl edit`)"
         )
     whole_files.make_folder(folder)
     for path in installed(folder):
@@ -131,7 +132,7 @@ def uninstall(folder: Path, systemctl: str) -> tuple[list[Path], list[Path]]:
         UnitError: The target is still enabled.
     """
     if links := sorted(folder.glob(f"*.wants/{TARGET}")):
-        raise UnitError(f"{links[0]}: it is still enabled; `{systemctl} disable --now {TARGET}` first")
+        raise UnitError(f"{links[0]}: still enabled; run `{systemctl} disable --now {TARGET}` first")
     removed = installed(folder)
     for path in removed:
         path.unlink()
@@ -199,7 +200,7 @@ def _service(command: Command, manager: Manager) -> str:
 def _target(services: Sequence[str], manager: Manager) -> str:
     lines = [
         "[Unit]",
-        "Description=Sextant, all that runs on this machine",
+        "Description=Sextant, all processes of this machine",
         f"Wants={' '.join(services)}",
         "",
         "[Install]",

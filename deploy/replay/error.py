@@ -1,5 +1,7 @@
 """Error for recordings that cannot be replayed."""
 
+from sextant.shared.errors import SextantError
 
-class ReplayError(ValueError):
+
+class ReplayError(SextantError, ValueError):
     """A recording does not fit; the message states where."""

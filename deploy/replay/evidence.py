@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.judging.stage_times import rounded
+from sextant.deploy.evaluation.stage_times import rounded
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import BodyPose
@@ -165,7 +165,7 @@ class Evidence:
         if not after:
             return f"a trajectory needs at least 2 pictures, found {len(self.pictures)}; record a longer sequence"
         if not any(p.depth.measured > 0 for p in self.pictures):
-            return "no picture has a single depth other than 0; check that the images are 16-bit depth images"
+            return "all depths of all pictures are 0; check that the images are 16-bit depth images"
         out_of_range = self.used < limits.min_in_range
         if out_of_range and self.depths[1] < self.sensor.min_range:
             return self._out_of_range()  # nearer than the camera measures, so what registers is not depth
@@ -213,7 +213,7 @@ class Evidence:
         if truth.rms_m > allowed_m:
             return (
                 f"the trajectory is {1e3 * truth.rms_m:.0f} mm rms off groundtruth.txt, {1e3 * allowed_m:.0f} mm allowed, "
-                f"though the pictures register: they look alike in different places, or camera.toml does not fit them"
+                f"though the pictures register: different places look alike, or camera.toml is wrong"
             )
         return ""
 
@@ -234,13 +234,13 @@ class Evidence:
         )
         if self.fitting_scale is not None:
             return f"{found}; depth_scale = {self.fitting_scale:g} in camera.toml fits"
-        return f"{found}; set min_range and max_range in camera.toml if the camera measures these depths well"
+        return f"{found}; set min_range and max_range in camera.toml if the camera is accurate at these depths"
 
     def _lost(self, lost: Sequence[PictureEvidence]) -> str:
         return (
             f"{len(lost)} of {len(self.pictures) - 1} pictures did not register, for up to {self.longest_gap_s:.1f} s "
             f"(at {lost[0].stamp_s:.2f} s: {lost[0].reason}): the trajectory is a guess there; move the camera more slowly, "
-            f"and let each picture show a third of what was seen before"
+            f"and keep a third of the earlier view in each picture"
         )
 
 

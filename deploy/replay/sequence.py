@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.judging.stage_times import rounded, stages_ms
-from sextant.deploy.pictures import layers_picture
-from sextant.deploy.pictures.relief import shaded
-from sextant.deploy.progress import Progress
+from sextant.deploy.evaluation.stage_times import rounded, stages_ms
+from sextant.deploy.figures import layers_picture
+from sextant.deploy.figures.relief import shaded
 from sextant.deploy.replay import evidence as replay_evidence
 from sextant.deploy.replay.error import ReplayError
 from sextant.deploy.replay.evidence import DepthRange, Evidence, PictureEvidence, TrueComparison, depth_range, picture_evidence
 from sextant.deploy.replay.listener import Listener
+from sextant.deploy.terminal.progress import Progress
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum
@@ -159,7 +159,7 @@ class ConstantVelocity:
 
     def doing(self) -> str:
         """Return the progress as text."""
-        return f"guessing, {self._travelled:.2f} m so far"
+        return f"predicting without registration, {self._travelled:.2f} m so far"
 
 
 def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float, reliable: bool = True) -> Odometry:
@@ -266,7 +266,7 @@ def profile_for(sequence: tum.Recording) -> RobotProfile:
 def in_words(table: dict[str, Any]) -> str:
     """Format a replay's result as text."""
     lines = [f"{table['source']}:"]
-    lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone")
+    lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} from the motion prior alone")
     lines += [f"  {line}" for line in replay_evidence.in_words(table["evidence"])]
     if table["pose_error_m"]["rms"] is not None:
         error = table["pose_error_m"]
@@ -274,7 +274,7 @@ def in_words(table: dict[str, Any]) -> str:
             f"  trajectory error after alignment: {error['rms'] * 1e3:.1f} mm rms, {error['final'] * 1e3:.1f} mm at the end"
         )
     else:
-        lines.append("  no groundtruth.txt that covers it: no trajectory error")
+        lines.append("  no trajectory error: no groundtruth.txt covers the sequence")
     lines += [f"  {name}: {t['p50']:.2f} ms, 99 % below {t['p99']:.2f} ms" for name, t in table["stages_ms"].items()]
     return "\n".join(lines)
 

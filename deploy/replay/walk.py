@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy.judging.stage_times import rounded, stages_ms
-from sextant.deploy.pictures import layers_picture
-from sextant.deploy.progress import Progress
+from sextant.deploy.evaluation.stage_times import rounded, stages_ms
+from sextant.deploy.figures import layers_picture
 from sextant.deploy.replay.error import ReplayError
+from sextant.deploy.terminal.progress import Progress
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.planner.config import Settings as PlannerSettings
@@ -83,9 +83,9 @@ def replay_recording(
         if sum(counts.values()) % _SHOW_FRAMES == 0:
             progress.say(f"{sum(counts.values())} messages, {len(replay.maps)} maps, {len(replay.plans)} plans")
     if replay is None:
-        raise ReplayError(f"{path}: no messages in it: the run ended before anybody spoke, or the file was cut off")
+        raise ReplayError(f"{path}: no messages in it; the run ended before any message, or the file is truncated")
     if not recording.complete:
-        progress.say(f"{path} was cut off; replayed as far as it goes")
+        progress.say(f"{path} is truncated; its readable part is replayed")
     replay.settle()
     # 3. Compare the results.
     maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
@@ -130,14 +130,14 @@ def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits
         if everything and found["recorded"] and not found["compared"]:
             return (
                 f"no {name} was compared: {found['recorded']} were recorded, {found['made']} made now; "
-                f"`sextant info` shows whether the recording has the topics that they are made of"
+                f"`sextant recording info` shows whether the recording has the topics that they are made of"
             )
     exact = everything and table["about"].get("run") == "lockstep"
     allowed = Limits(0.0, 1.0, 0.0) if exact else limits or Limits()
     advice = (
         "a lockstep run replays exactly with the version that recorded it"
         if exact
-        else "replay it with the version that recorded it, or record on a computer that is not too busy"
+        else "replay it with the version that recorded it, or record on a less busy computer"
     )
     if maps["compared"] and (error["rmse"] is None or error["coverage"] < allowed.map_coverage):
         known = 0.0 if error["rmse"] is None else error["coverage"]
@@ -320,14 +320,14 @@ def in_words(table: Mapping[str, Any]) -> str:
     lines = [f"{table['source']}:"]
     lines += [f"  {key:<20} {count:>6} messages" for key, count in table["topics"].items()]
     maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
-    lines.append(f"  the mapper made {maps['made']} maps of what was recorded; {maps['compared']} compared with recorded ones")
+    lines.append(f"  the mapper made {maps['made']} maps from the recording; {maps['compared']} compared with recorded ones")
     if error["rmse"] is not None:
         lines.append(
             f"  they differ by {error['rmse'] * 1e3:.2f} mm rms, {error['coverage']:.1%} of the cells are known to both"
         )
     if plans["made"]:
         lines.append(
-            f"  the planner made {plans['made']} plans; the last of {plans['compared']} steps compared with recorded ones"
+            f"  the planner made {plans['made']} plans; the last plans of {plans['compared']} steps compared with recorded ones"
         )
     if off["touchdown_max"] is not None:
         off_mm = [1e3 * off[name] for name in ("touchdown_p50", "touchdown_p95", "touchdown_max")]
@@ -385,7 +385,7 @@ def _map_settings(recording: Recording) -> MapperSettings:
             resolution=float(about.get("map.resolution", usual.resolution)),
         )
     except ValueError as error:
-        raise ReplayError(f"{recording.path}: its map options make no sense: {error}") from None
+        raise ReplayError(f"{recording.path}: its map options are invalid: {error}") from None
 
 
 def _planner_settings(recording: Recording) -> PlannerSettings:
@@ -395,4 +395,4 @@ def _planner_settings(recording: Recording) -> PlannerSettings:
     try:
         return PlannerSettings(blind=blind, footholds=recording.about.get("walk.footholds", usual.footholds))  # type: ignore[arg-type]
     except ValueError as error:
-        raise ReplayError(f"{recording.path}: its walk options make no sense: {error}") from None
+        raise ReplayError(f"{recording.path}: its walk options are invalid: {error}") from None

@@ -144,7 +144,7 @@ class Bridge:
 
     def doing(self) -> str:
         """Return whether a Twist drives the robot, and the number of refused Twists."""
-        words = "a Twist leads the robot" if self._lead.leading else "passing on what the robot says, listening to cmd_vel"
+        words = "a Twist drives the robot" if self._lead.leading else "publishing the robot's state, waiting for cmd_vel"
         return f"{words}; {self.refused} Twists refused: {self.last_refusal}" if self.refused else words
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
@@ -221,7 +221,7 @@ class Bridge:
             self.refused += 1
             if str(error) != self.last_refusal:
                 self.last_refusal = str(error)
-                self._tell(f"a Twist is refused: {error}")
+                self._tell(f"Twist refused: {error}")
             return
         self._lead.twist(velocity, yaw_rate, now_ns)
 

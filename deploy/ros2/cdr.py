@@ -152,7 +152,7 @@ class _Reader:
             self.at += -(self.at - _HEAD) % dtype.itemsize
         taken = self._take(count * dtype.itemsize)
         if base == "bool" and taken.strip(b"\0\1"):
-            raise CdrError(f"{self._name}: truth values of 0 or 1 expected, found {taken.hex(' '):.20}")
+            raise CdrError(f"{self._name}: booleans of 0 or 1 expected, found {taken.hex(' '):.20}")
         return np.frombuffer(taken, dtype).astype(dtype.newbyteorder("="), copy=False)
 
     def _text(self) -> str:
@@ -167,5 +167,5 @@ class _Reader:
     def _take(self, size: int) -> bytes:
         begin, self.at = self.at, self.at + size
         if self.at > len(self._data):
-            raise CdrError(f"{self._name}: {self.at} bytes and more expected, found {len(self._data)}")
+            raise CdrError(f"{self._name}: at least {self.at} bytes expected, found {len(self._data)}")
         return self._data[begin : self.at]

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.deploy.robot_time import RobotTime
+from sextant.deploy.robot_clock import RobotClockEstimate
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
@@ -52,7 +52,7 @@ class Lead:
     _velocity_ns: int = 0
     _new: list[Message] = field(default_factory=list)  # to send at the next beat
     _words: list[str] = field(default_factory=list)
-    _robot: RobotTime = field(default_factory=RobotTime)
+    _robot: RobotClockEstimate = field(default_factory=RobotClockEstimate)
 
     def twist(self, velocity: Array, yaw_rate: float, now_ns: int) -> None:
         """Process a Twist.
@@ -74,10 +74,10 @@ class Lead:
             refused = self._refused()
             if refused:
                 self._lapsed = True
-                self._words.append(f"a Twist is refused: {refused}")
+                self._words.append(f"Twist refused: {refused}")
                 return
             self.leading, self._begun_ns = True, now_ns
-            self._words.append("a Twist leads the robot")
+            self._words.append("a Twist drives the robot")
             self._say("walk", now_ns)
         speed = math.hypot(*velocity.tolist())
         self._velocity = velocity * min(1.0, self.walk.max_speed / speed) if speed > 0.0 else np.zeros(2)
@@ -106,7 +106,7 @@ class Lead:
     def release(self, now_ns: int) -> list[Message]:
         """Return the messages to send at the end: they stop the robot if it is driven."""
         if self.leading:
-            self._let_go(now_ns, "the bridge ends")
+            self._let_go(now_ns, "the bridge is ending")
         out, self._new = [replace(message, stamp_ns=self._robot()) for message in self._new], []
         return out
 
@@ -119,11 +119,11 @@ class Lead:
         """Return why the robot cannot be driven now, or an empty string."""
         state = self._state
         if state is None:
-            return "no word from the actuator; is it up?"
+            return "no message from the actuator; is it running?"
         if state.lease not in ("", self.holder):
-            return f"{state.lease} leads the robot"
+            return f"{state.lease} holds the lease"
         if state.mode not in _LED:
-            return f"the robot cannot walk, its mode is {state.mode}: {state.reason}; `sextant order stand`"
+            return f"the robot cannot walk in mode {state.mode}: {state.reason}; run `sextant order stand`"
         return ""
 
     def _watch(self, now_ns: int) -> None:
@@ -131,11 +131,11 @@ class Lead:
         if now_ns - self._heard_ns > DEAD_MAN_NS:
             self._let_go(now_ns)
         elif state is not None and state.lease not in ("", self.holder):
-            self._lapse(f"{state.lease} has taken over")
+            self._lapse(f"{state.lease} has taken the lease over")
         elif state is not None and not state.lease and now_ns - self._begun_ns > _LEASE_NS:
-            self._lapse(f"the actuator does not give the lease{''.join(f'; {words}' for words in state.warnings)}")
+            self._lapse(f"the actuator does not grant the lease{''.join(f'; {words}' for words in state.warnings)}")
         elif state is not None and state.mode not in _GOES_ON:
-            self._lapse(f"the robot is led no more: {state.mode}: {state.reason}")
+            self._lapse(f"the robot no longer follows Twists: {state.mode}: {state.reason}")
 
     def _let_go(self, now_ns: int, why: str = f"no Twist for {DEAD_MAN_NS * 1e-9:.1f} s") -> None:
         """Stop the robot: send a zero velocity and the stop order once."""

@@ -12,13 +12,13 @@ from io import FileIO
 from pathlib import Path
 from typing import Self
 
-from sextant.deploy import process_table
-from sextant.deploy.interrupts import Interrupts
-from sextant.deploy.judging.report import Report
+from sextant.deploy.evaluation.report import Report
+from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import Launcher, free_port, host_router
-from sextant.deploy.process_table import ENVIRONMENT, Command, Process
-from sextant.deploy.progress import Progress
-from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
+from sextant.deploy.launch.process_table import ENVIRONMENT, Command, Process
+from sextant.deploy.runs.run_observers import RECORDING, RunObservers, about, clear
+from sextant.deploy.terminal.interrupts import Interrupts
+from sextant.deploy.terminal.progress import Progress
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.foxglove.translation import Foxglove
 from sextant.shared.recording.live import LiveRecorder, Sink
@@ -84,9 +84,9 @@ def run_live_scenario(
         ValueError: `slow_down` with services that already run.
     """
     if attach and slow_down:
-        raise ValueError("services that somebody else started go by their own time")
+        raise ValueError("services started elsewhere use their own time")
     clear(out)
-    attendance = Attendance(load_profile(scenario.robot), scenario, seed, live=True, linked=attach is not None)
+    attendance = RunObservers(load_profile(scenario.robot), scenario, seed, live=True, linked=attach is not None)
     with contextlib.ExitStack() as stack:
         # 1. Host the router and start the services, each in its own process.
         log = stack.enter_context(contextlib.closing(ServiceLog(Path(os.devnull) if attach else out / _LOG)))
@@ -112,7 +112,7 @@ def run_live_scenario(
         slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
-            progress.say(f"{name} did not end when asked and was killed")
+            progress.say(f"{name} did not end on request and was killed")
     # 5. Evaluate the run and write its files.
     report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), slowed_down)
     unwritten = attendance.leave_behind(report, out, picture=not interrupts.asked())
@@ -137,7 +137,7 @@ def warm_up(progress: Progress, interrupts: Interrupts) -> str:
                 return "" if ended[0].how == "exit status 0" else str(ended[0])
             if not told and time.monotonic() - began > _WARM_S:
                 told = True
-                progress.say("warming up: compiling the inner loops takes about a minute, the first time only")
+                progress.say("warming up: the first start compiles the inner loops for about a minute")
         launcher.stop(interrupts.insisted)
     return ""
 
@@ -220,7 +220,7 @@ def _recording(sink: Sink, endpoints: Endpoints) -> Iterator[LiveRecorder]:
 
 
 def _watch(
-    attendance: Attendance,
+    attendance: RunObservers,
     attendants: Attendants,
     launcher: Launcher,
     faults: Faults,
@@ -242,7 +242,7 @@ def _watch(
         if interrupts.asked():
             return "stopped by the operator"
         if not view.up and time.monotonic() - began > _START_S:
-            return f"the robot did not come up within {_START_S:.0f} s; heard so far: {_heard(view.doing)}"
+            return f"the robot did not start within {_START_S:.0f} s; received so far: {_heard(view.doing)}"
         for done in faults.act(view.time_s if view.up else -1.0, launcher):
             progress.say(done)
         if time.monotonic() - shown >= _SHOW_S:
@@ -359,7 +359,7 @@ class ServiceLog:
 
 
 def _heard(doing: Mapping[str, str]) -> str:
-    return "; ".join(f"{name}: {what}" for name, what in doing.items()) or "nobody"
+    return "; ".join(f"{name}: {what}" for name, what in doing.items()) or "nothing"
 
 
 def _loss(dropped: int) -> str:

@@ -11,16 +11,16 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from sextant.deploy.judging.report import Report
-from sextant.deploy.progress import Progress, Silent
-from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
-from sextant.deploy.runs.pose_error import MODELS, Erring
-from sextant.deploy.runs.radio import Radio
+from sextant.deploy.evaluation.report import Report
+from sextant.deploy.runs.pose_error import MODELS, NoisyPerception
+from sextant.deploy.runs.run_observers import RECORDING, RunObservers, about, clear
+from sextant.deploy.runs.simulated_radio import Radio
+from sextant.deploy.terminal.progress import Progress, Silent
 from sextant.services.actuator.config import Settings as ActuatorSettings
 from sextant.services.actuator.estop.config import Settings as StopSettings
-from sextant.services.actuator.estop.service import Stop
+from sextant.services.actuator.estop.service import EmergencyStop
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.safety.walk_authorization import Permit
+from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.services.actuator.service import Actuator
 from sextant.services.actuator.servo_bus.servos import read_timeout_ns
 from sextant.services.mapper.config import Settings as MapperSettings
@@ -77,7 +77,7 @@ class LockstepRun:
         if scenario.goal.passage:
             _rehearse_passage(scenario.robot)  # compile now, so that no planning time includes compilation
         self.scenario = scenario
-        self.attendance = Attendance(profile, scenario, seed)
+        self.attendance = RunObservers(profile, scenario, seed)
         self._lockstep: Lockstep | None = None
         self._socket: _Socket | None = None
         looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
@@ -98,7 +98,7 @@ class LockstepRun:
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
         if stop_port:
-            makers["stop"] = lambda: Stop(profile, StopSettings(stop_port))
+            makers["stop"] = lambda: EmergencyStop(profile, StopSettings(stop_port))
         for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
             makers[name] = lambda service=service: service  # type: ignore[misc]
         for name, wrap in (around or {}).items():
@@ -125,11 +125,11 @@ class LockstepRun:
     def _actuator(
         self, profile: RobotProfile, scenario: Scenario, simulator: Simulator, latch: Latch | None
     ) -> Callable[[], Actuator]:
-        settings, permit = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge), Permit()
+        settings, authorization = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge), WalkAuthorization()
 
         def make() -> Actuator:
             self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)
-            return Actuator(profile, settings, socket.open, socket.now_ns, latch, permit)
+            return Actuator(profile, settings, socket.open, socket.now_ns, latch, authorization)
 
         return make
 
@@ -282,7 +282,7 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
 
 def _perception(profile: RobotProfile, settings: PerceptionSettings, scenario: Scenario, seed: int) -> Service:
     perception = Perception(profile, settings)
-    return perception if scenario.pose_error == "none" else Erring(perception, MODELS[scenario.pose_error], seed)
+    return perception if scenario.pose_error == "none" else NoisyPerception(perception, MODELS[scenario.pose_error], seed)
 
 
 def _map_settings(scenario: Scenario) -> MapperSettings:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.deploy.robot_time import RobotTime
+from sextant.deploy.robot_clock import RobotClockEstimate
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import Every, Inbox, Stages
@@ -59,7 +59,7 @@ class Operator:
             no_pose_s: Patience [s] without a pose, after the first one; infinite for a link that may be cut at will.
         """
         self._no_pose_s = no_pose_s
-        self._robot = RobotTime()  # the robot's clock, which stamps the orders
+        self._robot = RobotClockEstimate()  # the robot's clock, which stamps the orders
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.finished = False
@@ -144,7 +144,7 @@ class Operator:
         It does so when an order arrived late, unless torque off was ordered in the meantime.
         """
         refused = f"`{self._order}` of operator refused: "
-        asked = [words for words in state.warnings if words.startswith(refused) and words.endswith("; order it anew")]
+        asked = [words for words in state.warnings if words.startswith(refused) and words.endswith("; order it again")]
         late = [words for words in asked if "ordered off" not in words]
         return bool(late) and not self.finished and state.stamp_ns - self._given_ns > _ORDER_NS
 
@@ -185,13 +185,13 @@ class Operator:
                 "unheard",
                 led and status is not None and status.state == "resting",
                 1e9 * unheard_s,
-                f"for {unheard_s:.0f} s the planner has heard nothing of what is commanded here: {why}; where it runs on "
-                "another machine, the keys of that one must let it be led from here (docs/access.md)",
+                f"for {unheard_s:.0f} s the planner has received no command from here: {why}; if it runs on "
+                "another machine, that machine's keys must permit commands from here (docs/access.md)",
             ),
             ("never posed", not ever_posed, _START_NS, f"no pose from perception within {_START_NS * 1e-9:.0f} s"),
-            ("no actuator", state is None, _START_NS, f"no word from the actuator within {_START_NS * 1e-9:.0f} s"),
+            ("no actuator", state is None, _START_NS, f"no message from the actuator within {_START_NS * 1e-9:.0f} s"),
             ("fault", mode is Mode.FAULT, _FAULT_NS, f"the actuator is in fault: {mode_reason}"),
-            ("off", ordered and mode is Mode.OFF, _FAULT_NS, f"the legs are off: {mode_reason}"),
+            ("off", ordered and mode is Mode.OFF, _FAULT_NS, f"the torque is off: {mode_reason}"),
         )
         for name, lasts, patience_ns, words in checks:
             if not lasts:
@@ -223,7 +223,7 @@ class Operator:
             return  # the planner may not have received the stop yet
         planner_rests = status is None or status.state != "stepping"
         if planner_rests and state is not None and state.mode is not Mode.WALK:
-            self._finish("at the goal by the estimated pose")
+            self._finish("at the goal according to the estimated pose")
 
     def _finish(self, reason: str) -> None:
         self.finished = True

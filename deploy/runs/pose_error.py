@@ -95,7 +95,7 @@ class PoseError:
         return np.asarray(self._sigma * (np.sqrt(self._share) * self._state).sum(axis=0))
 
 
-class Erring:
+class NoisyPerception:
     """A perception service with errors in its poses and everything placed by them."""
 
     def __init__(self, perception: Service, model: PoseErrorModel, seed: int):

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.video import ground as grounds
+from sextant.deploy.video.captions import Caption, lay_in
+from sextant.deploy.video.following_camera import FollowingCamera
 from sextant.deploy.video.ground import Ground
 from sextant.deploy.video.inset import FOOTHOLD, Inset
-from sextant.deploy.video.painter import Figure, Mark, Painter, View
+from sextant.deploy.video.renderer import Figure, Mark, Painter, View
 from sextant.deploy.video.sinking import Sinking
-from sextant.deploy.video.story import Maps, Moment, Story
-from sextant.deploy.video.view import FollowingCamera
-from sextant.deploy.video.words import Caption, lay_in
+from sextant.deploy.video.timeline import Maps, Moment, Story
 from sextant.shared.geometry import Array, apply
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profile import RobotProfile
@@ -51,7 +51,7 @@ class Cut:
         count = round((to_s - self.from_s) * self.fps / self.times)
         if not self.from_s < to_s or count < 1:
             asked = f"{self.from_s:g} s to {'the end' if self.to_s == float('inf') else f'{self.to_s:g} s'}"
-            raise ValueError(f"a part of the {story.duration_s:.1f} s that were recorded expected, found {asked}")
+            raise ValueError(f"a part of the recorded {story.duration_s:.1f} s expected, found {asked}")
         return [story.began_ns + round((self.from_s + k * self.times / self.fps) * 1e9) for k in range(count)]
 
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.pictures.relief import shaded
+from sextant.deploy.figures.relief import shaded
 from sextant.deploy.video.ground import RELIEF
 from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS
-from sextant.deploy.video.story import Moment
+from sextant.deploy.video.timeline import Moment
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import RobotProfile

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sextant.deploy.video.story import Story
+from sextant.deploy.video.timeline import Story
 from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:

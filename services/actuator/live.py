@@ -11,6 +11,6 @@ def live_actuator(profile: RobotProfile, settings: Settings) -> Actuator:
 
     Raises:
         BusSetupError: Servos are missing or wrong; the message names all of them.
-        BusGone: The port cannot be opened.
+        BusDisconnectedError: The port cannot be opened.
     """
     return Actuator(profile, settings, None, now_ns, suspended_ns=SuspendedTime())

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.estimation.contact import ContactEstimate
-from sextant.services.actuator.estimation.gravity_alignment import Plumb
+from sextant.services.actuator.estimation.gravity_alignment import GravityAlignment
 from sextant.services.actuator.estimation.leg_odometry import LegOdometry
-from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Feeler, Felt, FemurReading
+from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading, FootContact, TouchdownDetector
 from sextant.services.actuator.locomotion.feedforward import lag_feed_forward, sag_feed_forward
-from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED, GoalLimits
-from sextant.services.actuator.locomotion.leg_recovery import HungLegs
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED, JointRateLimits
+from sextant.services.actuator.locomotion.leg_recovery import LegRecovery
 from sextant.services.actuator.locomotion.stand_sit import LieDown, StandUp
-from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.locomotion.step_executor import StepExecutor, Targets
 from sextant.services.actuator.safety.command_ordering import in_turn
 from sextant.services.actuator.safety.guard import Act, Guard, Legs
 from sextant.services.actuator.safety.health_monitor import GAP_S, Health, Verdict
 from sextant.services.actuator.safety.plan_validation import reaches
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.safety.torque_off_state import OffOrder
-from sextant.services.actuator.safety.walk_authorization import Permit
+from sextant.services.actuator.safety.torque_off_state import TorqueOffState
+from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.services.actuator.servo_bus.dynamixel_bus import Port
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
@@ -58,7 +58,7 @@ class Actuator:
         opener: Callable[[], Port] | None,
         clock: Callable[[], int],
         latch: Latch | None = None,
-        permit: Permit | None = None,
+        authorization: WalkAuthorization | None = None,
         suspended_ns: Callable[[], int] = lambda: 0,
     ):
         """Open the bus and take over the servos in their present torque state.
@@ -76,7 +76,7 @@ class Actuator:
 
         Raises:
             BusSetupError: Servos are missing or wrong; the message names all of them.
-            BusGone: The port cannot be opened.
+            BusDisconnectedError: The port cannot be opened.
         """
         self.paced_by = Every.hz(settings.rate_hz)
         self.max_age_s = {BEAT: GAP_S, topics.STEP_PLAN.key: settings.plan_age_s}
@@ -84,21 +84,21 @@ class Actuator:
         self._profile = profile
         self._settings = settings
         self._clock, self._read_suspended_ns = clock, suspended_ns
-        self._off = OffOrder(latch or (None if opener else Latch.of_port(settings.port)))
+        self._off = TorqueOffState(latch or (None if opener else Latch.of_port(settings.port)))
         self._joints = Joints(profile, settings, opener, clock, lambda: self._off.holds)
         if self._off.holds:
-            self._joints.let_go()
+            self._joints.torque_off()
         torque = bool(self._joints.torque.any())  # the health monitor then reports each servo without torque as a fault
         off_ns = self._off.since_ns(clock()) if self._off.holds else -1
-        self._permit = permit or (Permit() if opener else Permit.of_port(settings.port))
+        self._authorization = authorization or (WalkAuthorization() if opener else WalkAuthorization.of_port(settings.port))
         handover_s = settings.unload_s + settings.load_s
-        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._permit.order)
+        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._authorization.order)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
-        self._limits = GoalLimits(profile)
+        self._limits = JointRateLimits(profile)
         self._contact = ContactEstimate(profile)
-        self._feeler = Feeler(profile)
-        self._plumb = Plumb()
+        self._feeler = TouchdownDetector(profile)
+        self._gravity = GravityAlignment()
         self._imu_problem = ""
         self._q_wanted = self._joints.goals.copy()  # goals without feed-forward: where the joints should come to rest
         self._q_wanted_when_read = self._q_wanted.copy()
@@ -115,10 +115,10 @@ class Actuator:
         self._still = False  # whether the legs hold their goals
         self._away = False  # whether the servo states were unknown in the last cycle
         self._eased, self._top = _ALL, GENTLE  # legs whose speed is limited during a whole gentle step, and the limit [rad/s]
-        self._hung = HungLegs()
+        self._hung = LegRecovery()
         self._T_world_odom: Array = np.eye(4)
         self._take_over(torque, self._joints.read_loads())
-        if self._walker.gentle:
+        if self._executor.gentle:
             self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
 
     def __enter__(self) -> Self:
@@ -141,24 +141,24 @@ class Actuator:
             self._read()
         now_ns = self._clock()
         self._contact.update(self._measured(), self._joints.load, dt)
-        self._odometry.update(self._measured(), self._standing(), self._walker.ground)
-        self._obey_the_latch(tick.stamp_ns)
+        self._odometry.update(self._measured(), self._standing(), self._executor.ground)
+        self._obey_latch(tick.stamp_ns)
         if slept_s:
-            self._perform(self._guard.woke(slept_s, tick.stamp_ns))
+            self._perform(self._guard.resume_from_suspend(slept_s, tick.stamp_ns))
         self._obey(inbox.drain(topics.MODE), inbox.drain(topics.STOP), tick.stamp_ns)
         self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
-            if self._guard.consider(plan, tick.stamp_ns, self._legs()):
-                self._walker.accept(plan)
+            if self._guard.accept_plan(plan, tick.stamp_ns, self._legs()):
+                self._executor.accept(plan)
                 self._T_world_odom = plan.T_world_odom
-        self._see_to_gaps(elapsed + slept_s)
+        self._check_gaps(elapsed + slept_s)
         if self._guard.mode is not Mode.OFF:
             self._move(dt, self._odometry.T_odom_body, tick.stamp_ns)
             self._note_findings(now_ns)
-        self._see_to_health(tick.stamp_ns, elapsed)
-        self._permit.keep(self._guard.walk_order(tick.stamp_ns))
+        self._check_health(tick.stamp_ns, elapsed)
+        self._authorization.keep(self._guard.walk_order(tick.stamp_ns))
         yield self._odometry_message(now_ns)
-        news = (self._guard.mode, self._guard.reason, self._guard.refused, self._walker.plan_ns)
+        news = (self._guard.mode, self._guard.reason, self._guard.refused, self._executor.plan_ns)
         if news != self._told or self._silent:  # every other cycle, and at once after a change
             self._told, self._silent = news, False
             yield self._state_message(now_ns)
@@ -167,7 +167,7 @@ class Actuator:
 
     # ---------------------------------------------------------------------------------------------------------- inputs
 
-    def _obey_the_latch(self, now_ns: int) -> None:
+    def _obey_latch(self, now_ns: int) -> None:
         """Turn torque off if latched, and latch it when torque must be off.
 
         Another process may have closed the latch.
@@ -176,7 +176,7 @@ class Actuator:
             self._off.drop_old(self._clock())
             if self._off.holds:
                 stop = StopOrder(now_ns, "off", now_ns, "stop path")
-                self._perform(self._guard.hear_stop(stop, self._off.since_ns(now_ns)))
+                self._perform(self._guard.handle_stop(stop, self._off.since_ns(now_ns)))
         if self._off.unkept:
             self._off.keep(self._guard.off_ns)
 
@@ -184,9 +184,9 @@ class Actuator:
         """Execute the orders received since the last cycle."""
         for order in in_turn(orders, stops):
             if isinstance(order, StopOrder):
-                self._perform(self._guard.hear_stop(order, now_ns))
+                self._perform(self._guard.handle_stop(order, now_ns))
             else:
-                self._perform(self._guard.hear(order, now_ns))
+                self._perform(self._guard.handle_order(order, now_ns))
 
     def _slept_s(self) -> float:
         """Return the time [s] suspended since the last cycle; 0 for a short time."""
@@ -203,7 +203,7 @@ class Actuator:
 
     def _read(self) -> None:
         """Read legs that may meet ground, then the next servos of the rotation."""
-        awaiting = self._walker.awaiting
+        awaiting = self._executor.awaiting
         self._feeler.forget(~awaiting)
         self._feeler.see(self._measured(), self._joints.goals)
         urgent = [3 * leg + FEMUR for leg in np.flatnonzero(awaiting).tolist()]
@@ -223,23 +223,23 @@ class Actuator:
         """
         mode = self._guard.mode
         for reading in inbox.drain(topics.IMU):
-            self._plumb.take(reading, now_ns, mode is Mode.HOLD and self._walker.resting)
+            self._gravity.take(reading, now_ns, mode is Mode.HOLD and self._executor.resting)
         if mode in _BALANCED and not self._guard.tipped:
-            leans = self._plumb.tipped(self._walker.body_ref, now_ns)
+            leans = self._gravity.tipped(self._executor.body_ref, now_ns)
             if leans:
                 self._perform(self._guard.tip(leans))
         if mode in _BALANCED and not self._guard.tipped:
             self._turn(dt, now_ns)
         else:
-            self._plumb.restart()
-        self._imu_problem = self._plumb.problem(now_ns)
+            self._gravity.restart()
+        self._imu_problem = self._gravity.problem(now_ns)
 
     def _turn(self, dt: float, now_ns: int) -> None:
-        step = self._walker.step if self._guard.mode is Mode.WALK else None
-        turn = self._plumb.turn(self._odometry.T_odom_body, now_ns, dt, step)
+        step = self._executor.step if self._guard.mode is Mode.WALK else None
+        turn = self._gravity.turn(self._odometry.T_odom_body, now_ns, dt, step)
         if turn is not None:
             self._odometry.turn(turn)
-            self._walker.turn(turn)
+            self._executor.turn(turn)
 
     def _measured(self) -> Array:
         """Estimate the present joint angles (6, 3) [rad].
@@ -254,14 +254,14 @@ class Actuator:
 
         Legs without torque, or not yet at their goals, do not count, unless fewer than three legs would remain.
         """
-        walker = self._walker
+        walker = self._executor
         standing = (~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching
         firm = standing & ~self._unsure()
         return np.asarray(firm if firm.sum() >= 3 else standing)
 
     def _limp_legs(self) -> NDArray[np.bool_]:
         """(6,) legs with at least one servo without torque."""
-        return np.asarray(self._joints.limp.any(axis=1))
+        return np.asarray(self._joints.torque_disabled.any(axis=1))
 
     def _unsure(self) -> NDArray[np.bool_]:
         """(6,) legs with unknown foot position.
@@ -270,19 +270,19 @@ class Actuator:
         """
         return np.asarray(self._joints.unsure.any(axis=1) | self._hung.hung)
 
-    def _see_to_health(self, now_ns: int, elapsed: float) -> None:
+    def _check_health(self, now_ns: int, elapsed: float) -> None:
         """React to the state of the servos, the battery and the cycle timing."""
         torque = self._guard.mode is not Mode.OFF
         vitals = self._joints.vitals
         vitals = replace(vitals, behind=vitals.behind | self._behind())
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
-        for index in self._verdict.revive:
+        for index in self._verdict.restore_torque:
             if self._off.holds:  # torque off has not been executed yet
                 break
-            self._joints.revive(index)
+            self._joints.restore_torque(index)
             if not self._still:  # otherwise there is no motion to resume
-                self._limits.ease(*divmod(index, 3))
+                self._limits.limit_joint(*divmod(index, 3))
 
     def _behind(self) -> NDArray[np.bool_]:
         """(18,) joints that have not resumed their motion yet.
@@ -291,11 +291,11 @@ class Actuator:
         """
         return np.asarray(self._limits.behind | self._hung.waiting).ravel()
 
-    def _see_to_gaps(self, elapsed: float) -> None:
+    def _check_gaps(self, elapsed: float) -> None:
         """Restart gently after an interruption of the bus or of this process."""
         away, self._away = self._away, self._joints.out_of_touch
         if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
-            self._joints.lose_touch()
+            self._joints.mark_stale()
         elif away and not self._away and not self._still and self._posing is None:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 
@@ -303,16 +303,16 @@ class Actuator:
         """Limit the joint speed of legs (6,) to `top` [rad/s] until they have caught up."""
         for leg, joint in np.ndindex(6, 3):
             if legs[leg]:
-                self._limits.ease(leg, joint, top)
+                self._limits.limit_joint(leg, joint, top)
 
     def _put_back(self) -> None:
         """Step legs that hung back to their footholds as soon as possible.
 
         Without a step they would scrape or jam, because they start from an arbitrary position.
         """
-        back = self._hung.update(self._joints.limp, self._joints.unsure, self._walker.flying)
-        if back.any() and self._walker.resting:
-            self._walker.put_back(back, apply(self._odometry.T_odom_body, self._odometry.feet))
+        back = self._hung.update(self._joints.torque_disabled, self._joints.unsure, self._executor.flying)
+        if back.any() and self._executor.resting:
+            self._executor.put_back(back, apply(self._odometry.T_odom_body, self._odometry.feet))
             self._eased, self._top = back, self._hung.put_back()
             self._q_wanted[back] = self._q_wanted_when_read[back] = self._joints.goals[back]  # these legs had no other target
 
@@ -326,7 +326,7 @@ class Actuator:
 
     def _legs(self) -> Legs:
         """Return the state of the walk that the guard needs."""
-        walker = self._walker
+        walker = self._executor
         body, feet = walker.stance_at_end
         return Legs(
             step=walker.step,
@@ -345,38 +345,38 @@ class Actuator:
 
     def _waits(self) -> str:
         """Return why no plan may be walked yet, or an empty string."""
-        if self._walker.searching.any() or self._walker.taking_back:
-            return self._walker.trouble
-        takes_up = self._walker.gentle or (self._walker.resting and self._limits.easing)
-        return "the joints take up their work again, slowly" if takes_up else ""
+        if self._executor.searching.any() or self._executor.is_returning:
+            return self._executor.trouble
+        takes_up = self._executor.gentle or (self._executor.resting and self._limits.is_limiting)
+        return "the joints are catching up with their goals, slowly" if takes_up else ""
 
     def _perform(self, acts: tuple[Act, ...]) -> None:
         """Execute the acts that the guard has decided."""
         for act in acts:
             match act:
-                case Act.LET_GO:
-                    self._joints.let_go()
+                case Act.TORQUE_OFF:
+                    self._joints.torque_off()
                     self._off.keep(self._guard.off_ns)
                     self._limits.forget()
-                    self._posing, self._hung = None, HungLegs()
-                case Act.GRIP:
+                    self._posing, self._hung = None, LegRecovery()
+                case Act.TORQUE_ON:
                     if self._off.take_back(self._guard.given_ns, self._clock()):
-                        self._joints.grip()
+                        self._joints.torque_on()
                     self._limits.forget()
-                    self._still, self._posing, self._hung = True, None, HungLegs()
+                    self._still, self._posing, self._hung = True, None, LegRecovery()
                     self._q_wanted = self._joints.goals.copy()
                     self._q_wanted_when_read = self._q_wanted.copy()
                 case Act.RISE:
-                    self._still, self._q_last, self._hung = False, None, HungLegs()
+                    self._still, self._q_last, self._hung = False, None, LegRecovery()
                     self._posing = StandUp(
                         self._profile, body_forward(self._profile, self._joints.goals), self._settings.stand_s
                     )
                 case Act.LIE_DOWN:
-                    self._still, self._q_last, self._hung = False, None, HungLegs()
+                    self._still, self._q_last, self._hung = False, None, LegRecovery()
                     feet = body_forward(self._profile, self._q_wanted)
                     self._posing = LieDown(self._profile, feet, self._settings.stand_s)
                 case Act.SET_DOWN:
-                    self._walker.set_down(lambda feet: reaches(self._profile, feet))
+                    self._executor.set_down(lambda feet: reaches(self._profile, feet))
                 case Act.FREEZE:
                     self._limits.forget()
                     self._posing, self._still = None, True
@@ -384,24 +384,26 @@ class Actuator:
     # ------------------------------------------------------------------------------------------------------------ moves
 
     def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
-        if self._still or self._joints.deaf:  # do not advance legs that do not follow
+        if self._still or self._joints.not_responding:  # do not advance legs that do not follow
             self._send(self._joints.goals)
             return
         if self._posing is not None:
             targets = self._posing.update(dt)
         else:
             self._put_back()
-            if self._walker.gentle:
+            if self._executor.gentle:
                 self._ease(self._eased, self._top)
             # A leg whose servo is silent or without torque is assumed to stand as planned, because its contact is unknown.
             stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._limp_legs()
-            feet, awaiting = self._odometry.feet, self._walker.awaiting
-            heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
+            feet, awaiting = self._odometry.feet, self._executor.awaiting
+            heaves = self._gravity.heaves(T_odom_body, feet, awaiting, now_ns)
             feeler, firm, known = self._feeler, self._contact.firm, ~self._unsure()
             heard = feeler.heard(self._clock())
             goals = apply(T_odom_body, body_forward(self._profile, self._joints.goals))
-            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known, heard, goals)
-            targets = self._walker.update(dt, T_odom_body, felt, self._limits.pace)
+            felt = FootContact(
+                feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known, heard, goals
+            )
+            targets = self._executor.update(dt, T_odom_body, felt, self._limits.pace)
         self._reach_for(targets, dt)
         if self._posing is not None and self._posing.done:
             self._end_pose(targets)
@@ -412,7 +414,7 @@ class Actuator:
         self._posing = None
         if risen:
             self._stand_on(self._measured(), targets.feet)
-            self._walker.doubt(~self._contact.legs)  # on uneven ground some feet hang
+            self._executor.doubt(~self._contact.legs)  # on uneven ground some feet hang
             self._guard.risen()
         else:
             self._still = True
@@ -420,7 +422,7 @@ class Actuator:
 
     def _note_findings(self, now_ns: int) -> None:
         """Store the contacts that feet have found until the next state message."""
-        for found in self._walker.drain_findings():
+        for found in self._executor.take_findings():
             self._touch_ns[found.leg], self._touch_carries[found.leg] = now_ns, found.carries
             self._touch[found.leg] = found.p_odom - [0.0, 0.0, self._profile.foot.radius]
 
@@ -464,7 +466,7 @@ class Actuator:
         self._stand_on(q, standing=lifted == 0.0)
         if lifted.any():
             self._eased, self._top = _ALL, LOWERED  # limits the force if a foot meets an obstacle
-            self._walker.lower(lifted)
+            self._executor.lower(lifted)
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
         """Restart odometry and walk.
@@ -477,9 +479,9 @@ class Actuator:
         T_odom_body = from_xyz_rpy((0.0, 0.0, height), np.zeros(3))
         self._odometry = LegOdometry(self._profile, q, T_odom_body)
         ground = self._odometry.anchors[:, 2]
-        self._walker = Walker(self._settings, measured if feet is None else feet, T_odom_body, ground)
-        self._hung = HungLegs()
-        self._guard.begin_anew(self._clock())
+        self._executor = StepExecutor(self._settings, measured if feet is None else feet, T_odom_body, ground)
+        self._hung = LegRecovery()
+        self._guard.set_epoch(self._clock())
 
     # ---------------------------------------------------------------------------------------------------------- outputs
 
@@ -514,13 +516,13 @@ class Actuator:
             self._off.unkept,
             self._off.stuck,
             self._off.unseen,
-            self._permit.trouble,
+            self._authorization.trouble,
             self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # in other modes this is the reason
             *self._verdict.warnings,
         )
 
     def _state_message(self, stamp_ns: int) -> ActuatorState:
-        walker = self._walker
+        walker = self._executor
         return ActuatorState(
             stamp_ns=stamp_ns,
             mode=self._guard.mode,

@@ -20,14 +20,14 @@ class Settings:
 
     checks = (
         *config.each("host", lambda host: host.strip() != "", "an address to listen on, e.g. 127.0.0.1"),
-        *config.each("port", lambda port: 0 <= port <= 65535, "a TCP port from 0 (any free one) to 65535"),
+        *config.each("port", lambda port: 0 <= port <= 65535, "a TCP port from 0 (any free port) to 65535"),
         *config.each("token", lambda token: token == "" or len(token) >= _TOKEN, f"at least {_TOKEN} characters, or none"),
         *config.each("lift", lambda lift: 0.0 < lift <= 0.2, "more than 0 and at most 0.2 m"),
         *config.each("body_height", lambda height: 0.0 <= height <= 0.5, "0 to 0.5 m"),
         config.together(
             "host token",
             lambda host, token: host in _LOOPBACK or token != "",
-            "a token beside an address that others reach, or 127.0.0.1, which ssh -L 8080:127.0.0.1:8080 ROBOT opens,",
+            "a token for an address that other computers reach, or 127.0.0.1 (remote access: ssh -L 8080:127.0.0.1:8080 ROBOT)",
         ),
     )
 

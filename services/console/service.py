@@ -8,10 +8,10 @@ from typing import Any, Self
 from sextant.services.console.config import Settings
 from sextant.services.console.web import frames, view
 from sextant.services.console.web.control_arbiter import Desk
-from sextant.services.console.web.recorder_client import Clerk
+from sextant.services.console.web.recorder_client import RecorderClient
 from sextant.services.console.web.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
 from sextant.services.console.web.server import Event, PageServer
-from sextant.shared.recording.event_log import KEPT, Diary
+from sextant.shared.recording.event_log import KEPT, EventLog
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.health_table import HealthTable
@@ -73,8 +73,8 @@ class Console:
         self.paced_by = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
         self._desk = Desk(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
-        self._diary = Diary()
-        self._clerk = Clerk(self._diary)
+        self._event_log = EventLog()
+        self._recorder = RecorderClient(self._event_log)
         self._watched: dict[int, Watch] = {}  # page number -> what the page shows
         self._glancing: set[int] = set()  # fleet pages, which receive only a summary
         self._view_due_ns = self._told_ns = 0  # times of the next view and of the last health message
@@ -118,9 +118,9 @@ class Console:
             if isinstance(message, ModeCommand) and (stop := _stop_of(message)) is not None:
                 yield stop
         if due:
-            yield from self._clerk.beat(now, inbox.fresh(topics.RECORDER_STATE))
+            yield from self._recorder.beat(now, inbox.fresh(topics.RECORDER_STATE))
         for words in self._desk.drain_words():
-            self._diary.note(now, "console", words)
+            self._event_log.note(now, "console", words)
         if due:
             period_ns = _VIEW_NS if self._watched else _IDLE_NS
             self._view_due_ns = max(self._view_due_ns, now - period_ns) + period_ns
@@ -156,7 +156,7 @@ class Console:
         self._tell_log(now)  # brings the other pages up to date; the new page then receives the whole log once
         self._watched[page] = Watch()
         self._tell("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
-        self._tell("log", view.log(self._diary.entries, now), page)
+        self._tell("log", view.log(self._event_log.entries, now), page)
         self._tell("health", view.health(self._health.named(), now, self._too_slow), page)
         self._told = ""  # sends the state to all pages again
         self._draw(page)
@@ -174,7 +174,9 @@ class Console:
     def _ask(self, page: int, request: Request, now: int) -> None:
         refused = self._barred(request, now)
         if not refused:
-            refused = self._clerk.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
+            refused = (
+                self._recorder.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
+            )
         if refused:
             self._tell("refused", view.answer(refused), page)
 
@@ -196,8 +198,8 @@ class Console:
 
     def _see(self, now: int, inbox: Inbox) -> None:
         legs, status = self._legs, self._status
-        self._diary.legs(now, legs)
-        self._diary.planner(now, status)
+        self._event_log.legs(now, legs)
+        self._event_log.planner(now, status)
         if now >= self._news_due_ns:
             self._news_due_ns = now + _NEWS_NS
             self._hear_news(now, inbox)
@@ -214,7 +216,7 @@ class Console:
         with self.stages("state"):
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
             step, camera = inbox.latest(topics.STEP_PLAN), self._camera
-            told = view.text({**view.state(self._desk, legs, pose, step, status, camera), "recorder": self._clerk.view()})
+            told = view.text({**view.state(self._desk, legs, pose, step, status, camera), "recorder": self._recorder.view()})
         if told != self._told:
             self._told = told
             self.server.post("state", told, self._watched)
@@ -224,24 +226,24 @@ class Console:
         """Process messages that arrive rarely: health, camera state and passage plans."""
         self._health.drain(inbox, now)
         services = self._health.named()
-        self._diary.services(now, services)
+        self._event_log.services(now, services)
         self._computer.linked = any(health.robot_ahead_s for health, _ in services.values())
         self._computer.update(services)
         self._too_slow = self._computer.words(now)
-        self._diary.computer(now, self._too_slow)
+        self._event_log.computer(now, self._too_slow)
         self._camera = inbox.latest(topics.CAMERA_STATE)
-        self._diary.camera(now, self._camera)
+        self._event_log.camera(now, self._camera)
         for plan in inbox.drain(topics.PASSAGE_PLAN):
-            self._diary.passage(now, plan)
+            self._event_log.passage(now, plan)
             if self._watched:
                 self._tell("passage", view.passage(plan))
 
     def _tell_log(self, now: int) -> None:
         """Send new entries of the event log to all pages."""
-        new = min(self._diary.count - self._logged, KEPT)
-        self._logged = self._diary.count
+        new = min(self._event_log.count - self._logged, KEPT)
+        self._logged = self._event_log.count
         if new and self._watched:
-            self._tell("log", view.log(list(self._diary.entries)[-new:], now))
+            self._tell("log", view.log(list(self._event_log.entries)[-new:], now))
 
     def _show(self, now: int, inbox: Inbox) -> None:
         """Send the newest map and picture to the pages that show them."""

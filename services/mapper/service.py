@@ -97,9 +97,11 @@ class Mapper:
         if self._refused:
             return f"the newest scan is not mapped: {self._refused}"
         drift = self._grid.height_drift
-        risen = f", the pose's height has drifted by {1e3 * drift:+.1f} mm, which the map makes up for" if drift else ""
-        surveying = ", surveying a passage" if self._survey is not None else ""
-        again = f", begun again {self._restarts} times: the feet stood where it showed no ground" if self._restarts else ""
+        risen = f", the map compensates {1e3 * drift:+.1f} mm of height drift of the pose" if drift else ""
+        surveying = ", mapping a gap" if self._survey is not None else ""
+        again = (
+            f", restarted {self._restarts} times because the feet stood where the map had no ground" if self._restarts else ""
+        )
         return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}{again}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
@@ -162,7 +164,7 @@ class Mapper:
         except ValueError as error:
             self._survey = None
             if self._scans % self._settings.passage_every == 0:
-                yield _no_passage(scan.stamp_ns, request, self._settings.resolution, f"no such passage: {error}")
+                yield _no_passage(scan.stamp_ns, request, self._settings.resolution, f"invalid map request: {error}")
             return
         with self.stages("merge"):
             if self._survey is None:
@@ -193,7 +195,7 @@ class Mapper:
         if pose is None or legs is None or legs.swing.any():
             # A view is only computed for known feet that all stand.
             words = f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen"
-            outlook = Outlook(f"{words}; no look is proposed while legs swing or are silent" if unseen.any() else "", None)
+            outlook = Outlook(f"{words}; no view is proposed while legs swing or send no state" if unseen.any() else "", None)
         else:
             with self.stages("look"):
                 outlook = survey.outlook(grid, T_world_body, legs.feet)
@@ -231,7 +233,7 @@ class Mapper:
         if columns > _BOX * settings.passage_cells:
             most = _BOX * settings.passage_cells
             raise ValueError(
-                f"at most {most} cells in the box around it expected, found {columns}: "
+                f"at most {most} cells in the box around the strip expected, found {columns}: "
                 "choose a heading along x or y, or a shorter strip"
             )
         return strip
@@ -245,7 +247,7 @@ class Mapper:
             centre: (3,) [m] {world} position of the body, or else of the camera.
         """
         if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # an older stamp is from another clock
-            return "it is no newer than the one before"
+            return "the scan is not newer than the previous one"
         if not (np.abs(centre) < FAR).all():
             return f"a body within {FAR:g} m of the world's origin expected"
         if pose is not None and not is_rigid(pose.T_world_body):
@@ -255,10 +257,10 @@ class Mapper:
             return f"a pose's covariance of at most {_WORST_COVARIANCE:g} m^2 and rad^2 expected, found {worst:.3g}"
         away = float(np.abs(scan.p_world_camera - centre).max())
         if away > _FROM_BODY:
-            return f"it was taken {away:.3g} m from where the body is"
+            return f"the scan was taken {away:.3g} m away from the body"
         off = float(np.abs(scan.origin - scan.p_world_camera).max())
         if off > _FROM_CAMERA:
-            return f"its points count from {off:.3g} m beside its camera"
+            return f"the scan's origin is {off:.3g} m away from its camera"
         return ""
 
     def _feel(self, pose: BodyPose, legs: ActuatorState) -> None:

@@ -92,7 +92,7 @@ class Perception:
         allowed = self._link.allowance
         if self._link.share == 1.0:
             return self._words
-        carries = f"the link to the map carries {allowed.scans:.0%} of the scans, and {allowed.points:.0%} of their points"
+        carries = f"the link to the mapper carries {allowed.scans:.0%} of the scans, and {allowed.points:.0%} of their points"
         return f"{self._words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
@@ -117,7 +117,7 @@ class Perception:
             self._preview_ns = image.stamp_ns + _PREVIEW_NS
             yield self._preview(image, inbox)
         if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # an older stamp is from another clock
-            self._words = "the camera's frames do not come in the order of their stamps; passing over those that are late"
+            self._words = "the camera's frames arrive out of order; late frames are skipped"
             return
         self._newest_ns = image.stamp_ns
         motion = self._odometry.at(image.stamp_ns)
@@ -177,7 +177,7 @@ class Perception:
         T_world_body = transform(R, [p[0], p[1], 0.0]) @ motion.T_odom_body
         self._registration = _make_registration(self._profile, self._settings)
         self._stamp_ns = -1  # restarts the tilt average of {odom}
-        reason = "the pose has the body on its side, but the legs carry it: the registration begins again"
+        reason = "the pose shows the body on its side, but it stands on its legs: the registration restarts"
         return refused(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Preview:
@@ -242,9 +242,7 @@ class Perception:
             return ""
         if np.abs(motion.T_odom_body - before.T_odom_body).max() <= _MOVED:
             return ""
-        return (
-            f"the camera has sent the same picture for {(image.stamp_ns - since_ns) * 1e-9:.1f} s while the legs moved: frozen"
-        )
+        return f"the camera has sent the same image for {(image.stamp_ns - since_ns) * 1e-9:.1f} s while the legs moved: frozen"
 
     def _prior(self, motion: Motion) -> tuple[Array, Array]:
         """Predict the body pose (4, 4) and its covariance (6, 6) [m, rad].
@@ -359,20 +357,22 @@ def _twists_from(twists: Array, r: Array) -> Array:
 
 def _is_noise(image: DepthImage) -> str:
     """Return that the image is noise, or an empty string."""
-    return "the camera sends noise: neighbouring pixels have nothing to do with each other" if is_noise(image.depth) else ""
+    return "the camera sends noise: neighbouring pixels are unrelated" if is_noise(image.depth) else ""
 
 
 def _silent(motion: Motion) -> str:
-    return f"no odometry from the actuator for {motion.silence_s:.1f} s, and the ground does not show everything by itself"
+    return (
+        f"no odometry from the actuator for {motion.silence_s:.1f} s, and registration alone does not determine the whole pose"
+    )
 
 
 def in_words(found: Registered) -> str:
     """Return the status of a registration for the operator."""
     if not found.ok:
-        return f"on odometry alone: {found.reason}"
+        return f"leg odometry only: {found.reason}"
     unobservable = unobservable_directions(found.degenerate)
     if len(unobservable) == len(AXES):
-        return "the first frame: a map begins"
+        return "first frame: a new map starts"
     words = f"registering, overlap {found.overlap:.0%}"
     return f"{words}; {', '.join(unobservable)} unobservable (leg odometry only)" if unobservable else words
 

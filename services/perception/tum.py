@@ -86,7 +86,7 @@ class _CameraFile:
         *config.each(
             "k1 k2 k3 k4 k5 k6 p1 p2",
             lambda coefficient: coefficient == 0,
-            "0 (distortion is not corrected here; undistort the pictures and give their intrinsics)",
+            "0 (distortion is not corrected here; undistort the images and give their intrinsics)",
         ),
     )
 
@@ -206,7 +206,7 @@ def read_camera(path: Path) -> Camera:
         ConfigError: It is not valid TOML, lacks a key, or has an unknown or invalid one.
     """
     if not path.exists():
-        raise FileError(path, "no such file; it gives width, height, fx, fy, cx, cy and depth_scale")
+        raise FileError(path, "no such file; create it with width, height, fx, fy, cx, cy and depth_scale")
     found = config.load(path, _CameraFile)
     return Camera(
         Intrinsics(found.width, found.height, found.fx, found.fy, found.cx, found.cy),
@@ -253,7 +253,7 @@ class RecordingWriter:
             WriteError: The recording cannot be written.
         """
         if (folder / _DEPTH_FILE).exists():
-            raise FileExistsError(f"{folder} holds a recording already; choose another folder or remove it")
+            raise FileExistsError(f"{folder} already contains a recording; choose another folder or remove it")
         whole_files.make_folder(folder / "depth")
         whole_files.write_text(folder / "camera.toml", _camera_toml(camera))
         self._folder, self._camera = folder, camera
@@ -354,7 +354,7 @@ def _stamps(path: Path, rows: list[tuple[int, list[str]]]) -> NDArray[np.int64]:
         plain = whole.isdecimal() and len(whole) < 20 and (fraction.isdecimal() or not fraction)
         stamps[n] = int(whole) * 10**9 + int(f"{fraction:0<9}"[:9]) if plain else round(seconds * 1e9)
         if n and stamps[n] <= stamps[n - 1]:
-            raise FileError(path, f"times that ascend expected, found {fields[0][:40]} after {rows[n - 1][1][0][:40]}", line)
+            raise FileError(path, f"ascending times expected, found {fields[0][:40]} after {rows[n - 1][1][0][:40]}", line)
     return stamps
 
 

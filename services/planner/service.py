@@ -54,7 +54,7 @@ _MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives 
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] changes from which a command is a new one
 _STILL = 1e-3  # [m/s] and [rad/s]
 _ASKED_AGE_S = 2.0  # [s] maximum difference between the stamp of a command and now, in the past or the future
-_NOT_MINE = "the running step is not one of mine; waiting for its end"
+_NOT_MINE = "unknown step in progress; waiting for it to finish"
 
 
 class Planner:
@@ -183,28 +183,28 @@ class Planner:
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         if command is None and goal is None:
-            return self._hold("resting", untimely or "no fresh velocity command, and no goal")
+            return self._hold("resting", untimely or "no fresh velocity command and no goal")
         self._sure_ns = state.stamp_ns if pose.ok else self._sure_ns
         if state.step == 0 and _rests(state):
             self._put_down = pose.T_world_body[:2, 3].copy()
         terrain = self._terrain(state, pose, inbox)
         if goal is not None and self._passage.crosses(goal):
             if state.stamp_ns - self._sure_ns > _DOUBT_NS:
-                return self._hold("waiting", f"where the robot is has been in doubt for a second: {pose.reason}")
+                return self._hold("waiting", f"the robot's pose has been uncertain for {_DOUBT_NS * 1e-9:.0f} s: {pose.reason}")
             return self._across(goal, state, pose, terrain, inbox)
         if terrain is None:
-            blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
+            blind = f"; perception reports: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
             return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
         nonsense = terrain.nonsense()
         if nonsense:
-            return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
+            return self._hold("waiting", f"the terrain map is invalid: {nonsense}")
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
         if goal is not None and self._passage.under_way(goal):
             return self._across(goal, state, pose, terrain, inbox)
         if command is not None and _is_still(command):
             self._refusals.forget()
-            return self._hold("resting", "no velocity is commanded")
+            return self._hold("resting", "the commanded velocity is zero")
         if state.phase < self._settings.plan_from:
             return None
         if command is not None:
@@ -219,13 +219,13 @@ class Planner:
         """
         known = inbox.latest(topics.BODY_POSE)
         if known is None:
-            return self._hold("waiting", "by touch: no pose from perception yet, so {world} is not known")
+            return self._hold("waiting", "by touch: no pose from perception yet, the world frame is unknown")
         pose = replace(known, stamp_ns=state.stamp_ns, T_world_body=known.T_world_odom @ state.T_odom_body)
         if state.stamp_ns - self._moved_ns < _MEASURED_NS:
             return None  # where feet in the air will touch down is not known
         if _is_still(command):
             self._refusals.forget()
-            return self._hold("resting", "by touch: no velocity is commanded")
+            return self._hold("resting", "by touch: the commanded velocity is zero")
         terrain = self._holes.marked(self._by_touch.terrain(state.stamp_ns, _feet_in_world(state, pose)))
         situations = self._situations(state, pose, self._by_touch.asked(command))
         if not situations:
@@ -242,7 +242,7 @@ class Planner:
                 return self._hold("blocked", f"by touch: {self._refusals.words()}")
             return self._hold("blocked", f"by touch: {found.reason}", found.leg)
         self._state, self._blocked_leg = "stepping", -1
-        self._reason = "by touch: feet find the ground"
+        self._reason = "by touch: the feet search for the ground"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way), stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
@@ -342,7 +342,7 @@ class Planner:
             return self._send(state, pose.T_world_odom, led.stride, led.number, (0, 0), stop=led.stop)
         if isinstance(led, Refused):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
-            both = f"{no_way}; and no passage: {led.reason}" if no_way else f"no passage: {led.reason}"
+            both = f"{no_way}; no gap crossing: {led.reason}" if no_way else f"no gap crossing: {led.reason}"
             return self._hold("blocked", both)
         if isinstance(led, Over):
             self._pilot = Pilot(self._profile)  # its knowledge of the path does not hold here
@@ -382,11 +382,11 @@ class Planner:
             self._state, self._reason = "blocked", self._refusals.words()
         else:
             self._state, self._blocked_leg = "stepping", -1
-            shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
+            shorter = "" if found.share == 1.0 else f", stride shortened to {found.share:.0%}"
             slower = self._strides.short_of(command, found)
-            instead = f"; instead of legs that cannot: {found.instead}" if found.instead else ""
+            instead = f"; the legs due first are blocked: {found.instead}" if found.instead else ""
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
-            moved = moved if found.swing.any() else "the body alone moves, to make room for a leg"
+            moved = moved if found.swing.any() else "moving only the body, to make room for a leg"
             self._reason = f"{moved}{shorter}{slower}{instead}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way))
 
@@ -401,7 +401,7 @@ class Planner:
             found, way = self._strides.gather(self._situations(state, pose, command), terrain, self._refusals.of(0))
         if isinstance(found, Blocked):
             return None
-        self._reason = f"feet back under the body: {self._reason}"
+        self._reason = f"moving the feet back under the body: {self._reason}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way))
 
     def _feel_out(
@@ -409,14 +409,14 @@ class Planner:
     ) -> "_Sent | None":
         """Return the next step by touch, from the start position onto ground that is seen."""
         if state.stamp_ns - self._moved_ns < _MEASURED_NS:
-            return self._hold("stepping", "by touch where the ground is unseen; coming to rest")
+            return self._hold("stepping", "stopping, to walk by touch over unseen ground")
         situations = self._situations(state, pose, self._by_touch.asked(command))
         with self.stages("plan step"):
             found, way = self._by_touch.choose(situations, ground, self._refusals.of(number))
         if isinstance(found, Blocked):
             return self._hold("blocked", found.reason, found.leg)  # the caller replaces it by the reason by sight
         self._state, self._blocked_leg = "stepping", -1
-        self._reason = "by touch where the ground is unseen, until feet come to ground that is seen"
+        self._reason = "walking by touch over unseen ground, until the feet reach seen ground"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way), stop=True)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
@@ -429,7 +429,7 @@ class Planner:
         in_view = abs(direction) < math.atan2(lens.width / 2, lens.fx) or not command.velocity.any()
         if self._led or in_view or not found.unseen:
             return ""
-        return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to look at it"
+        return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to see it"
 
     def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[Situation]:
         """Return the possible starts of the next step, most due legs first; [] if unknown."""
@@ -543,15 +543,13 @@ def _untimely(asked: VelocityCommand | Goal | None, now_ns: int) -> str:
         return ""
     what = "velocity command" if isinstance(asked, VelocityCommand) else "goal"
     when = f"{age_s:.1f} s old" if age_s > 0.0 else f"stamped {-age_s:.1f} s ahead"
-    return (
-        f"the {what} is {when} by the robot's clock, at most {_ASKED_AGE_S:.0f} s allowed: whoever sends it is to stamp by that"
-    )
+    return f"the {what} is {when} by the robot's clock, at most {_ASKED_AGE_S:.0f} s allowed; the sender must use that clock"
 
 
 def _blamed_on_camera(inbox: Inbox) -> str:
     """Return the reason in the camera's status if the camera is the cause, else ""."""
     camera = inbox.fresh(topics.CAMERA_STATE)
-    return "" if camera is None or camera.ok else f", for the camera sends none: {camera.reason}"
+    return "" if camera is None or camera.ok else f"; the camera sends no images: {camera.reason}"
 
 
 def _rests(state: ActuatorState) -> bool:

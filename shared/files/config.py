@@ -14,6 +14,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from sextant.shared.errors import SextantError
 from sextant.shared.files import input_file
 from sextant.shared.spelling import hint, nearest
 
@@ -21,7 +22,7 @@ T = TypeVar("T")
 _MOST_SHOWN = 30  # problems shown per configuration
 
 
-class ConfigError(ValueError):
+class ConfigError(SextantError, ValueError):
     """Errors in a configuration, one per line, with place, expected and found value."""
 
     def __init__(self, source: str, problems: list[str]):
@@ -284,7 +285,7 @@ def _wanted(hint: Any, name: str) -> str:
         return f"a table [{name}]"
     if get_origin(hint) is tuple and any(dataclasses.is_dataclass(member) for member in _members(hint)):
         return f"one table [[{name}]] or more"
-    return f"a value of {_type_words(hint)}"
+    return _type_words(hint)
 
 
 def _members(hint: Any) -> tuple[Any, ...]:

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+from sextant.shared.errors import SextantError
+
 _MAX_TEXT_BYTES = 16 << 20
 _MAX_TOML_BYTES = 2 << 20
 _PIECE_BYTES = 1 << 20
@@ -24,7 +26,7 @@ _DOTTED = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
-class FileError(ValueError):
+class FileError(SextantError, ValueError):
     """A file cannot be used; the text gives path, line (if known) and cause."""
 
     def __init__(self, path: Path, cause: str, line: int | None = None):

@@ -13,25 +13,29 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import BinaryIO
 
+from sextant.shared.errors import SextantError
+
 _USUAL_MODE = 0o666  # before the user's umask
 _CAUSES = {
-    errno.ENOSPC: "the disk is full; make room",
-    errno.EDQUOT: "this user's share of the disk is full; make room",
+    errno.ENOSPC: "the disk is full; free some space",
+    errno.EDQUOT: "the disk quota of this user is exceeded; free some space",
     errno.EFBIG: "a file of this size is not allowed here; raise the limit (`ulimit -f`)",
     errno.EROFS: "the disk is read-only; write to another folder",
     errno.EACCES: "this user may not write there; write to another folder",
     errno.EPERM: "this user may not write there; write to another folder",
-    errno.ENOENT: "its folder is gone; make it, or write to another one",
-    errno.ENOTDIR: "its folder is a file; write to another one",
-    errno.EISDIR: "a folder has its name; write to another one",
-    errno.EIO: "the disk fails; write to another one",
+    errno.ENOENT: "its folder does not exist; create it, or write to another folder",
+    errno.ENOTDIR: "its folder is a file; write to another folder",
+    errno.EISDIR: "a folder has this name; choose another name",
+    errno.EIO: "the disk reports an I/O error; write to another disk",
 }
 
 OUT_OF_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS))
 
 
-class WriteError(OSError):
+class WriteError(SextantError, OSError):
     """A file cannot be written; the text gives the file, the cause and what to do."""
+
+    exit_status = 1
 
     def __init__(self, path: Path, error: OSError, kept: str = ""):
         self._of = path, OSError(error.errno, error.strerror or str(error)), kept

@@ -152,8 +152,9 @@ def _condition_words(name: str, condition: Condition) -> str:
     if condition.empty:
         return f"  {name} is an empty recording: nothing to recover"
     if not condition.messages and condition.lost:
-        return f"  {name}: nothing in it is whole ({', '.join(condition.lost)} lost)"
+        return f"  {name}: no part of it is intact ({', '.join(condition.lost)} lost)"
     if condition.ended:
-        return f"  {name} is damaged ({', '.join(condition.lost) or 'its index'}): `sextant recover` keeps what is whole"
+        lost = ", ".join(condition.lost) or "its index"
+        return f"  {name} is damaged ({lost}): `sextant recording recover` keeps the intact parts"
     lost = f" ({', '.join(condition.lost)} lost)" if condition.lost else ""
-    return f"  {name} has no end{lost}: `sextant recover` makes it whole"
+    return f"  {name} is incomplete{lost}: `sextant recording recover` completes it"

@@ -24,7 +24,7 @@ class Entry:
     bad: bool  # whether it reports a problem
 
 
-class Diary:
+class EventLog:
     """Event log; adds an entry when a message of a service reports something new."""
 
     def __init__(self) -> None:
@@ -44,11 +44,11 @@ class Diary:
     def legs(self, now_ns: int, state: ActuatorState | None) -> None:
         """Log changes of the actuator's state; None if it has been silent for a while."""
         if state is None:
-            self._if_new(now_ns, "actuator", "mode", "no word from the actuator", True, unless="")
+            self._if_new(now_ns, "actuator", "mode", "no message from the actuator", True, unless="")
             return
         self._if_new(now_ns, "actuator", "mode", f"{state.mode}: {state.reason}", state.mode in _BAD)
         self._if_new(now_ns, "actuator", "refused", state.refused, True)
-        self._if_new(now_ns, "actuator", "lease", f"{state.lease or 'nobody'} leads", False)
+        self._if_new(now_ns, "actuator", "lease", f"{state.lease or 'no client'} is in control", False)
         warnings = frozenset(state.warnings)
         for words in state.warnings:
             if words not in self._warnings:
@@ -67,13 +67,13 @@ class Diary:
 
     def perception(self, now_ns: int, pose: BodyPose) -> None:
         """Log whether the pose of the robot is known."""
-        known = "it is known where the robot is"
+        known = "the pose of the robot is known"
         self._if_new(now_ns, "perception", "pose", known if pose.ok else pose.reason, not pose.ok, unless=known)
 
     def camera(self, now_ns: int, state: CameraState | None) -> None:
         """Log changes of the camera's state."""
         if state is not None:
-            self._if_new(now_ns, "camera", "state", "pictures come" if state.ok else state.reason, not state.ok)
+            self._if_new(now_ns, "camera", "state", "images are received" if state.ok else state.reason, not state.ok)
 
     def computer(self, now_ns: int, too_slow: str) -> None:
         """Log when the computer becomes too slow, or fast enough again.
@@ -82,11 +82,13 @@ class Diary:
         """
         if bool(too_slow) != self._slow:
             self._slow = bool(too_slow)
-            self.note(now_ns, "console", too_slow or "the services keep up again", self._slow)
+            self.note(now_ns, "console", too_slow or "all services are fast enough again", self._slow)
 
     def passage(self, now_ns: int, plan: PassagePlan) -> None:
         """Log the plan of a section of a passage."""
-        self.note(now_ns, "planner", f"passage, section {plan.section}: {plan.state}: {plan.reason}", plan.state == "no way")
+        self.note(
+            now_ns, "planner", f"gap crossing, section {plan.section}: {plan.state}: {plan.reason}", plan.state == "no way"
+        )
 
     def services(self, now_ns: int, heard: Mapping[str, tuple[Health, int]]) -> None:
         """Log services that become silent, return, or refuse a message.
@@ -101,7 +103,7 @@ class Diary:
                 self.note(now_ns, name, f"silent for {_SILENT_NS * 1e-9:.0f} s", True)
             elif now_ns - at_ns <= _SILENT_NS and name in self._silent:
                 self._silent.discard(name)
-                self.note(now_ns, name, "is back")
+                self.note(now_ns, name, "responds again")
             if word.last_refusal and word.last_refusal != self._refusals.get(name):
                 self._refusals[name] = word.last_refusal
                 self.note(now_ns, name, word.last_refusal, True)

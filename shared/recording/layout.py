@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sextant.shared.errors import SextantError
 from sextant.shared.wire import codec, messages
 from sextant.shared.wire.messages import Message
 
@@ -23,7 +24,7 @@ FRAME_LAYOUT = (
 )
 
 
-class RecordingError(ValueError):
+class RecordingError(SextantError, ValueError):
     """A file is not a recording that this version can read.
 
     The text gives the file and what to do.

@@ -57,7 +57,7 @@ class Recording:
             for key, frame, at_ns in self._frames_of(path):
                 if before_ns >= 0 and abs(at_ns - before_ns) > _LARGEST_JUMP_NS:
                     jump = f"{abs(at_ns - before_ns) * 1e-9:.0f} s from one message to the next"
-                    raise RecordingError(f"{path}: times that follow each other within a day expected, found {jump}")
+                    raise RecordingError(f"{path}: message times less than a day apart expected, found {jump}")
                 before_ns = at_ns
                 yield key, frame, at_ns
 

@@ -70,7 +70,7 @@ def recover(source: Path, target: Path) -> Recovered:
         return found
     if found.messages == 0:
         lost = ", ".join(found.lost) or "it ends before its first message"
-        raise RecordingError(f"{source}: nothing in it is whole: {lost}; there is nothing to recover")
+        raise RecordingError(f"{source}: no part of it is intact: {lost}; there is nothing to recover")
     found = Recovered()
     with whole_files.replacing(target, durable=True) as new:
         _Copy(new).run(read_records(source, found.condition), found)

@@ -110,6 +110,6 @@ class Rotation:
         free = self._free_bytes(self.folder)
         if free < self._reserve_bytes:
             raise NoRoomError(
-                f"{free >> 20} MB are free where {self.folder} is, and {self._reserve_bytes >> 20} MB are to stay so; "
-                "make room, or record to another disk"
+                f"only {free >> 20} MB are free on the disk of {self.folder}, "
+                f"and {self._reserve_bytes >> 20} MB must stay free; free some space, or record to another disk"
             )

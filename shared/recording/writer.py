@@ -135,8 +135,8 @@ class Recorder:
         disk = os.fstatvfs(self._file.fileno())
         if disk.f_bavail * disk.f_frsize < RESERVE_BYTES:
             self.close()
-            words = f"less than {RESERVE_BYTES >> 20} MB of the disk are free, which the report needs; make room"
-            raise whole_files.WriteError(self.path, OSError(words), f"its first {self.size / 1e6:.1f} MB are whole")
+            words = f"less than {RESERVE_BYTES >> 20} MB of the disk are free, which the report needs; free some space"
+            raise whole_files.WriteError(self.path, OSError(words), f"its first {self.size / 1e6:.1f} MB are intact")
 
     def sync(self) -> None:
         """Wait until all flushed data is on the disk.

@@ -264,7 +264,7 @@ class Calibration:
         *config.each(
             "trims_deg",
             lambda trim: abs(trim) <= MAX_TRIM_DEG,
-            f"a trim of at most {MAX_TRIM_DEG:g} deg either way; take the horn off and put it on straight",
+            f"a trim of at most {MAX_TRIM_DEG:g} deg either way; mount the horn straight",
         ),
     )
 
@@ -277,7 +277,7 @@ def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
     for i, (leg, expected) in enumerate(zip(legs, LEGS, strict=False)):
         found = getattr(leg, "name", expected)
         if found != expected:
-            yield config.Misfit(f"legs[{i}].name", f"{expected!r}, as the legs go once around the body,", repr(found))
+            yield config.Misfit(f"legs[{i}].name", f"{expected!r}, the order of the legs around the body,", repr(found))
 
 
 def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
@@ -287,7 +287,7 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
         for k, servo in enumerate(getattr(leg, "servo_ids", ())):
             place = f"legs[{i}].servo_ids[{k}]"
             if servo in owners:
-                yield config.Misfit(place, "18 different servo ids", f"{servo}, as {owners[servo]} has it")
+                yield config.Misfit(place, "18 different servo ids", f"{servo}, which {owners[servo]} has, too")
             owners.setdefault(servo, place)
 
 

@@ -107,7 +107,7 @@ class RobotClock:
         """
         with self._lock:
             if self._began_anew:
-                raise ClockError("the robot's clock began anew: it was switched off, or another robot answers by its name")
+                raise ClockError("the robot's clock has restarted: the robot was switched off, or another robot uses its name")
             self._told_ns = max(self._told_ns, self._own() + max(self._ahead_ns, default=0))
             return self._told_ns
 

@@ -28,7 +28,7 @@ _WAITED_FOR_NS = {"actuator/state": 100_000_000}  # [ns] lower limit for some in
 _SHOWN = 2  # late inputs in one text
 _NAMES = {
     "camera/depth": "depth frames",
-    "actuator/state": "states of the legs",
+    "actuator/state": "leg states",
     "perception/pose": "poses",
     "perception/scan": "scans",
     "mapper/terrain": "maps",
@@ -61,7 +61,7 @@ class InputAge:
         """Return the worst age and the limit as text."""
         figures = f"{_seconds(self.age_s)} s", f"{_seconds(self.limit_s)} s allowed"
         if self.what == STALL:
-            return f"the {service} process stood still for {figures[0]}, {figures[1]}"
+            return f"the {service} process did not run for {figures[0]}, {figures[1]}"
         if self.what == BEAT:
             return f"the {service} cycle takes {figures[0]}, {figures[1]}"
         return f"{_NAMES[self.what]} are {figures[0]} old, {figures[1]}"

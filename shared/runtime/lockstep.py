@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from sextant.shared.runtime.service import AnyTopic, Every, Service, Worker
+from sextant.shared.errors import SextantError
+from sextant.shared.runtime.service import AnyTopic, Every, Service, ServiceRunner
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message
 
@@ -30,8 +31,10 @@ class Outage:
     kill: bool
 
 
-class ServiceFailedError(RuntimeError):
+class ServiceFailedError(SextantError, RuntimeError):
     """A service raised an exception (the `__cause__`), which would end its process."""
+
+    exit_status = 1
 
     def __init__(self, service: str, error: Exception):
         """Compose the message from the service, the exception and the line that raised it."""
@@ -83,7 +86,7 @@ class Lockstep:
         """
         unknown = {o.service for o in outages} - makers.keys()
         if unknown:
-            raise ValueError(f"outages of {', '.join(makers)} expected, found {', '.join(sorted(unknown))}")
+            raise ValueError(f"outages of the services {', '.join(makers)} expected, found {', '.join(sorted(unknown))}")
         strange = (latency_s or {}).keys() - {t.key for t in topics.TOPICS}
         if strange:
             raise ValueError(f"latencies of keys of the topic table expected, found {', '.join(sorted(strange))}")
@@ -97,7 +100,7 @@ class Lockstep:
         self._decode = _DecodedOnce()
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._sequence = 0
-        self._workers: dict[str, Worker] = {}
+        self._workers: dict[str, ServiceRunner] = {}
         self._readers: dict[str, list[str]] = {}
         self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the current step, for the tap
         for order, name in enumerate(makers):
@@ -142,7 +145,7 @@ class Lockstep:
 
     def _start(self, name: str) -> None:
         service = self._makers[name]()
-        worker = Worker(
+        worker = ServiceRunner(
             service,
             lambda topic, frame, _: self._send(name, topic, frame),
             lambda: self.now_ns,

@@ -25,7 +25,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import clock
 from sextant.shared.runtime.process_priority import go_first, keep_memory, switch_often
 from sextant.shared.runtime.service import Service
-from sextant.shared.runtime.shutdown import ToldToEnd, end_with, leave, leave_at_errors
+from sextant.shared.runtime.shutdown import ShutdownRequested, end_with, leave, leave_at_errors
 from sextant.shared.runtime.simulated_time import SimulatedTime
 from sextant.shared.runtime.watchdog import Watchdog
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -47,7 +47,7 @@ def main(
 ) -> NoReturn:
     """Run one service and end the process."""
     leave_at_errors()
-    with ToldToEnd() as told:
+    with ShutdownRequested() as told:
         leave(run(name, schema, make, told, rehearse=rehearse))
 
 
@@ -55,7 +55,7 @@ def run(
     name: str,
     schema: type[S],
     make: Callable[[RobotProfile, S], Service],
-    told: ToldToEnd,
+    told: ShutdownRequested,
     argv: Sequence[str] | None = None,
     rehearse: Callable[[RobotProfile, S], None] | None = None,
 ) -> int:
@@ -92,7 +92,7 @@ def run(
                 _patiently(lambda: rehearse(profile, settings))
             if arguments.simulated_time:
                 if arguments.elsewhere:
-                    raise ValueError("--simulated-time is shared on one machine: leave --elsewhere out")
+                    raise ValueError("--simulated-time works on one machine only; remove --elsewhere")
                 stack.enter_context(clock.going_by(SimulatedTime(Path(arguments.simulated_time))))
             told.open()
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
@@ -147,7 +147,7 @@ def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int],
     while not robot.known and not stop.wait(_LOOK_S):
         alive(time.monotonic_ns())
         if not told:
-            logging.info("waiting for the robot: nothing has come on %s", topics.ACTUATOR_STATE.key)
+            logging.info("waiting for the robot: no message on %s yet", topics.ACTUATOR_STATE.key)
             told = True
     clock.go_by(robot)
     return lambda: robot.ahead_s
@@ -215,19 +215,27 @@ def toml_value(value: object) -> str:
 def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentParser:
     known = ", ".join(f.name for f in dataclasses.fields(schema))
     parser = argparse.ArgumentParser(prog=f"python -m {package}", description=f"The {name} service.")
-    parser.add_argument("--robot", default="phantomx_mk2", help="profile by name, or the path of a TOML file")
+    parser.add_argument(
+        "--robot", default="phantomx_mk2", help="robot profile, by name or path of a TOML file (default %(default)s)"
+    )
     parser.add_argument("--connect", action="append", default=[], help="endpoint to connect to, e.g. tcp/127.0.0.1:7447")
-    parser.add_argument("--scouting", action="store_true", help="find the others by multicast instead")
-    parser.add_argument("--namespace", default="sextant", help="prefix of every key; runs with different ones do not meet")
-    parser.add_argument("--keys", metavar="DIR", help="certificate of this machine, for endpoints of tls")
+    parser.add_argument("--scouting", action="store_true", help="discover the other processes by multicast instead")
+    parser.add_argument(
+        "--namespace",
+        default="sextant",
+        help="prefix of every key; runs with different prefixes are separate (default sextant)",
+    )
+    parser.add_argument("--keys", metavar="DIR", help="folder with the certificate of this machine, for tls endpoints")
     parser.add_argument("--config", help="TOML file with settings")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
-    parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help=f"value of a setting, repeatable; settings: {known}"
+    )
+    parser.add_argument("--elsewhere", action="store_true", help="use the robot's clock, on a machine that is not the robot's")
     words = "role of this machine, under which the service publishes its health (default %(default)s)"
     parser.add_argument("--role", default="robot", choices=topics.ROLE_NAMES, help=words)
-    words = "file of the time that the processes of a simulated run share (default: real time)"
+    words = "file with the shared time of a simulated run (default: real time)"
     parser.add_argument("--simulated-time", metavar="FILE", help=words)
-    parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
-    parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
-    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    parser.add_argument("--nice", type=int, default=0, help="niceness of the process, 0 to 19 (default 0)")
+    parser.add_argument("--urgent", action="store_true", help="use real-time priority, if this user may")
+    parser.add_argument("--parent", type=int, help="id of the parent process; end when it ends")
     return parser

@@ -22,9 +22,7 @@ def go_first() -> str:
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
     except PermissionError:
-        return (
-            "real-time priority is refused; allow it with `ulimit -r` or LimitRTPRIO, or busy neighbours may delay its cycles"
-        )
+        return "real-time priority is refused, so busy processes may delay the cycles; allow it with `ulimit -r` or LimitRTPRIO"
     return ""
 
 

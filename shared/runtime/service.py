@@ -229,7 +229,7 @@ class Inbox:
                 self._refuse(topic, str(error))
                 continue
             if self._robot_time and message.stamp_ns > at_ns + AHEAD_NS:
-                self._refuse(topic, f"stamped {(message.stamp_ns - at_ns) * 1e-9:.1f} s ahead of now")
+                self._refuse(topic, f"stamped {(message.stamp_ns - at_ns) * 1e-9:.1f} s in the future")
                 continue
             if timing.began_ns > 0 and topic.key not in self._fetch:
                 self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
@@ -277,7 +277,7 @@ class Service(Protocol):
         ...
 
 
-class Worker:
+class ServiceRunner:
     """Runs the steps of one service and sends their messages; both runners use it."""
 
     def __init__(
@@ -339,7 +339,7 @@ class Worker:
             for made in self.service.step(message, self.inbox):
                 topic = topics.OF_TYPE.get(type(made))
                 if topic is None or topic not in self._writes:
-                    raise ValueError(f"{self.service.name} made a {type(made).__name__}, which its `writes` does not name")
+                    raise ValueError(f"{self.service.name} returned a {type(made).__name__}, which is not in its `writes`")
                 self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
         self._stepped_ns = began_ns
@@ -394,4 +394,4 @@ class Worker:
         pace, waited_ns = self.service.paced_by, now_ns - self._stepped_ns
         if isinstance(pace, Every) or waited_ns <= max(pace.fresh_for_ns, HEALTH_PERIOD_NS):
             return ""
-        return f"nothing has come on {pace.key} for {waited_ns * 1e-9:.0f} s; the last: "
+        return f"no message on {pace.key} for {waited_ns * 1e-9:.0f} s; last status: "

@@ -33,7 +33,7 @@ def bound_the_end() -> None:
     faulthandler.dump_traceback_later(_END_S, exit=True, file=_STDERR)  # from a thread that does not need the interpreter
 
 
-class ToldToEnd:
+class ShutdownRequested:
     """Context manager of the main thread that sets an event on SIGTERM or SIGINT.
 
     A separate thread waits for the signals. A signal handler would have to wait for the main thread, which may be blocked in a

@@ -6,7 +6,7 @@ Numba compiles a function for the types of its arguments. Arrays from a received
 (they are read-only), so the synthetic messages pass through the codec.
 """
 
-from sextant.shared.runtime.service import Every, Service, Worker
+from sextant.shared.runtime.service import Every, Service, ServiceRunner
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message
 
@@ -18,7 +18,7 @@ class Rehearsal:
         """Start at time zero."""
         self._now_ns = 0
         self._paced_by = service.paced_by
-        self._worker = Worker(service, lambda _topic, _frame, _at_ns: None, lambda: self._now_ns)
+        self._worker = ServiceRunner(service, lambda _topic, _frame, _at_ns: None, lambda: self._now_ns)
 
     def hear(self, message: Message) -> None:
         """Deliver a message at the time of its stamp [ns].

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.lateness import STALL
-from sextant.shared.runtime.service import AnyTopic, Every, Service, Worker
+from sextant.shared.runtime.service import AnyTopic, Every, Service, ServiceRunner
 from sextant.shared.runtime.simulated_time import hold
 
 _LOOK_S = 0.2  # [s] maximum real time between two `alive` calls while the step thread waits
@@ -101,7 +101,7 @@ def run_live(
     def astray() -> tuple[int, str]:
         return link.astray, link.last_astray
 
-    worker = Worker(
+    worker = ServiceRunner(
         service,
         send,
         clock,

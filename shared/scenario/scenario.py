@@ -167,7 +167,7 @@ class Pillars:
         _expect(self.size > 0 and self.length >= 0, "a size greater than 0 m and a length", (self.size, self.length))
         least = min(self.jitter, self.top_spread)
         _expect(least >= 0, "a jitter and a top_spread of at least 0 m", least)
-        _expect(0 <= self.weak <= len(self.xy), f"0 to {len(self.xy)} weak ones, for there are no more", self.weak)
+        _expect(0 <= self.weak <= len(self.xy), f"0 to {len(self.xy)} weak pillars, the number of pillars", self.weak)
         found = (self.bears, self.sinks)
         _expect(self.bears >= 0 and 0 < self.sinks < self.depth, "bears of at least 0 N and sinks between 0 m and depth", found)
 
@@ -285,7 +285,7 @@ class HeightMap:
             return folder / self.file
         root, rest = os.environ.get(variable[1], ""), self.file[variable.end() :]
         if not root:
-            wanted = f"the environment variable {variable[1]} expected to name the folder that holds {rest}, it is not set"
+            wanted = f"the environment variable {variable[1]} is not set; set it to the folder that contains {rest}"
             raise config.ConfigError(f"height map {self.file}", [wanted])
         return Path(root) / rest
 
@@ -624,7 +624,7 @@ class Fault:
         _expect(self.at_spread_s >= 0, "an at_spread_s of at least 0 s", self.at_spread_s)
         _expect(self.for_s > 0, "an outage longer than 0 s", self.for_s)
         kinds = ("absent", "frozen", "blind", "noise") if self.of_camera else ("kill", "hang")
-        _expect(self.kind in kinds, f"a kind out of {', '.join(kinds)} for service = {self.service!r}", repr(self.kind))
+        _expect(self.kind in kinds, f"one of {', '.join(kinds)} for service = {self.service!r}", repr(self.kind))
 
     @property
     def of_camera(self) -> bool:

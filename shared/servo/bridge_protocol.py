@@ -70,9 +70,9 @@ _REFUSAL_WORDS = {
     Refusal.AGE: "an order that is too old",
     Refusal.COUNT: "values for another number of servos than the session has",
     Refusal.NO_GOALS: "torque on without fresh goals",
-    Refusal.FAR: "torque on with a goal that is far from where its servo is, or with a servo that is not heard",
-    Refusal.QUESTION: "a question or a write that is not passed on; torque has an order of its own",
-    Refusal.BUSY: "more questions than can wait",
+    Refusal.FAR: "torque on with a goal far from its servo's position, or with a servo that does not answer",
+    Refusal.QUESTION: "a request or a write that is not passed on; torque has a separate order",
+    Refusal.BUSY: "more requests than can wait",
     Refusal.VERSION: "a hello of another version",
 }
 
@@ -292,7 +292,7 @@ def _wire_value(message: type[Message], name: str, turn: Any, value: Any) -> Any
 def _same_length(message: Message, *names: str) -> None:
     counts = {name: len(getattr(message, name)) for name in names}
     if len(set(counts.values())) > 1:
-        raise ValueError(f"{type(message).__name__}: as many values of each kind expected, found {counts}")
+        raise ValueError(f"{type(message).__name__}: equal numbers of values expected, found {counts}")
 
 
 # ---------------------------------------------------------------------------------------------------------------- frames

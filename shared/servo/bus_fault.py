@@ -30,40 +30,43 @@ _PACKETS, _WINDOWS = ("share", "servo"), ("on_ms", "off_ms")
 GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
     {
         ("bytes", "silent"): Cell("a share of the bytes is lost, both ways", ("share",)),
-        ("bytes", "stuck"): Cell("a share of the bytes becomes one value, both ways", ("share", "value")),
-        ("bytes", "garbage"): Cell("a share of the bytes becomes any other, both ways", ("share",)),
+        ("bytes", "stuck"): Cell("a share of the bytes is replaced by one value, both ways", ("share", "value")),
+        ("bytes", "garbage"): Cell("a share of the bytes is replaced by random bytes, both ways", ("share",)),
         ("bytes", "wrong"): Cell("a share of the bytes has one bit flipped, both ways", ("share",)),
-        ("bytes", "slow"): Cell("a share of the bytes from servos comes late, with what is behind it", ("share", "delay_ms")),
-        ("bytes", "intermittent"): Cell("bursts: for a while every byte becomes any other, both ways", _WINDOWS),
-        ("packets", "silent"): Cell("a share of the answers is lost", _PACKETS),
-        ("packets", "stuck"): Cell("in place of a share of the answers the servo's one before comes again", _PACKETS),
-        ("packets", "garbage"): Cell("noise comes in front of a share of the answers", _PACKETS),
-        ("packets", "wrong"): Cell(
-            "a share of the answers is wrong: in one part, its checksum right, or in two bits or bytes", (*_PACKETS, "part")
+        ("bytes", "slow"): Cell(
+            "a share of the bytes from servos arrives late, and all bytes behind them", ("share", "delay_ms")
         ),
-        ("packets", "slow"): Cell("a share of the answers comes late", (*_PACKETS, "delay_ms")),
+        ("bytes", "intermittent"): Cell("bursts: every byte is random for a while, both ways", _WINDOWS),
+        ("packets", "silent"): Cell("a share of the answers is lost", _PACKETS),
+        ("packets", "stuck"): Cell("a share of the answers is replaced by the servo's previous answer", _PACKETS),
+        ("packets", "garbage"): Cell("noise precedes a share of the answers", _PACKETS),
+        ("packets", "wrong"): Cell(
+            "a share of the answers is wrong: in one part, with a correct checksum, or in two bits or bytes",
+            (*_PACKETS, "part"),
+        ),
+        ("packets", "slow"): Cell("a share of the answers arrives late", (*_PACKETS, "delay_ms")),
         ("packets", "intermittent"): Cell("for a while every answer is lost", ("servo", *_WINDOWS)),
-        ("servo", "silent"): _of_servo("it neither hears nor answers; with its cable pulled it has no power either", "cable"),
+        ("servo", "silent"): _of_servo(
+            "it neither receives nor answers; with its cable pulled it has no power either", "cable"
+        ),
         ("servo", "stuck"): _of_servo("its position register does not change; the joint moves"),
-        ("servo", "jammed"): _of_servo("its joint does not move; what it measures is right"),
+        ("servo", "jammed"): _of_servo("its joint does not move; its readings are correct"),
         ("servo", "garbage"): _of_servo("its answers are random bytes"),
         ("servo", "wrong"): _of_servo("its position register is off", "offset_ticks"),
-        ("servo", "slow"): _of_servo("its answers come late", "delay_ms"),
+        ("servo", "slow"): _of_servo("its answers arrive late", "delay_ms"),
         ("servo", "intermittent"): _of_servo("a loose cable: silent for a while, again and again", *_WINDOWS, "cable"),
         ("servo", "overload"): _of_servo("it has latched an overload, and latches it again until the end"),
         ("servo", "heat"): _of_servo("its motor is heated from outside", "kelvin_per_s"),
-        ("servo", "hot"): _of_servo("its temperature register reads a value, whatever its heat is", "celsius"),
-        ("bus", "silent"): Cell("the adapter has no power: nobody hears and nobody answers; servos hold their goals"),
-        ("bus", "stuck"): Cell("the line is held: one byte comes without end, nobody hears", ("value",)),
-        ("bus", "garbage"): Cell("random bytes come without end, nobody hears"),
-        ("bus", "wrong"): Cell("every answer is the one to the question before"),
-        ("bus", "slow"): Cell(
-            "every answer comes late, as from a USB adapter with its latency timer as delivered", ("delay_ms",)
-        ),
+        ("servo", "hot"): _of_servo("its temperature register has a fixed value", "celsius"),
+        ("bus", "silent"): Cell("the adapter has no power: no bytes pass in either direction; servos hold their goals"),
+        ("bus", "stuck"): Cell("the line is stuck: one byte repeats endlessly, servos receive nothing", ("value",)),
+        ("bus", "garbage"): Cell("random bytes arrive endlessly, servos receive nothing"),
+        ("bus", "wrong"): Cell("every answer is that of the previous request"),
+        ("bus", "slow"): Cell("every answer arrives late, as from a USB adapter with its default latency timer", ("delay_ms",)),
         ("bus", "intermittent"): Cell("silent for a while, again and again", _WINDOWS),
-        ("bus", "gone"): Cell("the port is gone; it comes back, perhaps under another name", ("renamed",)),
+        ("bus", "gone"): Cell("the port disappears, and returns, optionally under another name", ("renamed",)),
         ("supply", "sag"): Cell("the voltage is lower", ("volts",)),
-        ("supply", "drain"): Cell("the battery runs empty, steadily, from the beginning to the end"),
+        ("supply", "drain"): Cell("the battery drains steadily from the beginning to the end"),
     }
 )
 

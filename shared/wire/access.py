@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from sextant.shared.errors import SextantError
 from sextant.shared.files import input_file
 from sextant.shared.wire import topics as t
 
@@ -33,7 +34,7 @@ _ALL_MESSAGES = (
 )
 
 
-class AccessError(ValueError):
+class AccessError(SextantError, ValueError):
     """The keys are unusable or insufficient; the text gives what to do."""
 
 
@@ -56,7 +57,7 @@ class Role:
         may = ", ".join(topic.key for topic in self.puts) or "nothing"
         return (
             f"this certificate ({self.name}: {self.what}) may not send {', '.join(barred)}, only {may}; "
-            f"use the keys of another role: {others or 'none may'}"
+            f"use the keys of another role: {others or 'no role may'}"
         )
 
 
@@ -93,12 +94,12 @@ _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     ),
     Role(
         "base",
-        "a computer beside the robot: mapper, planner, console, recorder",
+        "a base computer next to the robot: mapper, planner, console, recorder",
         (*_PLANNED, *_LED, t.RECORDER_STATE, *_own("base")),
         (*_SEEN, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU),
     ),
-    Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_own("console")), _SEEN),
-    Role("viewer", "somebody's computer that looks on, and may stop", (t.STOP,), _SEEN),
+    Role("console", "an operator's computer: commands and views, but does not plan", (*_LED, *_own("console")), _SEEN),
+    Role("viewer", "a viewer's computer: views, and may stop the robot", (t.STOP,), _SEEN),
 )
 
 
@@ -110,7 +111,7 @@ ROLES: tuple[Role, ...] = (
     *_ENDS,
     Role(
         SITE,
-        "a router between a robot and others, which holds each of them to its role",
+        "a router between a robot and its clients, which enforces their roles",
         _together((*(role.puts for role in _ENDS), _own(SITE))),
         _together(role.reads for role in _ENDS),
     ),
@@ -135,9 +136,9 @@ class Keys:
         """
         missing = [name for name in (AUTHORITY, CERTIFICATE, KEY, ROLE) if not (folder / name).is_file()]
         if missing:
-            hint = "; it has a folder for each role: name one of them" if (folder / "robot").is_dir() else ""
+            hint = "; it contains a folder for each role: give one of these" if (folder / "robot").is_dir() else ""
             raise AccessError(
-                f"keys in {folder}: {', '.join(missing)} expected, not found{hint or '; `sextant keys new DIR` makes keys'}"
+                f"keys in {folder}: {', '.join(missing)} expected, not found{hint or '; `sextant keys new DIR` creates keys'}"
             )
         try:
             stated = input_file.read_toml(folder / ROLE)
@@ -146,13 +147,14 @@ class Keys:
         name, end = stated.get("role"), stated.get("ends")
         dated = isinstance(end, datetime) and end.tzinfo is not None and 2000 <= end.year < 9000
         if not (isinstance(name, str) and name in ROLE_NAMED and isinstance(end, datetime) and dated):
-            expected = f"a role of {', '.join(ROLE_NAMED)} and the time at which it ends"
+            expected = f"a role ({', '.join(ROLE_NAMED)}) and its end time"
             raise AccessError(f"{folder / ROLE}: {expected} expected, found {name!s:.60} and {end!s:.60}")
         role, ends = ROLE_NAMED[name], end.astimezone(UTC)
         found = cls(folder.resolve(), role, ends)
         if (left := found.days_left(datetime.now(UTC))) <= 0:
             raise AccessError(
-                f"the certificate in {folder} ended {-left:.0f} days ago, on {ends:%Y-%m-%d}; `sextant keys new` makes new ones"
+                f"the certificate in {folder} expired {-left:.0f} days ago, on {ends:%Y-%m-%d}; "
+                "make new keys with `sextant keys new`"
             )
         return found
 
@@ -216,7 +218,7 @@ class Keys:
     def _on_loopback(self, side: str, port: int) -> str:
         own = self.proxy_file(ROUTER)
         if any(sign in str(own) for sign in ";=#?"):
-            raise AccessError(f"the folder of keys {self.folder} has one of ; = # ? in its path; move it to another")
+            raise AccessError(f"the folder of keys {self.folder} has one of ; = # ? in its path; move it to another path")
         files = f"{side}_certificate_file={own};{side}_private_key_file={own}"
         return f"tls/127.0.0.1:{port}#root_ca_certificate_file={own.with_name(AUTHORITY)};{files}"
 

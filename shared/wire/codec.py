@@ -113,7 +113,11 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     layout = _layout(kind)
     if found != layout.schema_id:
         of_other_type = found.partition(":")[0] != kind.__name__
-        why = "another type has come under this key" if of_other_type else "sender and receiver are different versions"
+        why = (
+            "the sender publishes another type under this key"
+            if of_other_type
+            else "sender and receiver are different versions"
+        )
         raise DecodeError(f"schema {layout.schema_id} expected, found {found}: {why}")
     if len(values) != len(layout.fields):
         raise DecodeError(f"{kind.__name__}: {len(layout.fields)} fields expected, found {len(values)}")

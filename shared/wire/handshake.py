@@ -12,10 +12,10 @@ _VERDICT_S = 0.25  # [s] a refusal of the certificate arrives within one round t
 
 _ALERTS = (  # alert of a listener, and its meaning
     ("EXPIRED", "this machine's certificate has expired, or its clock is wrong; make new ones with `sextant keys new`"),
-    ("UNKNOWN_CA", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
-    ("DECRYPT_ERROR", "the robot does not know the authority of this certificate; use keys made together with the robot's"),
+    ("UNKNOWN_CA", "the robot does not trust the authority of this certificate; use keys made together with the robot's"),
+    ("DECRYPT_ERROR", "the robot does not trust the authority of this certificate; use keys made together with the robot's"),
     ("CERTIFICATE_REQUIRED", "the robot asks for a certificate; give --keys DIR"),
-    ("BAD_CERTIFICATE", "the robot does not take this certificate; use keys made together with the robot's"),
+    ("BAD_CERTIFICATE", "the robot does not accept this certificate; use keys made together with the robot's"),
 )
 
 
@@ -26,7 +26,7 @@ def refusal(endpoint: str, keys: Keys) -> str:
         context.load_verify_locations(keys.folder / AUTHORITY)
         context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
     except (ssl.SSLError, OSError) as error:
-        return f"the keys in {keys.folder} cannot be read: {error}; copy the folder of this machine's role anew"
+        return f"the keys in {keys.folder} cannot be read: {error}; copy the folder of this machine's role again"
     return verdict(endpoint, context)
 
 
@@ -47,13 +47,13 @@ def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT
     except TimeoutError:
         return ""  # the listener accepted the handshake and waits for data
     except ssl.SSLCertVerificationError as error:
-        return f"{endpoint} is not who it should be: {error.verify_message}; {_of_certificate(error, host)}"
+        return f"{endpoint} is not the expected machine: {error.verify_message}; {_of_certificate(error, host)}"
     except ssl.SSLError as error:
         said = next((words for alert, words in _ALERTS if alert in (error.reason or "")), "")
         return f"{endpoint} refused this machine: {said or error.reason or error}"
     except OSError as error:
         return cannot_connect(endpoint, error)
-    return f"{endpoint} closed the connection without a word; does it speak TLS, and is this its port?"
+    return f"{endpoint} closed the connection without an answer; does it use TLS, and is the port right?"
 
 
 def _of_certificate(error: ssl.SSLCertVerificationError, host: str) -> str:

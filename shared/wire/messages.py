@@ -549,7 +549,7 @@ class Health(Message):
         """Return a text if the numbers of names and values differ."""
         named = (len(self.stages), len(self.inputs))
         numbers = (len(self.stage_p50_ms), len(self.input_age_s))
-        return "" if named == numbers else f"{named} numbers of stages and inputs expected, as there are names, found {numbers}"
+        return "" if named == numbers else f"{named} values for the named stages and inputs expected, found {numbers}"
 
 
 @dataclass(frozen=True, slots=True)

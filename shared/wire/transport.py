@@ -22,6 +22,7 @@ from typing import Any, Self
 
 import zenoh
 
+from sextant.shared.errors import SextantError
 from sextant.shared.wire.access import Keys
 from sextant.shared.wire.endpoint import fault, obstacle, occupied, unknown_host
 from sextant.shared.wire.handshake import refusal
@@ -154,8 +155,10 @@ def _lanes(endpoints: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(lanes)
 
 
-class TransportError(RuntimeError):
+class TransportError(SextantError, RuntimeError):
     """The network could not be opened; the text gives the cause and what to do."""
+
+    exit_status = 1
 
 
 def _open(config: Mapping[str, Any]) -> zenoh.Session:
@@ -286,7 +289,7 @@ class Router:
             if continued and not self._ended:  # a gap without SIGCONT means only that other processes had the processor
                 self._woken.clear()
                 if away_s > GIVEN_UP_S:
-                    _log.warning("this process was stopped for %.1f s: the router begins anew", away_s)
+                    _log.warning("this process was stopped for %.1f s: the router restarts", away_s)
                     self._begin_anew()
             self._awake_s = time.monotonic()
 

@@ -5,7 +5,7 @@ import io
 import pytest
 
 from sextant.deploy.commands.common import warm_up
-from sextant.deploy.progress import progress_for
+from sextant.deploy.terminal.progress import progress_for
 
 
 @pytest.fixture(scope="session", autouse=True)

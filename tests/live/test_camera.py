@@ -63,7 +63,7 @@ def test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none(tmp_path
                 up.wait_for(lambda: any(state.ok for state in states()), "a good state")
                 folder.rename(tmp_path / "elsewhere")
                 up.wait_for(lambda: states()[-1].reason, "its absence being said")
-                up.wait_for(lambda: any("no pictures" in words and "ground" in words for words in doing()), "health")
+                up.wait_for(lambda: any("no images" in words and "ground" in words for words in doing()), "health")
                 assert up.running(), "a camera that is absent ends nothing"
             up.interrupt()
             assert up.status() == 130

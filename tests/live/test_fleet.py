@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from sextant.deploy.bench import browser as browsers
-from sextant.deploy.bench import fleet
-from sextant.deploy.bench.browser import SMALL
+from benchmarks.page import browser as browsers
+from benchmarks.page.browser import SMALL
+from benchmarks.robot import fleet
 from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.network import meeting
+from sextant.deploy.security import peer_handshake
 from sextant.services.console.web.origin_policy import PROTOCOL
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
@@ -74,7 +74,7 @@ class Robot:
             state = actuator_state(PROFILE, stamp_ns=now, mode=self.mode, reason=self.reason)
             self._link.send(topics.ACTUATOR_STATE, codec.encode(state, codec.Timing(now, now)))
             if self.rival:
-                word = meeting.presence("a rival", "offboard", "1", ["mapper"], 1e6, now)
+                word = peer_handshake.presence("a rival", "offboard", "1", ["mapper"], 1e6, now)
                 self._link.send(topics.PRESENCE, codec.encode(word, codec.Timing(now, now)))
 
 
@@ -113,7 +113,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
         # 1. One address shows the state of each robot.
         base.wait_for(lambda: shows(port, "alpha", Mode.HOLD), "the page of alpha")
         base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page of beta")
-        assert f"the page of all robots: http://127.0.0.1:{port}/" in base.text()
+        assert f"page of all robots: http://127.0.0.1:{port}/" in base.text()
         # 2. An order there reaches its robot only.
         with glance(port, "alpha") as page:
             page.send(json.dumps({"type": "order", "order": "off"}))
@@ -130,9 +130,9 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
         # 4. A machine that claims the same services is reported, and ends no process.
         mapper = process(base, "sextant.services.mapper", "alpha")
         robots["alpha"].rival = True
-        base.wait_for(lambda: "alpha: a rival (offboard) has started mapper already" in base.text(), "the report of a rival")
+        base.wait_for(lambda: "alpha: a rival (offboard) already runs mapper" in base.text(), "the report of a rival")
         # 5. Services of one robot that keep failing are ended with the reason, and the other robot goes on.
-        while "the other robots go on" not in base.text():
+        while "the other robots continue" not in base.text():
             found = process(base, "sextant.services.mapper", "alpha")
             if found is not None:
                 assert mapper is None or found.pid == mapper.pid, "still the same"
@@ -164,7 +164,7 @@ def test_one_page_shows_all_robots_and_leads_to_each(
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(f"http://127.0.0.1:{port}/")
-        page.wait_for_function("() => document.getElementById('count').textContent === '2 of 2 robots are heard'")
+        page.wait_for_function("() => document.getElementById('count').textContent === '2 of 2 robots are connected'")
         page.screenshot(path=folder / "fleet_page.png")
         cards = page.locator(".robot")
         assert [card.locator(".mode").inner_text().lower() for card in cards.all()] == ["hold", "fault"]
@@ -193,8 +193,8 @@ def test_a_base_is_loaded_with_a_recorded_robot(tmp_path: Path) -> None:
     The same command measures the capacity of a base.
     """
     course = str(write_course(tmp_path, "there", 0.8))
-    words = ("bench", "fleet", "--robots", "1", "--course", course, "--out", str(tmp_path / "out"))
-    with Command(*words, cwd=tmp_path) as bench:
+    words = ("fleet", "--robots", "1", "--course", course, "--out", str(tmp_path / "out"))
+    with Command(*words, cwd=tmp_path, module="benchmarks") as bench:
         assert bench.status() == 0
         bench.gone()
     (load,) = fleet.from_json((tmp_path / "out" / "fleet.json").read_text(encoding="utf-8"))

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.bed.bed import PORT, TLS_PORT, Bed, Namespaces, OneMachine
-from sextant.deploy.bed.cuts import BACK_S, HOLD_S, OLDEST_S
-from sextant.deploy.bed.namespace import BedError
-from sextant.deploy.bed.two_machines import TwoMachines
+from benchmarks.net_testbed.link_outages import BACK_S, HOLD_S, OLDEST_S
+from benchmarks.net_testbed.namespace import BedError
+from benchmarks.net_testbed.testbed import PORT, TLS_PORT, Bed, Namespaces, OneMachine
+from benchmarks.net_testbed.two_machines import TwoMachines
 from sextant.shared.scenario.scenario import Link
 from tests.support.commands import PATIENCE_S, ROOT, Command, skip_where_taken, write_course
 from tests.test_readme import commands
@@ -86,8 +86,8 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
 
     The same command with more cuts measures the times.
     """
-    words = ("bench", "link", "--cuts", "2", "--longest", "0.9", "--seed", "1000", "--out", str(tmp_path / "out"))
-    with Command(*words, cwd=tmp_path) as bench:
+    words = ("link", "--cuts", "2", "--longest", "0.9", "--seed", "1000", "--out", str(tmp_path / "out"))
+    with Command(*words, cwd=tmp_path, module="benchmarks") as bench:
         assert bench.status() == 0
         bench.gone()
         assert "2 cuts of" in bench.text()
@@ -102,7 +102,7 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
 
 _SPEAKS = """
 import sys, threading
-from sextant.deploy.network.silence import SilenceLimit
+from sextant.deploy.security.tcp_timeout import SilenceLimit
 from sextant.shared.wire import topics
 from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
 silence = SilenceLimit(1e-3 * LEASE_MS)
@@ -116,7 +116,7 @@ with Router((here,), (sys.argv[1],)), ZenohLink(Endpoints((here,))) as link:
 """
 _HEARS = """
 import sys, time
-from sextant.deploy.network.silence import SilenceLimit
+from sextant.deploy.security.tcp_timeout import SilenceLimit
 from sextant.shared.wire import topics
 from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
 with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))) as link:

@@ -1,4 +1,4 @@
-"""Faults in processes over Zenoh, as `sextant faults --live` injects them."""
+"""Faults in processes over Zenoh, as `python -m benchmarks faults --live` injects them."""
 
 import json
 from pathlib import Path

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 import sextant
 from sextant import deploy
-from sextant.deploy.judging.report import check
+from sextant.deploy.evaluation.report import check
 from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
 from sextant.deploy.launch.launcher import Launcher, free_port
-from sextant.deploy.process_table import BUS_PORT
-from sextant.deploy.process_table import Command as LaunchedCommand
+from sextant.deploy.launch.process_table import BUS_PORT
+from sextant.deploy.launch.process_table import Command as LaunchedCommand
 from sextant.shared.recording.reader import Recording
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Health, Mode
@@ -114,7 +114,7 @@ def test_services_that_are_killed_in_turn_are_named_and_started_again(tmp_path: 
         lines = [line for line in command.said if "ended (killed by SIGKILL)" in line]
     assert [line.split()[0] for line in lines] == killed
     assert all("started again" in line for line in lines)
-    assert all("its last words: " in line or "without a word" in line for line in lines)
+    assert all("last output: " in line or "without output" in line for line in lines)
     report = report_in(out)
     assert report["falls"] == 0
     assert (status == 0) == report["success"]
@@ -286,12 +286,14 @@ def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> 
         offboard.wait_for(lambda: "waiting for the robot" in offboard.text(), "a base that waits")
         with Command("up", "onboard", "--scenario", course, "--listen", robot, *meet, cwd=tmp_path) as onboard:
             for one, other in ((offboard, "onboard"), (onboard, "offboard")):
-                one.wait_for(lambda one=one, other=other: f"({other}) is here: " in one.text(), f"the {other} half")
+                one.wait_for(
+                    lambda one=one, other=other: f"({other}) has connected, running " in one.text(), f"the {other} half"
+                )
             with Command("run", course, "--connect", base, *meet, "--out", str(out), cwd=tmp_path) as run:
                 assert run.status() == 0, run.text()
             with Command("up", "offboard", "--connect", robot, "--with", "perception", *meet, cwd=tmp_path) as second:
                 assert second.status() == 1
-                assert re.search(r"has started perception.* already|has started mapper, planner.* already", second.text())
+                assert re.search(r"already runs perception|already runs mapper, planner", second.text())
             assert offboard.running()
             assert onboard.running()
     assert report_in(out)["success"] is True
@@ -365,7 +367,7 @@ def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_eac
                 check = [
                     sys.executable,
                     "-m",
-                    "sextant.deploy.healthy",
+                    "sextant.deploy.launch.healthcheck",
                     *(("--port", str(ROUTER_PORT)) if command.ready_port else ()),
                 ]
                 around = {**os.environ, **command.environment}

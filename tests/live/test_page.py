@@ -1,6 +1,6 @@
 """The operator's page in a real browser, with a simulated robot that walks live.
 
-Time limits are generous here because machines are shared; `sextant bench page` measures the times.
+Time limits are generous here because machines are shared; `python -m benchmarks page` measures the times.
 """
 
 import time
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.deploy.bench import browser as browsers
-from sextant.deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
-from sextant.deploy.bench.page_robot import PageRobot
+from benchmarks.page import browser as browsers
+from benchmarks.page.browser import DESKTOP, PHONE, SMALL, Hand
+from benchmarks.page.page_robot import PageRobot
 from sextant.shared.recording.reader import Recording
 from sextant.shared.wire.messages import Mode
 from tests.support.commands import PATIENCE_S
@@ -79,7 +79,7 @@ class open_page:  # noqa: N801 - it reads as what it does
     def __exit__(self, *_: object) -> None:
         self._context.close()
         assert self.errors == []
-        assert {url for url in self.asked if not url.startswith(("blob:", self._robot.url))} == set(), "nobody else is asked"
+        assert {url for url in self.asked if not url.startswith(("blob:", self._robot.url))} == set(), "no other page is asked"
 
 
 def walk(robot: PageRobot, hand: Hand) -> None:
@@ -125,7 +125,7 @@ def x_of(robot: PageRobot) -> float:
 def test_the_pad_walks_the_robot_while_it_is_held(robot: PageRobot, hand: Hand) -> None:
     begun = x_of(robot)
     walk(robot, hand)
-    assert hand.says("#leader-words") == "you lead"
+    assert hand.says("#leader-words") == "you are in control"
     robot.pass_time(1.0)
     assert x_of(robot) > begun + 0.05
     since, swing = time.monotonic(), robot.swinging()
@@ -204,19 +204,19 @@ def test_torque_off_reaches_the_bus_while_it_walks(robot: PageRobot, hand: Hand)
 def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageRobot, chromium: Any, hand: Hand) -> None:
     with open_page(robot, chromium) as second:  # before the walk: a press lapses while a browser is busy with opening a page
         walk(robot, hand)
-        assert second.says("#leader-words") == "page 1 leads"
+        assert second.says("#leader-words") == "page 1 is in control"
         second.hold_forward()
         second.page.wait_for_selector("#notice:not([hidden])")
-        assert "page 1 leads the robot; take over first" in second.says("#notice")
+        assert "page 1 is in control of the robot; take over first" in second.says("#notice")
         second.release()
         assert robot.state is not None
         assert robot.state.lease.startswith("console 1 at "), "it has changed nothing"
         second.click("#stop")
         stands(robot)
         robot.pass_time(1.0)
-        assert robot.is_in(Mode.HOLD), "the first one still holds its pad, and has to press it anew"
+        assert robot.is_in(Mode.HOLD), "the first one still holds its pad, and has to press it again"
         second.click("#take-over")
-        second.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'you lead'")
+        second.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'you are in control'")
         hand.release()
         hand.hold_forward()
         hand.page.wait_for_selector("#notice:not([hidden])")
@@ -225,7 +225,7 @@ def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageR
         walk(robot, second)
         second.release()
         stands(robot)
-    hand.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'nobody leads'")
+    hand.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'no client is in control'")
 
 
 def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot, hand: Hand) -> None:

@@ -93,7 +93,7 @@ def test_a_disk_without_room_is_refused_with_what_to_do(endpoints: Endpoints, tm
     words = sextant("record", "--out", str(tmp_path), "--reserve", "999999999", *met(endpoints))
     told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert told.returncode == 2
-    assert "make room, or record to another disk" in told.stderr
+    assert "free some space, or record to another disk" in told.stderr
 
 
 def test_the_process_records_by_order_and_says_how_it_stands(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.fuzz import live_role_attack
+from benchmarks.access import live_role_attack
 
 pytestmark = pytest.mark.live
 

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.bench import soak
-from sextant.deploy.process_table import rows
+from benchmarks.robot import soak
+from sextant.deploy.launch.process_table import rows
 from tests.support.commands import Command
 
 pytestmark = pytest.mark.live
 
 
 def test_a_long_walk_weighs_every_process_and_times_every_stream(tmp_path: Path) -> None:
-    with Command("bench", "soak", "--minutes", "0.5", "--out", str(tmp_path), cwd=tmp_path) as bench:
+    with Command("soak", "--minutes", "0.5", "--out", str(tmp_path), cwd=tmp_path, module="benchmarks") as bench:
         assert bench.status() in (0, 1), bench.text()  # in half a minute memory may well grow
         bench.gone()
     assert "written to" in bench.text()

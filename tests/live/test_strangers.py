@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy import cli
-from sextant.deploy.bench import strangers
+from benchmarks import cli
+from benchmarks.access import strangers
 
 pytestmark = pytest.mark.live
 
 
 def test_a_base_and_an_actuator_are_let_in_among_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["bench", "strangers", "--cuts", "2", "--rate", "200", "--restarts", "1", "--silent", "500", "--out", str(tmp_path)]
+    words = ["strangers", "--cuts", "2", "--rate", "200", "--restarts", "1", "--silent", "500", "--out", str(tmp_path)]
     assert cli.main(words) in (0, 1), "1 where a base was late, which is up to the machine"
     assert "| time from | n |" in capsys.readouterr().out
     found = strangers.from_json((tmp_path / "strangers.json").read_text(encoding="utf-8"))

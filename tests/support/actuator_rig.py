@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.safety.walk_authorization import Permit
+from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.services.actuator.service import Actuator
 from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.servos import ServoBank
@@ -55,7 +55,7 @@ class Rig:
         self.running: StepPlan | None = None
         self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay at this angle and ignore their goals
         self.state: ActuatorState | None = None
-        self.permit = Permit()
+        self.authorization = WalkAuthorization()
         self.suspended_ns = 0  # time for which the computer was suspended
         self.start()
 
@@ -63,7 +63,7 @@ class Rig:
         """Start a new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
         self.actuator = Actuator(
-            PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.permit, lambda: self.suspended_ns
+            PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.authorization, lambda: self.suspended_ns
         )
         self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
         self.now_ns = self.port.now_ns()

@@ -32,7 +32,7 @@ class Builder:
 
     def _next(self, question: str) -> str | bool:
         self.asked.append(question)
-        assert self.answers, f"nobody has an answer to {question!r}; told: {self.told}"
+        assert self.answers, f"no answer is scripted for {question!r}; told: {self.told}"
         answer = self.answers.pop(0)
         return answer() if callable(answer) else answer
 

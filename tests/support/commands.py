@@ -54,20 +54,20 @@ class Process:
 
 
 class Command:
-    """`python -m sextant.deploy.cli WORDS` in a separate process group.
+    """`python -m MODULE WORDS` in a separate process group; the module is that of `sextant` by default.
 
     A shell starts commands in the same way. This class is a context manager.
     """
 
-    def __init__(self, *words: str, cwd: Path):
+    def __init__(self, *words: str, cwd: Path, module: str = "sextant.deploy.cli"):
         self.said: list[str] = []  # lines of stdout and stderr
-        self._words = words
+        self._words = "-m", module, *words
         self._cwd = cwd
         self._mark = uuid.uuid4().hex  # inherited by all descendants, also after their parent has changed
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "sextant.deploy.cli", *self._words],
+            [sys.executable, *self._words],
             cwd=self._cwd,
             env={**os.environ, **environment(), _MARK: self._mark},
             stdin=subprocess.DEVNULL,

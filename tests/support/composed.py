@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from sextant.deploy.process_table import Command
+from sextant.deploy.launch.process_table import Command
 
 _FOR_EVER = 99
 

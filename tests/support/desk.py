@@ -3,7 +3,7 @@
 import numpy as np
 
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -19,7 +19,7 @@ class Desk:
         self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = 1_000_000
     ) -> None:
         self.profile = profile
-        self.bench = Workbench(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
+        self.bench = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
         self.tables = self.bench._servos.tables
         self.rates: list[int] = []  # rates at which a port was opened
         self.port = MemoryPort(self.bench, lambda: 0)

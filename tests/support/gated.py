@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from sextant.deploy.network.authority import Authority
+from sextant.deploy.security.authority import Authority
 from sextant.shared.wire.access import ROLES, Keys
 from sextant.shared.wire.topics import Topic
 from sextant.shared.wire.transport import Endpoints, ZenohLink

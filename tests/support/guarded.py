@@ -59,10 +59,10 @@ class Robot:
     def order(self, mode: str, holder: str = "a", take: bool = False) -> tuple[Act, ...]:
         """Send a new order."""
         self.number = max(self.number + 1, self.now)
-        return self.hear(ModeCommand(self.now, mode, self.number, holder, take))  # type: ignore[arg-type]
+        return self.handle_order(ModeCommand(self.now, mode, self.number, holder, take))  # type: ignore[arg-type]
 
-    def hear(self, order: ModeCommand) -> tuple[Act, ...]:
-        return self.perform(self.guard.hear(order, self.now))
+    def handle_order(self, order: ModeCommand) -> tuple[Act, ...]:
+        return self.perform(self.guard.handle_order(order, self.now))
 
     def plan(self, **changes: Any) -> StepPlan:
         """Return the next step, in place; it swings the other tripod."""
@@ -85,8 +85,8 @@ class Robot:
         """Return a new revision of the running step."""
         return self.plan(**{"step": self.step, "swing": self.swing, **changes})
 
-    def consider(self, plan: StepPlan) -> bool:
-        taken = self.guard.consider(plan, self.now, self.legs)
+    def accept_plan(self, plan: StepPlan) -> bool:
+        taken = self.guard.accept_plan(plan, self.now, self.legs)
         if taken and plan.step != self.step:
             self.next = plan
         return taken
@@ -107,7 +107,7 @@ class Robot:
             self.guard.risen()
             self.running = self.own = self.searching = False
             self.step, self.swing, self.next = 0, np.zeros(6, dtype=bool), None
-            self.guard.begin_anew(self.guard.epoch + 1)
+            self.guard.set_epoch(self.guard.epoch + 1)
         elif not self.posing:
             if ends:
                 self.running = self.own = self.searching = False
@@ -120,9 +120,9 @@ class Robot:
         """Perform the guard's acts as the actuator does."""
         for act in acts:
             match act:
-                case Act.LET_GO:
+                case Act.TORQUE_OFF:
                     self.torque, self.posing = False, ""
-                case Act.GRIP:
+                case Act.TORQUE_ON:
                     self.torque, self.still, self.posing = True, True, ""
                 case Act.RISE:
                     self.still, self.posing = False, "rise"
@@ -139,7 +139,7 @@ class Robot:
     def walking(self) -> "Robot":
         """Bring the robot to the middle of a step."""
         self.order("walk")
-        assert self.consider(self.plan())
+        assert self.accept_plan(self.plan())
         self.cycle()
         assert self.mode is Mode.WALK
         assert self.legs.planned
@@ -176,14 +176,14 @@ def rested(robot: Robot, cycles: int = 6) -> Robot:
 
 BAD: dict[str, tuple[Callable[[Robot], StepPlan], str]] = {
     "old": (lambda r: r.renewal(stamp_ns=r.now - AGE_NS - 1), "0.60 s old"),
-    "of the future": (lambda r: r.renewal(stamp_ns=r.now + AGE_NS + 1), "ahead of now"),
-    "of another epoch": (lambda r: r.renewal(epoch=r.guard.epoch + 1), "made before {odom} began anew"),
+    "of the future": (lambda r: r.renewal(stamp_ns=r.now + AGE_NS + 1), "in the future"),
+    "of another epoch": (lambda r: r.renewal(epoch=r.guard.epoch + 1), "made before {odom} restarted"),
     "repeated": (lambda r: r.renewal(stamp_ns=r.now - CYCLE), "not newer than the last accepted one"),
     "reordered": (lambda r: r.renewal(stamp_ns=r.now - CYCLE - 1), "not newer than the last accepted one"),
     "too far ahead": (lambda r: r.plan(step=r.step + 2), "does not follow step 1"),
     "over": (lambda r: r.renewal(step=r.step - 1), "does not follow step 1"),
     "with other legs": (lambda r: r.renewal(swing=~r.swing), "swings other legs"),
-    "out of reach": (lambda r: r.renewal(touchdown=FEET + np.array([0.3, 0.0, 0.0])), "out of reach"),
+    "out of reach": (lambda r: r.renewal(touchdown=FEET + np.array([0.3, 0.0, 0.0])), "exceeds the reach"),
     "without end": (lambda r: r.renewal(duration=9.0), "found 9.00 s"),
     "no pose": (lambda r: r.renewal(body_goal=2.0 * START), "not a rigid transform"),
 }

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy.faults.timeline import Timeline, Truth, Word
+from benchmarks.faults.timeline import Timeline, Truth, Word
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import Mode
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.locomotion.step_executor import StepExecutor, Targets
 from sextant.services.actuator.safety import plan_validation
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
@@ -52,20 +52,20 @@ def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> St
     return replace(plan, **changes) if changes else plan
 
 
-def new_walker() -> Walker:
-    return Walker(SETTINGS, REST.copy(), START)
+def new_walker() -> StepExecutor:
+    return StepExecutor(SETTINGS, REST.copy(), START)
 
 
 def reaches(feet: Array) -> bool:
     return plan_validation.reaches(PROFILE, feet)
 
 
-def cycle(walker: Walker, dt: float = DT) -> Targets:
+def cycle(walker: StepExecutor, dt: float = DT) -> Targets:
     """Run one cycle of a robot that is exactly at its reference."""
     return walker.update(dt, walker.body_ref)
 
 
-def walk(walker: Walker, plans: list[StepPlan], dt: float = DT, rest_s: float = 0.0) -> tuple[list[Targets], Array]:
+def walk(walker: StepExecutor, plans: list[StepPlan], dt: float = DT, rest_s: float = 0.0) -> tuple[list[Targets], Array]:
     """Feed plans when they fit; return all targets and the body's positions (n, 3)."""
     targets, places, waiting = [], [], list(plans)
     while waiting or not walker.resting or rest_s > 0:

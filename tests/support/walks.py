@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sextant.deploy.judging.report import Report
+from sextant.deploy.evaluation.report import Report
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile

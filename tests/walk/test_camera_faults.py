@@ -15,7 +15,7 @@ from tests.support.walks import Walk, flat, walk
 AT_S, FOR_S = 4.5, 5.0
 HEARD = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY_POSE, topics.TERRAIN, topics.SCAN)
 REASONS = {
-    "absent": "the camera sends none: unplugged",
+    "absent": "the camera sends no images: unplugged",
     "frozen": "frozen",
     "noise": "the camera sends noise",
 }

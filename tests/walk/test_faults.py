@@ -6,7 +6,7 @@ The robot holds, the reason is reported, and the walk goes on to its goal.
 import numpy as np
 import pytest
 
-from sextant.deploy.judging.walk_metrics import stability_margin
+from sextant.deploy.evaluation.walk_metrics import stability_margin
 from sextant.deploy.runs.lockstep_run import LockstepRun
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.simulator.service import Simulator
@@ -25,7 +25,7 @@ SETTLE_S = 0.5  # [s] in which servos without commands reach the last goal
 REASONS = {
     "perception": "no fresh pose from perception",
     "mapper": "no fresh terrain map",
-    "planner": "no new plan came for 0.18 s",
+    "planner": "no new plan received for 0.18 s",
 }
 SERVOS = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
 
@@ -96,7 +96,7 @@ class Servos:
 def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes_on(kind: str, for_s: float) -> None:
     servos = Servos(for_s)
     found = walk(course("actuator", kind, for_s=for_s), 1000, look=servos.look)
-    assert not found.states(AT_S, AT_S + for_s), "nobody commands"
+    assert not found.states(AT_S, AT_S + for_s), "nothing commands the servos"
     assert len(servos.seen) > 10
     goals, torques = servos.seen[0]
     assert torques == [1] * 18
@@ -107,5 +107,5 @@ def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes
     if kind == "kill":
         assert found.states(AT_S + for_s)[0].reason.startswith("torque was on at the start")
     else:
-        assert any(warning.startswith("actuator: silent") for warning in servos.warnings), servos.warnings
+        assert any(warning.startswith("actuator: no message") for warning in servos.warnings), servos.warnings
     assert_carried_on(found)

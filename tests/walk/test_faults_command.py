@@ -1,4 +1,4 @@
-"""`sextant faults` as a user runs it: real faults in walks, and a table.
+"""`python -m benchmarks faults` as a user runs it: real faults in walks, and a table.
 
 No injection runs twice.
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.cli import main
+from benchmarks.cli import main
 from sextant.deploy.commands.common import SUCCESS
 
 FAULTS = ("planner-hung", "servo-silent", "overload", "sag", "off-bytes-garbage")
@@ -29,5 +29,5 @@ def test_faults_are_injected_held_to_their_limits_and_not_done_again(
     lines = (tmp_path / "faults.jsonl").read_bytes()
     capsys.readouterr()
     assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS
-    assert "5 of 5 injections are done already" in capsys.readouterr().out
+    assert "5 of 5 injections are already done" in capsys.readouterr().out
     assert (tmp_path / "faults.jsonl").read_bytes() == lines

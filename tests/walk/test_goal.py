@@ -5,7 +5,7 @@ The walk runs in lockstep with camera and estimated pose.
 
 import numpy as np
 
-from sextant.deploy.judging.report import as_table, check
+from sextant.deploy.evaluation.report import as_table, check
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode

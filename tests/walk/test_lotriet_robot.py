@@ -5,7 +5,7 @@ Its figures equal the published ones, or are better.
 
 import pytest
 
-from sextant.deploy.pictures.thesis_figures import TESTS, Measured
+from sextant.deploy.figures.thesis_figures import TESTS, Measured
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario

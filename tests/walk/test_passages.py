@@ -44,6 +44,6 @@ def test_a_pillar_that_gives_way_is_found_out_by_touch_and_another_way_is_taken(
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
     assert report.success, report.reason
     assert (report.falls, report.shutdowns) == (0, 0)
-    assert len(plans) >= 2, "after a foot has sunk the rest is planned anew"
+    assert len(plans) >= 2, "after a foot has sunk, the rest is planned again"
     statuses = found.heard.of(topics.PLANNER_STATUS)
-    assert any(s.reason.startswith("looking at the passage again: ") for s in statuses)
+    assert any(s.reason.startswith("surveying the gap again: ") for s in statuses)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.progress import Silent
 from sextant.deploy.replay import sequence as replay
 from sextant.deploy.replay.tum_recording import record_tum
+from sextant.deploy.terminal.progress import Silent
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
 from sextant.shared.robot.profiles import load_profile
@@ -54,7 +54,7 @@ def test_a_recorded_walk_reads_back_with_a_true_pose_for_every_picture(recorded:
 
 
 def test_a_folder_that_holds_a_recording_is_not_overwritten(recorded: Path) -> None:
-    with pytest.raises(FileExistsError, match="holds a recording already"):
+    with pytest.raises(FileExistsError, match="already contains a recording"):
         record_tum(STEPS, 1000, recorded, 0.1)
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.deploy.progress import Silent
 from sextant.deploy.replay.walk import Change, replay_recording
-from sextant.deploy.runs.attendance import about
 from sextant.deploy.runs.lockstep_run import assemble
-from sextant.deploy.video.story import Story
+from sextant.deploy.runs.run_observers import about
+from sextant.deploy.terminal.progress import Silent
+from sextant.deploy.video.timeline import Story
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import transform
 from sextant.shared.recording.foxglove.translation import Foxglove

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.deploy.bench.model import LENGTH, ORIGIN, WIDTH, Asker
+from benchmarks.peers.foothold_model import LENGTH, ORIGIN, WIDTH, Asker
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.scenario.scenario import Box
 from sextant.shared.wire import codec, topics

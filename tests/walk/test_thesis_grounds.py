@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.footholds.layers import FootholdLayers
 from sextant.services.mapper.footholds.score import ScoreWeights, WalkabilityScorer, published_score
@@ -334,7 +334,7 @@ def test_the_single_pillar() -> None:
 
 def test_before_the_gap_of_the_pillar_the_robot_stops_and_says_why() -> None:
     reason, map_ = blocked(load_scenario("masri_pillar"), 1000)
-    assert "no foothold within 6 cm of its place" in reason
+    assert "no foothold within 6 cm of its nominal place" in reason
     assert "not seen" in reason, "how deep it goes there shows only from nearer than the leg that would have to know"
     heights = true_heights("masri_pillar", map_)
     assert (heights[(map_.evaluation < 0) & np.isfinite(heights)] == 0).all()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.judging.report import check
+from sextant.deploy.evaluation.report import check
 from sextant.deploy.runs.lockstep_run import run_lockstep
 from sextant.shared.scenario.scenario import Walk, load_scenario
 from tests.support.walks import flat

@@ -11,7 +11,7 @@ from functools import partial
 from typing import NamedTuple, Protocol, TypeVar
 
 from sextant.services.actuator.servo_bus import usb_adapter
-from sextant.services.actuator.servo_bus.serial_port import BusGone
+from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Register, ServoError, ServoModel
 
@@ -28,17 +28,19 @@ _RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
 T = TypeVar("T")
 
 
-class NotAServoBusError(BusGone):
+class NotAServoBusError(BusDisconnectedError):
     """Another device sends on the port."""
 
     def __init__(self, heard: bytes):
         """Report the unrequested bytes, and the serial ports of this machine."""
         text = "".join(letter if letter.isprintable() else "." for letter in heard.decode("ascii", "replace"))
         others = ", ".join(usb_adapter.devices()) or "none"
-        super().__init__(f"no servo bus: another device sends {text!r} without being asked; serial ports here: {others}")
+        super().__init__(
+            f"no servo bus: another device sends {text!r} without a request; serial ports of this computer: {others}"
+        )
 
 
-class Chorus(NamedTuple):
+class PingResponses(NamedTuple):
     """Responses to one ping."""
 
     answers: int  # intact ones
@@ -75,10 +77,10 @@ class Bus(Protocol):
     def ping(self, servo_id: int) -> ServoError | None:
         """Return the error bits of a servo, None when it does not answer."""
 
-    def chorus(self, servo_id: int) -> Chorus:
+    def ping_responses(self, servo_id: int) -> PingResponses:
         """Return all responses to one ping."""
 
-    def unasked(self) -> bytes:
+    def unrequested_bytes(self) -> bytes:
         """Return the first bytes that arrive within a second without a request."""
 
     def read(self, servo_id: int, register: Register) -> int | None:
@@ -90,37 +92,37 @@ class Bus(Protocol):
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write a register."""
 
-    def tell(self, servo_id: int, register: Register, value: int) -> None:
+    def write_unacknowledged(self, servo_id: int, register: Register, value: int) -> None:
         """Write a register without waiting for an answer."""
 
 
-class Voice(StrEnum):
+class BusResponse(StrEnum):
     """Response type of an id."""
 
     CLEAR = "answers"
-    DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
-    MUTE = "answers a ping but no read"
-    FADING = "answers now and then: a cable is loose, or this computer is too busy to listen"
-    ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
+    DOUBLED = "gives several or garbled answers: two servos have this id, or a cable is bad"
+    MUTE = "answers pings, but no reads"
+    FADING = "answers only sometimes: a cable is loose, or this computer is too busy"
+    ECHO = "returns the request itself: the adapter echoes; turn the echo setting on"
 
 
-SET_ID = "`sextant servos set-id` with it alone on the bus"
+SET_ID = "run `sextant servos set-id` with this servo alone on the bus"
 _PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
-_BY_VOICE = {
-    Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {SET_ID}",
-    Voice.FADING: "see to its plugs, and end other programs",
-    Voice.MUTE: f"its status return level is 0: {SET_ID}",
-    Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
+_REMEDIES = {
+    BusResponse.DOUBLED: f"unplug one of the two, and give the other another id: {SET_ID}",
+    BusResponse.FADING: "check its plugs, and end other programs",
+    BusResponse.MUTE: f"its status return level is 0: {SET_ID}",
+    BusResponse.ECHO: "use --echo with this command, and --set actuator.echo=true for the actuator",
 }
 WARM = 10.0  # [deg C] below its limit from which a servo is too warm to start
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ServoScan:
     """Scan result of one id."""
 
     servo_id: int
-    voice: Voice
+    response: BusResponse
     table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the response is clear
     error: ServoError = ServoError.NONE
 
@@ -150,7 +152,7 @@ class Seen:
         return not self[dxl.CW_ANGLE_LIMIT] and not self[dxl.CCW_ANGLE_LIMIT]
 
 
-def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
+def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | None:
     """Scan one id; return None if nothing answers.
 
     Args:
@@ -164,17 +166,17 @@ def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
         return None
     model = retry(lambda: bus.read(servo_id, dxl.MODEL_NUMBER))
     if model == _ECHOED_MODEL:
-        return Seen(servo_id, Voice.ECHO)
+        return ServoScan(servo_id, BusResponse.ECHO)
     if crowd or error is None:
         _refuse_another_device(bus)
-        return Seen(servo_id, Voice.DOUBLED)
+        return ServoScan(servo_id, BusResponse.DOUBLED)
     if model is None:
-        return Seen(servo_id, Voice.MUTE)
+        return ServoScan(servo_id, BusResponse.MUTE)
     garbled = bus.garbled
     eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
     if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
-        return Seen(servo_id, Voice.DOUBLED if bus.garbled > garbled else Voice.FADING)
-    return Seen(servo_id, Voice.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
+        return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING)
+    return ServoScan(servo_id, BusResponse.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
@@ -182,30 +184,30 @@ def _crowded(bus: Bus, servo_id: int) -> bool:
 
     A single time may be a late answer.
     """
-    heard = (bus.chorus(servo_id) for _ in range(_ATTEMPTS))
-    return all(chorus.answers != 1 and not chorus.silent for chorus in heard)
+    heard = (bus.ping_responses(servo_id) for _ in range(_ATTEMPTS))
+    return all(ping_responses.answers != 1 and not ping_responses.silent for ping_responses in heard)
 
 
 def _refuse_another_device(bus: Bus) -> None:
     """Raise NotAServoBusError if unrequested bytes arrive."""
-    heard = bus.unasked()
+    heard = bus.unrequested_bytes()
     if len(heard) >= _STRANGE_BYTES:
         raise NotAServoBusError(heard)
 
 
-def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
+def call(bus: Bus, names: Mapping[int, str]) -> dict[int, ServoScan]:
     """Scan a robot's servos.
 
     If one is missing, also check the factory id and the found ids for a second servo.
     """
-    seen = {i: found for i in names if (found := look(bus, i, listen=False))}
+    seen = {i: found for i in names if (found := scan_servo(bus, i, listen=False))}
     if len(seen) < len(names) and seen:
         whom = {FACTORY_ID, *seen}
-        seen |= {i: found for i in sorted(whom) if (found := look(bus, i))}
+        seen |= {i: found for i in sorted(whom) if (found := scan_servo(bus, i))}
     return seen
 
 
-def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, Problem]:
+def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: ServoModel) -> dict[int, Problem]:
     """Return the problems of a robot's servos, by id.
 
     A foreign servo with the factory id may be a missing one after a reset.
@@ -218,19 +220,19 @@ def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoMod
     missing = [i for i in names if i not in seen]
     found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
     for i in sorted(seen.keys() - names.keys()):
-        found[i] = Problem("is none of the robot's", SET_ID)
+        found[i] = Problem("is not one of the robot's servos", SET_ID)
     first = seen.get(FACTORY_ID)
-    if first and missing and (FACTORY_ID not in names or first.voice is Voice.DOUBLED):
+    if first and missing and (FACTORY_ID not in names or first.response is BusResponse.DOUBLED):
         words, advice = found[FACTORY_ID]
-        found[FACTORY_ID] = Problem(f"{words}; {left_by_reset(missing, names)}", advice)
+        found[FACTORY_ID] = Problem(f"{words}; {reset_servos(missing, names)}", advice)
     return {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
 
 
-def left_by_reset(missing: Iterable[int], names: Mapping[int, str]) -> str:
+def reset_servos(missing: Iterable[int], names: Mapping[int, str]) -> str:
     """Return which servos may have got the factory id by a reset."""
     who = [named(i, names) for i in missing]
-    words = " or ".join(who) if len(who) <= _FEW else f"any of the {len(who)} that are missing"
-    return f"{FACTORY_ID} is what a reset leaves: it may be {words}"
+    words = " or ".join(who) if len(who) <= _FEW else f"any of the {len(who)} missing servos"
+    return f"a reset sets id {FACTORY_ID}: this may be {words}"
 
 
 def named(servo_id: int, names: Mapping[int, str]) -> str:
@@ -239,22 +241,22 @@ def named(servo_id: int, names: Mapping[int, str]) -> str:
     return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
 
 
-def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
+def _wrong(seen: ServoScan | None, model: ServoModel) -> Problem | None:
     """Return the problem of one servo, or None."""
     if seen is None:
-        return Problem("does not answer", "see to its cable and power: those behind it in the chain are silent with it")
-    if seen.voice is not Voice.CLEAR:
-        return Problem(seen.voice.value, _BY_VOICE[seen.voice])
+        return Problem("does not answer", "check its cable and power: all servos behind it in the chain are silent, too")
+    if seen.response is not BusResponse.CLEAR:
+        return Problem(seen.response.value, _REMEDIES[seen.response])
     if seen[dxl.MODEL_NUMBER] != model.number:
         found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
         words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
-        return Problem(words, "put the right one in its place, or name the robot that has it")
+        return Problem(words, "replace it by the right model, or choose the profile of a robot with this model")
     if seen.is_wheel:
-        return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: it makes it a joint again")
+        return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: this sets joint mode")
     return None
 
 
-def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting]:
+def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -> list[Setting]:
     """Return limits and protections that differ from data sheet and joint needs.
 
     A robot can work with them.
@@ -280,7 +282,7 @@ def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting
     return [setting for wrong, setting in settings if wrong]
 
 
-def ailing(seen: Seen, low: float) -> str:
+def health_problem(seen: ServoScan, low: float) -> str:
     """Return abnormal voltage, temperature and errors of a servo, or an empty string.
 
     Args:
@@ -293,20 +295,20 @@ def ailing(seen: Seen, low: float) -> str:
         for words, wrong in (
             (f"reports {error}; switch its power off and on again", error),
             (f"has {seen.voltage:.1f} V, at least {low:.1f} V expected: charge the battery", seen.voltage < low),
-            (f"is {seen.temperature:.0f} deg C warm, its limit is {limit}: let it cool", seen.temperature > limit - WARM),
+            (f"is {seen.temperature:.0f} deg C hot, its limit is {limit}: let it cool", seen.temperature > limit - WARM),
         )
         if wrong
     )
 
 
-def error_of(seen: Seen) -> str:
+def error_of(seen: ServoScan) -> str:
     """Return shutdown reason, errors and reduced torque limit, or an empty string."""
     weak = seen[dxl.TORQUE_LIMIT] < seen[dxl.MAX_TORQUE]
     left = f"a torque limit of {seen[dxl.TORQUE_LIMIT] / 10:.0f} %" if weak else ""
     return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
 
 
-def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
+def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:
     """Configure immediate answers to all requests, and lock the EEPROM.
 
     Return what failed, or an empty string.
@@ -316,17 +318,17 @@ def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
     wanted = ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0), *(((dxl.LOCK, 1),) if lock else ()))
     for register, value in wanted:
         if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
-            return f"does not take {register.name} {value}; its EEPROM may be locked until its power is cycled"
+            return f"does not accept {register.name} {value}; its EEPROM may be locked until its power is cycled"
     return ""
 
 
-def wake(bus: Bus, servo_id: int) -> Seen | None:
+def wake(bus: Bus, servo_id: int) -> ServoScan | None:
     """Raise the status return level of a servo that answers only pings, and scan it.
 
     The write itself is not acknowledged.
     """
-    bus.tell(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
-    return look(bus, servo_id, listen=False)
+    bus.write_unacknowledged(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
+    return scan_servo(bus, servo_id, listen=False)
 
 
 def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:

@@ -8,7 +8,7 @@ from datetime import date
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.limited_motion import gently, hold, ready, resting
+from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
@@ -45,8 +45,8 @@ def calibrate(
 
     Raises:
         ValueError: The pose is beyond a leg's limits.
-        ServoSilentError: A servo stopped answering; saved calibrations stay.
-        BusGone: The port is gone.
+        ServoNotRespondingError: A servo stopped answering; saved calibrations stay.
+        BusDisconnectedError: The port is gone.
     """
     for leg in legs:
         see_pose(profile, leg, pose_deg)
@@ -59,7 +59,7 @@ def calibrate(
             if trims == _LEAVE:
                 break
             if isinstance(trims, str):
-                operator.say(f"the {leg} leg is left out")
+                operator.say(f"the {leg} leg is skipped")
                 continue
             keep(Calibration(leg, today, trims))
             kept += 1
@@ -80,7 +80,7 @@ def implausible(trims: Array) -> str:
         return ""
     return (
         f"trims of at most {MAX_TRIM_DEG:g} deg either way expected, found {', '.join(far)}: the leg is not in the pose, the "
-        f"servo is another joint's, or its horn sits a notch off (take it off and put it on straight)"
+        f"servo is another joint's, or its horn is mounted one notch off (take it off and mount it straight)"
     )
 
 
@@ -102,7 +102,7 @@ def _measure_leg(
     pose = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, pose_deg, strict=True))
     straight = " (straight out, level, like a ruler)" if tuple(pose_deg) == STRAIGHT_OUT else ""
     while True:
-        question = f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s leaves it out, q ends here: "
+        question = f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s skips it, q stops: "
         answer = _choice(operator, question, (_MEASURE, _SKIP, _LEAVE))
         if answer != _MEASURE:
             return answer
@@ -130,12 +130,12 @@ def _measure_leg(
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
     """Return the operator's choice; hold the leg gently while it is checked."""
     question = (
-        "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out, q ends here: "
+        "Enter keeps the trims, b bends the leg again, h holds it with little torque for a check, s skips the leg, q stops: "
     )
     while (answer := _choice(operator, question, (_KEEP, _AGAIN, _CHECK, _SKIP, _LEAVE))) == _CHECK:
-        with gently(bus, ids):
+        with limited_motion(bus, ids):
             hold(bus, ids)
-            operator.ask("held with little torque; lay the ruler on it, then Enter takes the torque off: ")
+            operator.ask("the leg is held with little torque; check it with a ruler, then press Enter to turn torque off: ")
     return answer
 
 

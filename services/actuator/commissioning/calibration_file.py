@@ -10,7 +10,7 @@ from sextant.shared.files import config, input_file
 from sextant.shared.robot.profile import Calibration, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 
-_NEW = '# A robot of its own: what is written here stands over the profile that it extends.\nextends = "{base}"\n'
+_NEW = '# One particular robot: the values here override those of the profile that it extends.\nextends = "{base}"\n'
 _BLOCK = re.compile(r"^\[\[calibration\]\][^\n]*\n(?:[ \t]*(?:leg|date|trims_deg)[ \t]*=[^\n]*(?:\n|\Z))*", re.MULTILINE)
 
 
@@ -35,7 +35,7 @@ def keep(path: Path, entry: Calibration, base: str) -> RobotProfile:
         before, old = {"extends": base}, _NEW.format(base=base)
     text = with_entry(old, entry)
     if not _is_added(before, entry, text):
-        words = "calibration: `[[calibration]]` tables of leg, date and trims_deg expected, found another way of writing them"
+        words = "calibration: `[[calibration]]` tables of leg, date and trims_deg expected, found another notation"
         raise config.ConfigError(str(path), [f"{words}; nothing was changed"])
     try:
         return _replace(path, text)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.bus_scan import Voice, ailing, look, retry
-from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT, gently, get, hold, put, ready, silent
+from sextant.services.actuator.commissioning.bus_scan import BusResponse, health_problem, retry, scan_servo
+from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
@@ -42,7 +42,7 @@ class Moved:
         return f"{line}  -> {self.problem}" if self.problem else line
 
 
-def exercise(
+def run_joint_test(
     bus: ServoBus,
     profile: RobotProfile,
     operator: Operator,
@@ -64,8 +64,8 @@ def exercise(
         hold_after: Whether torque is on at the end, with the legs holding their positions; None asks.
 
     Raises:
-        ServoSilentError: A servo stopped answering; torque is off, as far as servos can be reached.
-        BusGone: The port is gone.
+        ServoNotRespondingError: A servo stopped answering; torque is off, as far as servos can be reached.
+        BusDisconnectedError: The port is gone.
     """
     if not ready(bus, profile, operator):
         return None
@@ -73,7 +73,7 @@ def exercise(
         f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
         f"{TORQUE_LIMIT / 10:.0f} % of its torque. Is the robot on a stand, its legs free?"
     ):
-        operator.say("nothing is moved, torque is off")
+        operator.say("nothing was moved, torque is off")
         return None
     moved = []
     with limp_if_broken_off(bus, operator):
@@ -91,15 +91,15 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     Its torque is off again afterwards.
     """
     servo_id = int(profile.servo_ids[leg, joint])
-    with gently(bus, [servo_id]):
+    with limited_motion(bus, [servo_id]):
         start = get(bus, servo_id, dxl.PRESENT_POSITION)
         sign, up = _way(profile, leg, joint, start)
         hold(bus, [servo_id])
         there, load = _go(bus, servo_id, min(max(start + sign * up * _STEP_TICKS, 0), dxl.TICK_MAX), clock)
         back, load_back = _go(bus, servo_id, start, clock)
-    seen = look(bus, servo_id, listen=False)
-    if seen is None or seen.voice is not Voice.CLEAR:
-        raise silent(bus, servo_id, "it was looked at after its move")
+    seen = scan_servo(bus, servo_id, listen=False)
+    if seen is None or seen.response is not BusResponse.CLEAR:
+        raise silent(bus, servo_id, "its state was being read after its motion")
     least_v = profile.battery.warn_voltage
     asked, moved, left = sign * np.degrees(np.array([up * sign * _STEP_TICKS, there - start, back - start]) * dxl.TICK_RAD)
     return Moved(
@@ -111,7 +111,7 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
         load=max(load, load_back),
         voltage=seen.voltage,
         temperature=seen.temperature,
-        problem=_problem(float(asked), float(moved), float(left), max(load, load_back)) or ailing(seen, least_v),
+        problem=_problem(float(asked), float(moved), float(left), max(load, load_back)) or health_problem(seen, least_v),
     )
 
 
@@ -122,7 +122,7 @@ def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tu
     while True:
         state = retry(lambda: bus.read_bytes(servo_id, _STATE.start, len(_STATE)))
         if state is None:
-            raise silent(bus, servo_id, "it moved")
+            raise silent(bus, servo_id, "it was moving")
         position, _, load_register, *_ = dxl.PRESENT_STATE.unpack_from(state)
         load = max(load, abs(dxl.load_from_register(load_register)))
         took = clock() - began
@@ -133,11 +133,11 @@ def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tu
 def _problem(asked: float, moved: float, left: float, load: float) -> str:
     """Return what is wrong with a motion [deg], or an empty string."""
     if abs(asked - moved) > _OPEN_DEG:
-        return "did not get there: something blocks it, or the horn slips"
+        return "did not reach its goal: an obstacle blocks it, or the horn slips"
     if abs(left) > _OPEN_DEG:
-        return "did not come back: something blocks it, or the horn slips"
+        return "did not return: an obstacle blocks it, or the horn slips"
     if load > _STRAINED * TORQUE_LIMIT / 1000:
-        return "strains: see that the leg is free and its screws are not too tight"
+        return "needs too much torque: check that the leg moves freely and its screws are not too tight"
     return ""
 
 
@@ -163,7 +163,7 @@ def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
 def _leave(bus: ServoBus, operator: Operator, hold_after: bool | None) -> None:
     """Set the torque as the operator wants it, and report it."""
     if hold_after is None:
-        hold_after = operator.agree("Shall the torque be on, the legs holding where they are? No leaves it off.")
+        hold_after = operator.agree("Turn torque on, with the legs at their present positions? With no, torque stays off.")
     if hold_after:
         hold(bus, bus.servo_ids)
-    operator.say("torque is on: the legs hold where they are" if hold_after else "torque is off")
+    operator.say("torque is on: the legs hold their present positions" if hold_after else "torque is off")

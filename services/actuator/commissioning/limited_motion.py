@@ -8,10 +8,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.bus_scan import Seen, ailing, call, named, problems, retry
+from sextant.services.actuator.commissioning.bus_scan import ServoScan, call, health_problem, named, problems, retry
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servos import Servos
+from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -23,8 +24,10 @@ _READS = 5  # position readings, for their median
 _STILL_TICKS = 3  # largest position change over these readings for a servo at rest
 
 
-class ServoSilentError(RuntimeError):
+class ServoNotRespondingError(SextantError, RuntimeError):
     """A servo that was present stopped answering, or refused."""
+
+    exit_status = 1
 
 
 def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
@@ -36,22 +39,22 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
     low = profile.battery.warn_voltage
     told = [f"{words}: {advice}" for words, advice in wrong.values()]
-    told += [f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := ailing(one, low))]
+    told += [
+        f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := health_problem(one, low))
+    ]
     if told:
-        operator.say("the servos are not ready, nothing is moved:\n  " + "\n  ".join(told))
+        operator.say("the servos are not ready, nothing was moved:\n  " + "\n  ".join(told))
         return False
     return _released([one for one in seen.values() if one[dxl.TORQUE_ENABLE]], bus, operator)
 
 
-def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> bool:
+def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -> bool:
     """Return whether no servo has torque; turn it off only if the operator agrees."""
     if not holding:
         return True
-    question = (
-        f"The torque of {len(holding)} servos is on. Is the robot on a stand, and may it go off? It sinks where it stands."
-    )
+    question = f"The torque of {len(holding)} servos is on and must be off first. Turn it off? Without a stand the robot sinks."
     if not operator.agree(question):
-        operator.say("nothing is changed: end what drives the robot, put it on a stand, and begin again")
+        operator.say("nothing was changed: end the program that drives the robot, place it on a stand, and start again")
         return False
     for one in holding:
         put(bus, one.servo_id, dxl.TORQUE_ENABLE, 0)
@@ -59,7 +62,7 @@ def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> boo
 
 
 @contextmanager
-def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
+def limited_motion(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
     """Limit torque and speed of servos; turn torque off and restore at the end.
 
     The servos must be without torque.
@@ -84,7 +87,7 @@ def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> No
     bus.set_torque(False)
     left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
     if left:
-        raise silent(bus, left[0], "its torque and registers were to be as before; switch its power off and on again")
+        raise silent(bus, left[0], "its torque and registers were being restored; switch its power off and on again")
 
 
 def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
@@ -106,17 +109,17 @@ def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
 
 
 def get(bus: ServoBus, servo_id: int, register: Register) -> int:
-    """Return the value of a register; raise ServoSilentError without an answer."""
+    """Return the value of a register; raise ServoNotRespondingError without an answer."""
     value = retry(lambda: bus.read(servo_id, register))
     if value is None:
-        raise silent(bus, servo_id, f"its {register.name} was read")
+        raise silent(bus, servo_id, f"its {register.name} was being read")
     return value
 
 
 def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
-    """Write a register until it is acknowledged; else raise ServoSilentError."""
+    """Write a register until it is acknowledged; else raise ServoNotRespondingError."""
     if not took(bus, servo_id, register, value):
-        raise silent(bus, servo_id, f"its {register.name} was set to {value}")
+        raise silent(bus, servo_id, f"its {register.name} was being set to {value}")
 
 
 def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
@@ -124,9 +127,9 @@ def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
     return retry(lambda: bus.write(servo_id, register, value) or None) is not None
 
 
-def silent(bus: ServoBus, servo_id: int, when: str) -> ServoSilentError:
+def silent(bus: ServoBus, servo_id: int, when: str) -> ServoNotRespondingError:
     """Return the error for a servo that stopped answering."""
     name = named(servo_id, bus.names)
-    return ServoSilentError(
-        f"{name} did not answer, or refused, when {when}; see to cable and power, then `sextant servos scan`"
+    return ServoNotRespondingError(
+        f"{name} did not answer, or refused, when {when}; check cable and power, then run `sextant servos scan`"
     )

@@ -13,17 +13,17 @@ from sextant.services.actuator.commissioning.bus_scan import (
     ANSWER_ALL,
     FACTORY_ID,
     SET_ID,
+    BusResponse,
     Problem,
-    Seen,
-    Voice,
-    ailing,
-    amiss,
+    ServoScan,
     ensure,
-    left_by_reset,
-    look,
+    health_problem,
     named,
     problems,
+    reset_servos,
+    scan_servo,
     wake,
+    wrong_settings,
 )
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
 from sextant.shared.robot.profile import RobotProfile
@@ -33,8 +33,8 @@ ALL_IDS = range(dxl.MAX_ID + 1)
 USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))
 _SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: the return delay identifies new servos
 _LEAVE = "q"
-_NOBODY = "see to their power and to the cable at the adapter, or try --echo; through a bridge nobody hears, see docs/bridge.md"
-_UNLESS_MEANT = f"{SET_ID}, its leg and joint typed, sets what is safe; leave it where it is meant"
+_NOBODY = "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
+_UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
 
 
 class Operator(Protocol):
@@ -91,7 +91,7 @@ class Found(NamedTuple):
     """Servo, and its baud rate [1/s]."""
 
     rate: int
-    seen: Seen
+    seen: ServoScan
 
 
 # ---------------------------------------------------------------------------------------------------------------- scan
@@ -112,9 +112,9 @@ def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None
     for rate in line.rates:
         bus = line.at(rate)
         for i in asked:
-            heard = bus.chorus(i)
+            heard = bus.ping_responses(i)
             if not heard.silent or i in (bus.names if known is None else known):
-                seen = look(bus, i, listen=heard != (1, False))
+                seen = scan_servo(bus, i, listen=heard != (1, False))
                 found += [] if seen is None else [Found(rate, seen)]
     return found
 
@@ -124,8 +124,8 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
-        if seen.voice is not Voice.CLEAR:
-            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.voice.value}")
+        if seen.response is not BusResponse.CLEAR:
+            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
         lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[dxl.FIRMWARE]:>8}  {measured}  {name}".rstrip())
@@ -134,7 +134,7 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
 
 def holding(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return which servos have torque on, or an empty string."""
-    pulling = [one.seen.servo_id for one in found if one.seen.voice is Voice.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
+    pulling = [one.seen.servo_id for one in found if one.seen.response is BusResponse.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
     if not pulling:
         return ""
     others = f", and of {len(pulling) - 1} more" if len(pulling) > 1 else ""
@@ -161,24 +161,28 @@ def verdict(
         wrong = {i: problem for i, problem in wrong.items() if i not in names}
     for rate, seen in found:
         if rate != BAUD_RATE:
-            reset = f"; {left_by_reset(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
-            words = f"servo {seen.servo_id} talks at {rate} baud, {BAUD_RATE} expected{reset}"
+            reset = f"; {reset_servos(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
+            words = f"servo {seen.servo_id} answers at {rate} baud, {BAUD_RATE} expected{reset}"
             wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
     for i, seen in heard.items():
-        if seen.voice is Voice.CLEAR and i not in wrong and (words := ailing(seen, profile.battery.warn_voltage)):
-            wrong[i] = Problem(f"{named(i, names)} {words}", "see to it before anything moves")
+        if (
+            seen.response is BusResponse.CLEAR
+            and i not in wrong
+            and (words := health_problem(seen, profile.battery.warn_voltage))
+        ):
+            wrong[i] = Problem(f"{named(i, names)} {words}", "correct this before anything moves")
     return [*nobody, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
 
 
-def hampered(seen: Iterable[Seen], profile: RobotProfile) -> list[Problem]:
+def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
     """Return servos with unusual limits or protections.
 
     This is advice: the actuator works with them.
     """
     model, reach, found = dxl.MODEL_NAMED[profile.servo.model], _reach(profile), []
     for one in seen:
-        if one.voice is Voice.CLEAR and one[dxl.MODEL_NUMBER] == model.number and not one.is_wheel:
-            words = "; ".join(dict.fromkeys(setting.words for setting in amiss(one, model, reach[one.servo_id])))
+        if one.response is BusResponse.CLEAR and one[dxl.MODEL_NUMBER] == model.number and not one.is_wheel:
+            words = "; ".join(dict.fromkeys(setting.words for setting in wrong_settings(one, model, reach[one.servo_id])))
             found += [Problem(f"{named(one.servo_id, profile.servo_names)} {words}", _UNLESS_MEANT)] if words else []
     return found
 
@@ -211,7 +215,7 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
         operator.say(f"{len(done)} of {len(profile.servo_names)} servos have their ids")
         words = _ask_joint(missing[0], profile, operator)
         if words == _LEAVE:
-            operator.say("left; `sextant servos set-id` goes on with what is missing")
+            operator.say("stopped; run `sextant servos set-id` again for the remaining servos")
             return False
         target = _by_name(profile)[words] if words else missing[0]
         before = {one.seen.servo_id for one in found}
@@ -231,10 +235,10 @@ def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> li
 
 def _collide(found: Sequence[Found], operator: Operator) -> bool:
     """Return whether two servos have one id, and report it to the operator."""
-    doubled = [one.seen.servo_id for one in found if one.seen.voice is Voice.DOUBLED]
+    doubled = [one.seen.servo_id for one in found if one.seen.response is BusResponse.DOUBLED]
     for servo_id in doubled:
         operator.say(
-            f"two servos or more answer as {servo_id}: neither can be set. Unplug all but one of them; plug the others in "
+            f"two or more servos have id {servo_id}: none of them can be set. Unplug all but one of them; plug the others in "
             f"later, one at a time, and the joint with id {FACTORY_ID} last."
         )
     return bool(doubled)
@@ -243,7 +247,7 @@ def _collide(found: Sequence[Found], operator: Operator) -> bool:
 def _has_place(one: Found, profile: RobotProfile) -> bool:
     """Return whether a servo has the robot's type and the id of a joint."""
     seen = one.seen
-    if seen.voice is not Voice.CLEAR or seen[dxl.MODEL_NUMBER] != dxl.MODEL_NAMED[profile.servo.model].number:
+    if seen.response is not BusResponse.CLEAR or seen[dxl.MODEL_NUMBER] != dxl.MODEL_NAMED[profile.servo.model].number:
         return False
     return seen.servo_id in profile.servo_names
 
@@ -271,7 +275,7 @@ def _completed(line: Line, found: list[Found], profile: RobotProfile, operator: 
     if not half:
         return found
     who = ", ".join(named(one.seen.servo_id, profile.servo_names) for one in half)
-    if not operator.agree(f"Of {who} the id is set, and not all that goes with it. Shall that be set, too?"):
+    if not operator.agree(f"The id of {who} is set, but not all other registers. Set them now?"):
         return found
     given = {one.seen.servo_id: _give(line, one, one.seen.servo_id, profile, operator) for one in half}
     return [given.get(one.seen.servo_id) or one for one in found]
@@ -282,13 +286,13 @@ def _ask_joint(proposed: int, profile: RobotProfile, operator: Operator) -> str:
     known, name = _by_name(profile), profile.servo_names[proposed]
     while True:
         answer = operator.ask(
-            f"Plug in the servo of the {name}, to be id {proposed}, and press Enter; "
-            f"or type another leg and joint, or {_LEAVE} to leave: "
+            f"Plug in the servo of the {name} (future id {proposed}), and press Enter; "
+            f"or type another leg and joint, or {_LEAVE} to stop: "
         )
         words = " ".join(answer.lower().split())
         if words in ("", _LEAVE) or words in known:
             return words
-        operator.say(f"leg and joint as in {name!r} expected, found {words!r}; one of {', '.join(known)}")
+        operator.say(f"a leg and a joint, such as {name!r}, expected, found {words!r}; one of {', '.join(known)}")
 
 
 def _by_name(profile: RobotProfile) -> dict[str, int]:
@@ -320,13 +324,13 @@ def _new_one(
     appeared = [] if new else [one for one in found if one.seen.servo_id not in before]
     if len(appeared) > 1:
         who = ", ".join(named(one.seen.servo_id, profile.servo_names) for one in appeared)
-        operator.say(f"{who} appeared, and are taken for that, since all is set; plug in one at a time")
+        operator.say(f"{who} appeared, and all of them are set; plug in one servo at a time")
         return None
     new += appeared
     if not new and named_by_hand and len(found) == 1:
         return found[0]
     if not new:
-        operator.say("looking for it at all ids ...")
+        operator.say("searching all ids for the new servo ...")
         known = {FACTORY_ID, *profile.servo_names}
         new = scan(line, (i for i in ALL_IDS if i not in known))
     if len(new) == 1:
@@ -335,7 +339,7 @@ def _new_one(
         ids = ", ".join(str(one.seen.servo_id) for one in new)
         operator.say(f"one new servo expected, found {len(new)} (ids {ids}); leave one of them plugged in")
     else:
-        operator.say("no new servo answers; see to its cable, and to its power: its LED blinks once when that comes")
+        operator.say("no new servo answers; check its cable and power (its LED blinks once at power-on)")
     return None
 
 
@@ -348,17 +352,17 @@ def _may_change(
     """
     old, names = new.seen.servo_id, profile.servo_names
     if any(one.seen.servo_id == target for one in found if one is not new):
-        operator.say(f"{named(target, names)} is plugged in already: unplug it first, or name another joint")
+        operator.say(f"{named(target, names)} is already plugged in: unplug it first, or type another joint")
         return False
     if old == target or old not in names or (old == FACTORY_ID and not _is_set(new, profile)):
         return True
     if old in before and _is_set(new, profile):
-        question = f"{named(old, names)} is the only one that answers, and is set already. Make it the {names[target]}?"
+        question = f"{named(old, names)} is the only servo that answers, and is already set. Make it the {names[target]}?"
     else:
         question = f"servo {old} ({names[old]} by its id) appeared; make it the {names[target]}?"
     if operator.agree(question):
         return True
-    operator.say("it is left as it is; plug the new one in")
+    operator.say("the servo is unchanged; plug in the new one")
     return False
 
 
@@ -369,29 +373,29 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
     servo is changed last.
     """
     bus, old = line.at(one.rate), one.seen.servo_id
-    seen = (wake(bus, old) if one.seen.voice is Voice.MUTE else None) or one.seen
+    seen = (wake(bus, old) if one.seen.response is BusResponse.MUTE else None) or one.seen
     wanted = dxl.MODEL_NAMED[profile.servo.model]
-    if seen.voice is not Voice.CLEAR or seen[dxl.MODEL_NUMBER] != wanted.number:
-        what = f"it is an {seen.model}" if seen.voice is Voice.CLEAR else f"it {seen.voice.value}"
-        instead = "plug another one in" if seen.voice is Voice.CLEAR else "try again"
-        operator.say(f"a servo {wanted.name} expected, but {what}: left as it is; {instead}")
+    if seen.response is not BusResponse.CLEAR or seen[dxl.MODEL_NUMBER] != wanted.number:
+        what = f"it is an {seen.model}" if seen.response is BusResponse.CLEAR else f"it {seen.response.value}"
+        instead = "plug in another one" if seen.response is BusResponse.CLEAR else "try again"
+        operator.say(f"an {wanted.name} expected, but {what}: the servo is unchanged; {instead}")
         return None
     if seen[dxl.LOCK]:
-        operator.say(f"servo {old} is locked, as the actuator leaves it: switch its power off and on and try again")
+        operator.say(f"servo {old} is locked, as after use by the actuator: switch its power off and on, then try again")
         return None
-    safe = [(setting.register, setting.value) for setting in amiss(seen, wanted, _reach(profile)[target])]
+    safe = [(setting.register, setting.value) for setting in wrong_settings(seen, wanted, _reach(profile)[target])]
     refused = [register.name for register, value in safe if not ensure(bus, old, register, value)]
     if not refused:
         if old != target:
-            bus.tell(old, dxl.ID, target)  # the answer may have the old id or the new one
+            bus.write_unacknowledged(old, dxl.ID, target)  # the answer may have the old id or the new one
         refused = [register.name for register, value in _SETTINGS.items() if not ensure(bus, target, register, value)]
     if not refused and seen[dxl.BAUD_RATE] != dxl.BAUD_RATE.default:  # last, because it then no longer answers at this rate
-        bus.tell(target, dxl.BAUD_RATE, dxl.BAUD_RATE.default)
-    back = look(line.at(BAUD_RATE), target)
+        bus.write_unacknowledged(target, dxl.BAUD_RATE, dxl.BAUD_RATE.default)
+    back = scan_servo(line.at(BAUD_RATE), target)
     given = None if back is None else Found(BAUD_RATE, back)
     if refused or given is None or not _is_set(given, profile):
-        what = f"it did not take {', '.join(refused)}" if refused else "it does not answer as that"
-        operator.say(f"setting {named(target, profile.servo_names)}: {what}; switch its power off and on and try again")
+        what = f"it did not accept {', '.join(refused)}" if refused else "it does not answer at its new id"
+        operator.say(f"setting {named(target, profile.servo_names)}: {what}; switch its power off and on, then try again")
         return None
-    operator.say(f"{named(target, profile.servo_names)} is set, and read back: {given.seen.model}, {given.seen.voltage:.1f} V")
+    operator.say(f"{named(target, profile.servo_names)} is set and verified: {given.seen.model}, {given.seen.voltage:.1f} V")
     return given

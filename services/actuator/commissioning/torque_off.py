@@ -4,21 +4,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from sextant.services.actuator.commissioning.bus_scan import named
-from sextant.services.actuator.commissioning.limited_motion import ServoSilentError, took
+from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servos import Servos
 from sextant.shared.servo import dynamixel as dxl
 
 
-def let_go(bus: Servos) -> dict[int, str]:
+def torque_off(bus: Servos) -> dict[int, str]:
     """Turn all torque off; return the servos that do not confirm it, and why.
 
     A microcontroller executes it even before a session is open. With a session it also forwards each servo's answer.
 
     Raises:
         BusSetupError: A configured microcontroller does not answer; the order was sent nevertheless.
-        BusGone: The port is gone.
+        BusDisconnectedError: The port is gone.
     """
     bus.set_torque(False)
     bus.meet()
@@ -26,9 +26,9 @@ def let_go(bus: Servos) -> dict[int, str]:
     left = {}
     for servo_id in bus.servo_ids:
         if not took(bus, servo_id, dxl.TORQUE_ENABLE, 0):
-            left[servo_id] = "does not answer, or refuses"
+            left[servo_id] = "does not answer, or refuses the order"
         elif bus.read(servo_id, dxl.TORQUE_ENABLE):
-            left[servo_id] = "says that its torque is on"
+            left[servo_id] = "reports that its torque is on"
     return left
 
 
@@ -37,8 +37,8 @@ def limp_if_broken_off(bus: ServoBus, operator: Operator) -> Iterator[None]:
     """Turn all torque off if the operator interrupts or a servo falls silent."""
     try:
         yield
-    except (KeyboardInterrupt, ServoSilentError):
-        left = let_go(bus)
+    except (KeyboardInterrupt, ServoNotRespondingError):
+        left = torque_off(bus)
         words = [f"{named(i, bus.names)} {words}: switch the servos' power off" for i, words in left.items()]
         operator.say("\n".join(words) or "torque is off")
         raise

@@ -47,7 +47,7 @@ class AttitudeEstimator:
         """Begin without a reading; the bias (3,) [rad/s] of the gyro may be known."""
         self.bias = np.zeros(3) if bias is None else bias.copy()
         self._up: Array | None = None  # (3,) {body}
-        self._doubt = _START_DOUBT
+        self._find_implausibility = _START_DOUBT
         self._turned = 0.0
         self._apart = 0.0  # [rad] mean angle between measured gravity and that predicted by the gyro
 
@@ -85,14 +85,14 @@ class AttitudeEstimator:
         self._turned += dt * float(rate @ turned)
         up = turned - dt * _GAIN * belief * _cross(pull, turned)
         self._up = up / math.sqrt(float(up @ up))
-        self._doubt += dt * (_GYRO_DOUBT - _GAIN * belief * (self._doubt - _FORCE_DOUBT))
+        self._find_implausibility += dt * (_GYRO_DOUBT - _GAIN * belief * (self._find_implausibility - _FORCE_DOUBT))
         return self._attitude(self._up)
 
     def _attitude(self, up: Array) -> Attitude:
         x, y, z = up.tolist()
         roll, pitch = math.atan2(y, z), -math.asin(min(max(x, -1.0), 1.0))
         contradictory = self._apart > _APART_FROM
-        doubt = self._doubt + self._apart * contradictory
+        doubt = self._find_implausibility + self._apart * contradictory
         return Attitude(rotation_from_rpy((roll, pitch, 0.0)), doubt, self._turned, contradictory)
 
 

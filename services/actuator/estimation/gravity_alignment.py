@@ -30,7 +30,7 @@ _HEADING_RATE = 2.0  # [1/s] gain at which the heading follows the gyro
 _MOST_LEAN, _MOST_YAW = np.radians(12.0), np.radians(5.0)  # [rad] limits per step, or per rest
 
 
-class Plumb:
+class GravityAlignment:
     """Estimates from an inertial sensor by how much {odom} leans."""
 
     def __init__(self) -> None:
@@ -84,24 +84,29 @@ class Plumb:
     def problem(self, now_ns: int) -> str:
         """Return why a sensor that sends readings is not used, or an empty string."""
         if now_ns - self._odd_ns < _ODD_NS:
-            return "the IMU says more than a sensor can measure (rad/s and m/s^2 expected); such readings are left out"
+            return "the IMU readings exceed the range of any sensor (rad/s and m/s^2 expected); they are ignored"
         if self._attitude is None:
             return ""
         if self.attitude(now_ns) is not None:
             return self._unfollowed()
         silence_s = (now_ns - self._heard_ns) * 1e-9
         if silence_s > _GAP_NS * 1e-9:
-            return f"no word from the IMU for {silence_s:.1f} s; level is what the feet say"
+            return f"no IMU readings for {silence_s:.1f} s; the tilt is estimated from the feet"
         if self._attitude.contradictory:
-            return "the IMU's gyro and force tell of different motions (rad/s and m/s^2 expected); level is what the feet say"
-        return f"the IMU's up is sure to {math.degrees(self._attitude.doubt):.0f} deg only; level is what the feet say"
+            return (
+                "the IMU's gyroscope and accelerometer contradict each other (rad/s and m/s^2 expected); "
+                "the tilt is estimated from the feet"
+            )
+        return (
+            f"the IMU's tilt is uncertain by {math.degrees(self._attitude.doubt):.0f} deg; the tilt is estimated from the feet"
+        )
 
     def _unfollowed(self) -> str:
         if self._steep:
-            return f"the body leans more than the {math.degrees(_MOST_LEAN):.0f} deg that its legs make up for, by the IMU"
+            return f"the body leans more than the {math.degrees(_MOST_LEAN):.0f} deg that the legs can compensate, by the IMU"
         if self._astray:
             most = f"{math.degrees(_MOST_YAW):.0f} deg"
-            return f"gyro and legs are over {most} of heading apart in one step; heading is what the feet say"
+            return f"the headings of gyroscope and legs differ by more than {most} in one step; the legs' heading is used"
         return ""
 
     def turn(self, T_odom_body: Array, now_ns: int, dt: float, step: int | None = None) -> Array | None:
@@ -191,4 +196,4 @@ class Plumb:
         if off - found.doubt <= TIPPED:
             return ""
         most = f"at most {math.degrees(TIPPED):.0f} deg allowed"
-        return f"the body leaned {math.degrees(off):.0f} deg off what is commanded, by the IMU; {most}"
+        return f"the body leaned {math.degrees(off):.0f} deg from the commanded pose, by the IMU; {most}"

@@ -33,7 +33,7 @@ _ALL = np.ones(6, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class FootContact:
     """Measured contacts of one cycle."""
 
     touches: NDArray[np.bool_]  # (6,) feet that have met something while they moved
@@ -57,7 +57,7 @@ class FemurReading(NamedTuple):
     told_ns: int  # when goals were last sent
 
 
-class Feeler:
+class TouchdownDetector:
     """Upward ground force on each foot, from readings of its femur servo.
 
     The load of a servo is its motor torque. It overcomes the damping of the gear, holds the links and accelerates them; the

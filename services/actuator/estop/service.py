@@ -17,7 +17,7 @@ _BEAT_HZ = 25.0  # rate at which orders are processed
 _HOLDERS = 64  # clients whose newest orders are remembered
 
 
-class Stop:
+class EmergencyStop:
     """Closes the latch at each new torque-off order; only the actuator opens it."""
 
     name = "stop"
@@ -42,8 +42,8 @@ class Stop:
         try:
             closed = self._latch.closed
         except OSError as error:
-            return f"whether torque is latched off cannot be seen: {error}"
-        return "torque is latched off" if closed else "listening for the order to let go"
+            return f"cannot read the torque-off latch: {error}"
+        return "torque is latched off" if closed else "waiting for a torque-off order"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Process the received orders."""
@@ -85,7 +85,7 @@ class Stop:
             self._latch.close(given_ns)
             self._due_ns = None
         except OSError as error:  # the actuator receives the order, too
-            self._problem = f"an order to let go cannot be latched: {error}"
+            self._problem = f"cannot latch a torque-off order: {error}"
 
 
 def _remember(newest: dict[str, int], order: ModeCommand | StopOrder) -> None:

@@ -15,7 +15,7 @@ _NEAR = np.radians(5.0)  # distance from the wanted angle at which the motion is
 _FAR = np.radians(3.0)  # distance from the wanted angle at which that angle waits for the joint
 
 
-class GoalLimits:
+class JointRateLimits:
     """Keeps goals finite, within joint limits and within servo speed.
 
     Joints that resume their motion are slower.
@@ -30,7 +30,7 @@ class GoalLimits:
         self.pace = 1.0  # speed factor of a motion that waits for limited joints
         self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that resume their motion and have not been close yet
 
-    def ease(self, leg: int, joint: int, top: float = GENTLE) -> None:
+    def limit_joint(self, leg: int, joint: int, top: float = GENTLE) -> None:
         """Limit the speed of a joint until its goals have caught up with the wanted angle.
 
         The whole leg is limited until the joint is close, because its joints change together from hanging to standing.
@@ -44,7 +44,7 @@ class GoalLimits:
         self.behind[leg, joint] = True
 
     @property
-    def easing(self) -> bool:
+    def is_limiting(self) -> bool:
         """Whether any joint is limited: a step could not lift its foot as planned."""
         return bool(self.gentle.any())
 
@@ -79,4 +79,4 @@ class GoalLimits:
         self.behind &= left > _NEAR
         self.gentle &= (left > 1e-9) | self.behind.any(axis=1, keepdims=True)
         names = [LEGS[leg] for leg in np.flatnonzero(lost)]
-        return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
+        return q, f"foot out of reach, leg held in place: {', '.join(names)}" if names else ""

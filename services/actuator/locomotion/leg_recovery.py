@@ -8,7 +8,7 @@ from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENT
 _Flags = NDArray[np.bool_]
 
 
-class HungLegs:
+class LegRecovery:
     """Legs that lost torque, or were silent in the air, and their recovery."""
 
     def __init__(self) -> None:
@@ -20,7 +20,7 @@ class HungLegs:
         self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints that caused it
         self._lost: _Flags = np.zeros(6, dtype=np.bool_)
 
-    def update(self, limp: _Flags, unsure: _Flags, flying: _Flags) -> _Flags:
+    def update(self, torque_disabled: _Flags, unsure: _Flags, flying: _Flags) -> _Flags:
         """Update with the state of the legs.
 
         Args:
@@ -31,13 +31,13 @@ class HungLegs:
         Returns:
             (6,) hanging legs that can be controlled again. A leg that was silent while it stood keeps its foothold.
         """
-        self._lost = limp.any(axis=1) | (unsure.any(axis=1) & (flying | self.hung))
+        self._lost = torque_disabled.any(axis=1) | (unsure.any(axis=1) & (flying | self.hung))
         back = self.hung & ~self._lost
         self.dangling = self.dangling | (self._lost & ~self.hung & flying)
         self.hung = self.hung | self._lost
         self._coming = self._coming & flying & ~self._lost
         self._failed = (self._failed | unsure) & (self.hung | self._coming)[:, None]
-        self._limped = (self._limped | limp) & self.hung[:, None]
+        self._limped = (self._limped | torque_disabled) & self.hung[:, None]
         return back
 
     def put_back(self) -> float:

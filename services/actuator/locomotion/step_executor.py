@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.estimation.touchdown_detector import Felt
+from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.services.actuator.locomotion.body_trajectory import coordinates, hermite, pose, wrapped
 from sextant.services.actuator.locomotion.sixth_order_arc import SixthOrderArc
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
@@ -89,7 +89,7 @@ class _Patience:
     waited_s: float = 0.0
     in_vain_s: float = 0.0  # additional time in which they gave no readings
 
-    def is_over(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> bool:
+    def is_over(self, legs: NDArray[np.bool_], felt: FootContact, dt: float) -> bool:
         """Add `dt` [s] and return whether the waiting time of unproven legs (6,) is over."""
         if (legs & ~felt.heard).any() and self.in_vain_s < _IN_VAIN_S - 1e-9:
             self.in_vain_s += dt
@@ -108,7 +108,7 @@ class Targets:
     R_level_body: Array  # (3, 3) commanded attitude
 
 
-class Walker:
+class StepExecutor:
     """Converts step plans to foot targets; holds all state of the walk."""
 
     def __init__(self, settings: Settings, feet: Array, T_odom_body: Array, ground: Array | None = None):
@@ -219,7 +219,7 @@ class Walker:
         return self._plan.clearance if lifted and self._plan is not None else np.full(6, np.inf)
 
     @property
-    def taking_back(self) -> bool:
+    def is_returning(self) -> bool:
         """Whether the walker's own step brings feet back to where they stood."""
         return self._plan is not None and not self.planned and not self.gentle
 
@@ -227,7 +227,7 @@ class Walker:
         """Require legs (6,) to prove that they stand before others are lifted."""
         self._proven &= ~legs
 
-    def drain_findings(self) -> list[Finding]:
+    def take_findings(self) -> list[Finding]:
         """Return the findings since the last call."""
         found, self._findings = self._findings, []
         return found
@@ -265,7 +265,7 @@ class Walker:
         else:
             self._next = plan
 
-    def update(self, dt: float, T_odom_body: Array, felt: Felt | None = None, pace: float = 1.0) -> Targets:
+    def update(self, dt: float, T_odom_body: Array, felt: FootContact | None = None, pace: float = 1.0) -> Targets:
         """Advance by one cycle.
 
         Args:
@@ -288,7 +288,7 @@ class Walker:
             self._brake(dt)
             self._share += np.clip(~self.searching - self._share, -dt / self._settings.load_s, dt / self._settings.load_s)
             if self._search is not None and felt is not None:
-                self._feel_down(dt, self._search, felt)
+                self._search_down(dt, self._search, felt)
             elif felt is not None:
                 self._survey(dt, felt)
         else:
@@ -350,7 +350,7 @@ class Walker:
         return self._plan is not None and self._plan.stamp_ns >= 0
 
     def set_down(self, reaches: Callable[[Array], bool]) -> None:
-        """Stand as soon as possible: feet in the air go on or back, whichever is sooner.
+        """Stand as soon as possible: feet in the air go on or back, the sooner of the two.
 
         Both are footholds that were checked before. No further leg is lifted. The body brakes at once, unless its legs would
         not reach their footholds from there.
@@ -379,7 +379,7 @@ class Walker:
         self._elapsed = self._settings.unload_s  # they are already unloaded
         self._come_to_rest(again, self._hurry, reaches)
         self._returning = True
-        self.trouble = "the step is taken back"
+        self.trouble = "the step is reversed"
 
     def _come_to_rest(self, plan: StepPlan, hurry: float, reaches: Callable[[Array], bool]) -> None:
         """Finish the running step at `hurry` times its planned speed.
@@ -426,7 +426,7 @@ class Walker:
         self._hurry, self._returning, self.gentle = 1.0, False, False
         self._stopped &= ~plan.swing
 
-    def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
+    def _advance(self, dt: float, plan: StepPlan, felt: FootContact | None) -> None:
         before = self._elapsed
         self._elapsed = min(before + self._hurry * dt, plan.duration)
         self.phase = self._elapsed / plan.duration
@@ -440,7 +440,7 @@ class Walker:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any() and not self.gentle:  # gentle legs carry no load that others had to take
                 if self._patience.is_over(unproven, felt, self._elapsed - before):
-                    self._call_off(unproven)
+                    self._abort(unproven)
                 self._elapsed, self._velocity = before, np.zeros(6)  # the step is paused
                 return
             self._lift_off(plan)
@@ -448,7 +448,7 @@ class Walker:
         if self._elapsed >= plan.duration:
             self._land()
 
-    def _swing_feet(self, before: float, plan: StepPlan, targets: Array, felt: Felt | None) -> None:
+    def _swing_feet(self, before: float, plan: StepPlan, targets: Array, felt: FootContact | None) -> None:
         """Advance swing feet to targets (6, 3) [m] {cmd}; unload and load their legs."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         legs = plan.swing
@@ -458,7 +458,7 @@ class Walker:
         if felt is not None and self._flight is not None and self.planned:
             held = self._held(legs, felt, self._elapsed - before)
             if held.any():
-                self._take_back(held, felt.feet)
+                self._return_step(held, felt.feet)
                 return
         if self._flight is None:
             self._flight = _ARCS[self._settings.arc](self._feet[legs], targets[legs], plan.clearance[legs])
@@ -481,7 +481,7 @@ class Walker:
             self._feet[free] = feet[free]
             self._ground[free] = targets[free, 2]
 
-    def _held(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> NDArray[np.bool_]:
+    def _held(self, legs: NDArray[np.bool_], felt: FootContact, dt: float) -> NDArray[np.bool_]:
         """Return swing legs (6,) whose feet have lagged far behind the servo goals.
 
         A folded leg at a joint limit lags behind the plan, but not behind its goals.
@@ -491,7 +491,7 @@ class Walker:
         self._behind_s = np.where(legs & ~self._stopped & felt.known & behind, self._behind_s + dt, 0.0)
         return self._behind_s > _HELD_S - 1e-9
 
-    def _take_back(self, held: NDArray[np.bool_], feet: Array) -> None:
+    def _return_step(self, held: NDArray[np.bool_], feet: Array) -> None:
         """Return all feet of the step, because some (6,) are held at (6, 3) [m] {odom}.
 
         To continue would drag the robot over its standing feet at full servo torque.
@@ -500,7 +500,7 @@ class Walker:
         assert back is not None
         self._feet[held] = apply(inverse(self._T_odom_cmd), feet)[held]
         self._begin(replace(back, step=self.step, T_world_odom=inverse(self._T_odom_cmd), clearance=np.full(6, _LOW)))
-        self.trouble = f"something holds the {_names(held)} foot on its way; the step is taken back"
+        self.trouble = f"an obstacle blocks the {_names(held)} foot; the step is reversed"
 
     def _lift_off(self, plan: StepPlan) -> None:
         """Store the stance before lift-off, to which the robot can return."""
@@ -519,7 +519,7 @@ class Walker:
         self._landed = plan.swing.copy()
         self._taking_back = plan.stamp_ns < 0
 
-    def _prove(self, felt: Felt) -> None:
+    def _prove(self, felt: FootContact) -> None:
         """Note feet that carry load while others are unloaded.
 
         A foot that is only assumed to stand yields no finding.
@@ -528,7 +528,7 @@ class Walker:
         self._proven |= proven
         self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven & felt.known).tolist()]
 
-    def _survey(self, dt: float, felt: Felt) -> None:
+    def _survey(self, dt: float, felt: FootContact) -> None:
         """Measure at rest the height of feet that have just met ground.
 
         Their first measurement was in motion.
@@ -543,7 +543,7 @@ class Walker:
         self._ground += gap
         self._met[:, 2] += gap
 
-    def _call_off(self, legs: NDArray[np.bool_]) -> None:
+    def _abort(self, legs: NDArray[np.bool_]) -> None:
         """Cancel lift-off because legs (6,) have no ground; they search for it.
 
         The others stand meanwhile.
@@ -552,9 +552,9 @@ class Walker:
         self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
         self._search = _Search(legs.copy(), _REACH + self._short)
         self._stopped &= ~legs  # they were not stopped by ground: no longer hold them there
-        self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
+        self.trouble = f"no ground under the {_names(legs)} foot at the expected height; the foot reaches down"
 
-    def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
+    def _search_down(self, dt: float, search: _Search, felt: FootContact) -> None:
         """Lower feet that search for ground; they stay on contact.
 
         Without contact the last step is taken back.
@@ -578,10 +578,10 @@ class Walker:
         self._search, where = None, f"no ground under the {_names(lost)} foot down to {_REACH * 100:.0f} cm below its foothold"
         back, self._proven[lost] = self._way_back, True  # already reported
         if back is None or self._taking_back:
-            self.trouble = f"{where}; it stays there"
+            self.trouble = f"{where}; the foot stays there"
             return
         self._begin(replace(back, step=self.step, T_world_odom=inverse(self._T_odom_cmd)))
-        self.trouble = f"{where}; the step is taken back"
+        self.trouble = f"{where}; the step is reversed"
 
     def _progress(self, plan: StepPlan, elapsed: float) -> float:
         """Return the finished share of the swing, 0 to 1, at a time [s] in the step."""

@@ -31,8 +31,8 @@ _STOPS = ("off", "stop")  # orders that any client may give
 class Act(StrEnum):
     """Action that the actuator executes at once."""
 
-    LET_GO = "torque off"
-    GRIP = "torque on, where the joints are"
+    TORQUE_OFF = "torque off"
+    TORQUE_ON = "torque on, where the joints are"
     RISE = "stand up"
     LIE_DOWN = "lower the body to the ground"
     SET_DOWN = "bring feet that are in the air to the ground, and stand"
@@ -94,7 +94,7 @@ class Guard:
         self.given_ns = -1  # when the newest valid and permitted order was given
         self._woke_ns = -1  # when the computer last resumed from suspend
         self._may_walk = False
-        self._permit = walk  # the walk order in force; after a start its holder may not have repeated it yet
+        self._authorization = walk  # the walk order in force; after a start its holder may not have repeated it yet
         self._accepted_ns = 0  # when the newest plan was accepted
         self._late = False  # whether this walk has continued too long without a new plan
         self._halted = False  # whether this walk was ordered to stop
@@ -119,15 +119,15 @@ class Guard:
         There is none once the order has ended for any reason.
         """
         heard_ns = self._heard_ns if self._may_walk else self._begun_ns
-        return self._permit if now_ns - heard_ns <= AWAY_NS else None
+        return self._authorization if now_ns - heard_ns <= AWAY_NS else None
 
-    def begin_anew(self, epoch: int) -> None:
+    def set_epoch(self, epoch: int) -> None:
         """Start a new epoch of {odom}."""
         self._check.epoch = epoch
 
     # ---------------------------------------------------------------------------------------------------------- orders
 
-    def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+    def handle_order(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
         """Obey an order, or set `objection` to the reason for refusal.
 
         The rules are:
@@ -143,11 +143,11 @@ class Guard:
         * A walk order from before the start of this process is resumed only if it was in force when the previous process ended.
         """
         if order.sequence == self._sequences.get(order.holder):
-            self._hear_again(order, now_ns)
+            self._handle_repeated(order, now_ns)
             return ()
-        odd, stops = self._odd(order, now_ns), order.mode in _STOPS
+        odd, stops = self._invalid_reason(order, now_ns), order.mode in _STOPS
         if odd and stops:
-            return self._hear_odd_stop(order, now_ns)
+            return self._handle_invalid_stop(order, now_ns)
         if odd:
             self.objection = odd
             return ()
@@ -169,7 +169,7 @@ class Guard:
         self.given_ns = order.sequence
         return self._obey(order.mode)
 
-    def hear_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
+    def handle_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
         """Obey a stop or torque-off order of any client.
 
         It takes no lease, and it does not extend how long its sender is remembered.
@@ -191,23 +191,25 @@ class Guard:
             del self._stops[next(iter(self._stops))]
         return stop.sequence != known
 
-    def _odd(self, order: ModeCommand, now_ns: int) -> str:
+    def _invalid_reason(self, order: ModeCommand, now_ns: int) -> str:
         """Return why the times of an order are not current, or an empty string."""
         if not is_of_now(order, now_ns):
             return _untimely(order, now_ns)
         if order.sequence < self._sequences.get(order.holder, order.sequence):
             return _older(order)
         if is_no_time(order, now_ns):
-            return f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
+            return (
+                f"`{order.mode}` of {order.holder} refused: its sequence number, the time of the order [ns], lies in the future"
+            )
         return ""
 
-    def _hear_odd_stop(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+    def _handle_invalid_stop(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
         """Obey a stop with invalid times, unless it is known or may be a replay."""
         older = order.sequence < self._sequences.get(order.holder, order.sequence)
         if older and (not is_of_now(order, now_ns) or order.sequence <= self._stops.get(order.holder, -1)):
             self.objection = _older(order)
             return ()
-        return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder), now_ns)  # type: ignore[arg-type]
+        return self.handle_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder), now_ns)  # type: ignore[arg-type]
 
     def _has_room(self, now_ns: int) -> bool:
         """Return whether one more holder can be remembered.
@@ -222,7 +224,7 @@ class Guard:
         del self._sequences[oldest]
         return True
 
-    def _hear_again(self, order: ModeCommand, now_ns: int) -> None:
+    def _handle_repeated(self, order: ModeCommand, now_ns: int) -> None:
         """Process a repeated order.
 
         The holder's order keeps the lease. After a long silence it restores the lease, but not the walk.
@@ -237,31 +239,31 @@ class Guard:
         if self._may_walk and silent_ns > AWAY_NS:
             self._end_walk_order()
             self.objection = (
-                f"`walk` of {self._holder} refused: nothing was heard of it for {silent_ns * 1e-9:.0f} s; order it anew"
+                f"`walk` of {self._holder} refused: no order was received for {silent_ns * 1e-9:.0f} s; order it again"
             )
         self._heard_ns = now_ns
 
     def _late_order(self, order: ModeCommand, now_ns: int) -> str:
         """Return why a newly received motion order is too old, or an empty string."""
         age_ns = now_ns - order.sequence
-        gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
+        gone = f"`{order.mode}` of {order.holder} refused: by its sequence number, the robot's time [ns], it was given"
         if self.mode is Mode.OFF and order.sequence < self.off_ns:
-            return f"{gone} before torque was ordered off; order it anew"
+            return f"{gone} before torque was ordered off; order it again"
         if order.mode == "walk" and order.sequence < self._begun_ns:
             resumes = self.walk_order(now_ns) == WalkOrder(order.holder, order.sequence)
-            return "" if resumes else f"{gone} before this actuator began, and was not in force then; order it anew"
+            return "" if resumes else f"{gone} before this actuator started, and was not in force at that time; order it again"
         if order.sequence <= self._woke_ns:
-            return f"{gone} before the computer slept; order it anew"
+            return f"{gone} before the computer was suspended; order it again"
         lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
-        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting else ""
+        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it again" if age_ns > lasting else ""
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
         """Give the lease to the sender of an order; return why not, or an empty string."""
         holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
         if stranger:
-            return f"{refused}: {_HOLDERS} others have given orders within {AWAY_NS * 1e-9:.0f} s"
+            return f"{refused}: {_HOLDERS} other clients gave orders within {AWAY_NS * 1e-9:.0f} s"
         if holder and holder != order.holder and not order.take:
-            return f"{refused}: {holder} holds the lease; take it over, or wait for its end"
+            return f"{refused}: {holder} holds the lease; take it over, or wait until it expires"
         if order.holder != self._holder:
             self._end_walk_order()
         self._holder, self._heard_ns = order.holder, now_ns
@@ -286,7 +288,7 @@ class Guard:
         self._enter(Mode.OFF, reason)
         self._end_walk_order()
         self.tipped, self._seat, self._lets_go, self._midway = "", "", False, False
-        return (Act.LET_GO,)
+        return (Act.TORQUE_OFF,)
 
     def _stop(self) -> tuple[Act, ...]:
         self._end_walk_order()
@@ -296,7 +298,7 @@ class Guard:
             self._halted = True
             return (Act.SET_DOWN,)
         if self.mode in (Mode.STAND, Mode.SIT):
-            self._enter(Mode.READY, "stopped on its way; order `stand` or `sit`")
+            self._enter(Mode.READY, "stopped while rising or sitting down; order `stand` or `sit`")
             return (Act.FREEZE,)
         return ()
 
@@ -310,7 +312,7 @@ class Guard:
         self._enter(Mode.READY, "torque is on; order `stand` to rise")
         self._end_walk_order()
         self._seat, self._lets_go, self._midway = "", False, False
-        return (Act.GRIP,)
+        return (Act.TORQUE_ON,)
 
     def _stand(self) -> tuple[Act, ...]:
         if self.mode is Mode.WALK:
@@ -319,11 +321,11 @@ class Guard:
         if why or self.mode is Mode.FAULT:
             self.objection = f"`stand` refused: {why or 'feet are being set down'}"
             return ()
-        grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
+        torque_on = (Act.TORQUE_ON,) if self.mode is Mode.OFF else ()
         self._enter(Mode.STAND, "standing up")
         self._end_walk_order()
         self.tipped, self._seat, self._lets_go = "", "", False
-        return (*grip, Act.RISE)
+        return (*torque_on, Act.RISE)
 
     def _walk(self) -> tuple[Act, ...]:
         if self.mode not in (Mode.HOLD, Mode.STAND, Mode.WALK):
@@ -332,7 +334,7 @@ class Guard:
         elif self._verdict.sit:
             self.objection = f"`walk` refused: {self._verdict.sit}"
         else:
-            self._may_walk, self._permit = True, WalkOrder(self._holder, self.given_ns)
+            self._may_walk, self._authorization = True, WalkOrder(self._holder, self.given_ns)
             self.tipped, self._seat, self._lets_go = "", "", False
         return ()
 
@@ -347,14 +349,14 @@ class Guard:
 
     def _end_walk_order(self) -> None:
         """End the walk order, also for a restarted process."""
-        self._may_walk, self._permit = False, None
+        self._may_walk, self._authorization = False, None
 
     def _enter(self, mode: Mode, reason: str) -> None:
         self.mode, self.reason, self._late, self._halted = mode, reason, False, False
 
     # ----------------------------------------------------------------------------------------------------------- plans
 
-    def consider(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
+    def accept_plan(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
         """Return whether a plan may be walked; if not, set `refused` to the reason."""
         closed = self._closed(now_ns, legs)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
@@ -376,21 +378,21 @@ class Guard:
     def _closed(self, now_ns: int, legs: Legs) -> str:
         """Return why no plan is accepted now, or an empty string."""
         if self.tipped:
-            return f"{self.tipped}; order `walk` anew"
+            return f"{self.tipped}; order `walk` again"
         if self.mode is Mode.FAULT:
             return self.reason
         if self._seat:
             return self._seat
         if not self._may_walk and self.mode is Mode.WALK:
-            return "the walk is ordered to stop, and comes to its end"
+            return "the walk was ordered to stop; its last step is being finished"
         if not self._may_walk or self.mode not in (Mode.HOLD, Mode.WALK):
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):
-            return f"no order of {self._holder} for {LEASE_NS * 1e-9:.0f} s, nobody leads"
+            return f"no order from {self._holder} for {LEASE_NS * 1e-9:.0f} s, the lease has expired"
         if legs.waits:
             return legs.waits
         if self._late:
-            return f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s, feet are set down first"
+            return f"no new plan received for {DEADLINE_NS * 1e-9:.2f} s, the feet are set down first"
         return ""
 
     # ----------------------------------------------------------------------------------------------------- what happens
@@ -401,14 +403,14 @@ class Guard:
         self._end_walk_order()
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
-    def woke(self, slept_s: float, now_ns: int) -> tuple[Act, ...]:
+    def resume_from_suspend(self, slept_s: float, now_ns: int) -> tuple[Act, ...]:
         """Cancel all orders after the computer was suspended for `slept_s` [s].
 
         Clocks stood still meanwhile, and the present state of the robot is unknown.
         """
         acts = self._stop()
         self._holder, self._woke_ns = "", now_ns
-        self.objection = f"what was ordered is over: the computer was asleep for {slept_s:.0f} s; order it anew"
+        self.objection = f"all orders are cancelled: the computer was suspended for {slept_s:.0f} s; order again"
         return acts
 
     def risen(self) -> None:
@@ -433,9 +435,9 @@ class Guard:
             return ()
         still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # an interrupted motion stays where it is
         rests = legs.resting or still
-        acts = (*self._see_to_faults(rests, verdict), *self._see_to_walk(now_ns, legs))
+        acts = (*self._check_faults(rests, verdict), *self._check_walk(now_ns, legs))
         if verdict.sit and not self._lets_go:
-            acts = (*acts, *self._give_in(verdict.sit))
+            acts = (*acts, *self._fall_back(verdict.sit))
         if self.mode is Mode.READY and not verdict.sit:
             self._lets_go = False  # the robot was stopped while it lay down
         if self._seat and rests:
@@ -444,7 +446,7 @@ class Guard:
             acts = (*acts, Act.LIE_DOWN)
         return acts
 
-    def _give_in(self, why: str) -> tuple[Act, ...]:
+    def _fall_back(self, why: str) -> tuple[Act, ...]:
         """Lie down because of an unsustainable condition, then turn torque off."""
         self._lets_go = True
         self._end_walk_order()
@@ -454,7 +456,7 @@ class Guard:
             self._seat = why
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
-    def _see_to_faults(self, rests: bool, verdict: Verdict) -> tuple[Act, ...]:
+    def _check_faults(self, rests: bool, verdict: Verdict) -> tuple[Act, ...]:
         """Stop on a fault, and resume once it has cleared."""
         sits_anyway = self.mode is Mode.SIT and self._lets_go
         if verdict.broken and self.mode is not Mode.READY and not sits_anyway:
@@ -465,20 +467,20 @@ class Guard:
         if self.mode is Mode.FAULT and not verdict.broken and rests:
             midway, self._midway = self._midway, False
             if midway:
-                self._enter(Mode.READY, "what was broken is whole again; order `stand` or `sit`")
+                self._enter(Mode.READY, "the fault has cleared; order `stand` or `sit`")
             else:
-                self._enter(Mode.HOLD, "what was broken is whole again")
+                self._enter(Mode.HOLD, "the fault has cleared")
         return ()
 
-    def _see_to_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
+    def _check_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
         """End the walk after its last step, or when no plan has arrived for too long."""
         if self.mode is not Mode.WALK:
             return ()
-        late = f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
+        late = f"no new plan received for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
         ended = "ordered to stop" if self._halted else late
         why = self.tipped or "; ".join(words for words in (ended, legs.trouble) if words)
         if legs.resting:
-            self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")
+            self._enter(Mode.HOLD, why or "the last accepted step is finished; no new plan received")
             return ()
         self.reason = why or "walking"
         if legs.planned and not (self._late or self._halted) and now_ns - self._accepted_ns > DEADLINE_NS:
@@ -488,12 +490,12 @@ class Guard:
 
 
 def _older(order: ModeCommand) -> str:
-    return f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
+    return f"`{order.mode}` of {order.holder} refused: it is older than the newest order of this client"
 
 
 def _untimely(order: ModeCommand, now_ns: int) -> str:
     """Return the message that an order is not current."""
     age_ns = now_ns - order.stamp_ns
-    when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
-    allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"
+    when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s in the future"
+    allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; stamp orders by the robot's clock"
     return f"`{order.mode}` of {order.holder} refused: it is {when}, {allowed}"

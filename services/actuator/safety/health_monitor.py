@@ -37,7 +37,7 @@ class Vitals:
     voltage: Array  # (18,) [V], NaN where never read
     temperature: Array  # (18,) [deg C], NaN where never read
     errors: NDArray[np.uint8]  # (18,) error bits of the newest status packets
-    limp: NDArray[np.bool_]  # (18,) servos without torque
+    torque_disabled: NDArray[np.bool_]  # (18,) servos without torque
     behind: NDArray[np.bool_]  # (18,) servos that have missed goals and have not caught up yet
     strength: Array  # (18,) torque limit, as a share of its maximum
     loss: float  # share of the requests of the last 200 ms without a usable answer
@@ -51,7 +51,7 @@ class Verdict:
     broken: str = ""  # why no step may be taken now
     sit: str = ""  # why the robot must lie down and turn torque off
     pace: float = 1.0  # share of the nominal speed that is sustainable
-    revive: tuple[int, ...] = ()  # servos whose shutdown may end now, at their present position
+    restore_torque: tuple[int, ...] = ()  # servos whose shutdown may end now, at their present position
     warnings: tuple[str, ...] = ()
 
 
@@ -99,15 +99,15 @@ class Health:
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
         heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
-        limp, weak = self._limp(vitals.limp) if torque else "", self._weak(vitals.strength)
+        torque_disabled, weak = self._check_torque(vitals.torque_disabled) if torque else "", self._weak(vitals.strength)
         unknown = (self._silence(vitals), self._delay(dt), self._error(vitals.errors))
-        broken = (*unknown, limp, overloaded.broken, weak if torque else "")
+        broken = (*unknown, torque_disabled, overloaded.broken, weak if torque else "")
         sit = next((words for words in (overloaded.sit, heat.sit, empty.sit) if words), "")
         return Verdict(
             broken=next((words for words in broken if words), ""),
             sit=sit,
             pace=min(heat.pace, self._fresh()),
-            revive=overloaded.revive,
+            restore_torque=overloaded.restore_torque,
             warnings=(*heat.warnings, *empty.warnings, *filter(None, (weak,))),
         )
 
@@ -119,34 +119,32 @@ class Health:
         if len(silent) and vitals.newest > _QUIET_S:
             return "no servo answers; check the power of the bus, its cable and the adapter"
         if len(silent):
-            return f"{_named(self._profile, silent)} does not answer; check its cable and those before it"
+            return f"{_named(self._profile, silent)} does not answer; check its cable and the cables before it"
         if vitals.loss > _LOSS:
             return f"more than {_LOSS:.0%} of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
         behind = np.flatnonzero(vitals.behind)
-        return f"{_named(self._profile, behind)} takes up its work again, slowly" if len(behind) else ""
+        return f"{_named(self._profile, behind)} is catching up with its goal, slowly" if len(behind) else ""
 
     def _delay(self, dt: float) -> str:
         """Return why the computer cannot control the servos in time, or an empty string."""
         if dt > GAP_S:
-            return f"the computer has kept the actuator waiting for {dt:.1f} s"
+            return f"the actuator process did not run for {dt:.1f} s"
         if self._late >= LATE_CYCLES:
             return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self._period * 1e3:.0f} ms"
         return ""
 
-    def _limp(self, limp: NDArray[np.bool_]) -> str:
+    def _check_torque(self, torque_disabled: NDArray[np.bool_]) -> str:
         """Return which servos have lost their torque, or an empty string."""
-        lost = np.flatnonzero(limp)
-        return (
-            f"{_named(self._profile, lost)} has lost its torque; order `ready` to turn it on where it is" if len(lost) else ""
-        )
+        lost = np.flatnonzero(torque_disabled)
+        return f"{_named(self._profile, lost)} has lost its torque; order `ready` to turn it on again" if len(lost) else ""
 
     def _weak(self, strength: Array) -> str:
         """Return which servos have a reduced torque limit, or an empty string."""
         weak = np.flatnonzero(strength < 1.0)
         if not len(weak):
             return ""
-        left = f"{_named(self._profile, weak)} was left with {strength[weak].min():.0%} of its torque"
-        return f"{left}; order `ready` to turn it up where it is"
+        left = f"{_named(self._profile, weak)} has only {strength[weak].min():.0%} of its torque"
+        return f"{left}; order `ready` to restore it"
 
     def _error(self, errors: NDArray[np.uint8]) -> str:
         """Return which servo reports another error, or an empty string.
@@ -160,7 +158,7 @@ class Health:
 
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Evaluate servo shutdowns; overload shutdowns are reset a few times."""
-        broken, sit, revive = "", "", list[int]()
+        broken, sit, restore_torque = "", "", list[int]()
         for index, shutdown in enumerate(self._shutdowns):
             if silent[index]:
                 continue
@@ -173,7 +171,7 @@ class Health:
             name = _named(self._profile, [index])
             if ServoError.OVERHEATING in error:
                 shutdown.hot_since = now if shutdown.hot_since is None else shutdown.hot_since
-                broken = f"{name} has shut down for its heat"
+                broken = f"{name} has shut down because of overheating"
                 sit = broken if now - shutdown.hot_since >= _OVERHEATED_S else sit
                 continue
             if not torque:
@@ -183,16 +181,17 @@ class Health:
             # Time at the end of the rest: the decision about a shutdown stays the same while it lasts.
             rested = shutdown.since + _REST_S
             shutdown.counted = [then for then in shutdown.counted if rested - then < _WITHIN_S]
-            broken = broken or f"{name} has shut down for its load"
+            broken = broken or f"{name} has shut down because of overload"
             if now - shutdown.since < _REST_S:
                 continue
             if len(shutdown.counted) >= _RESETS:
-                sit = sit or f"{name} has shut down for its load {_RESETS + 1} times in {_WITHIN_S / 60:.0f} minutes"
+                often = f"{_RESETS + 1} times in {_WITHIN_S / 60:.0f} minutes"
+                sit = sit or f"{name} has shut down because of overload {often}"
             else:
                 shutdown.since = None
                 shutdown.counted.append(now)
-                revive.append(index)
-        return Verdict(broken=broken, sit=sit, revive=tuple(revive))
+                restore_torque.append(index)
+        return Verdict(broken=broken, sit=sit, restore_torque=tuple(restore_torque))
 
     def _heat(self, dt: float, temperature: Array) -> Verdict:
         """Compare the hottest servo with its limit; the rise of a reading is limited.
@@ -207,9 +206,9 @@ class Health:
         below = self._profile.servo.temperature_limit - float(self._temperature[hottest])
         if below >= _WARM:
             return Verdict()
-        words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C warm"
+        words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
         pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (_WARM - below) / (_WARM - _HOT))
-        return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}: the walk is slower",))
+        return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}; walking slower",))
 
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
         """Evaluate the battery voltage; a short sag does not count."""

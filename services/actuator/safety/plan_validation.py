@@ -62,21 +62,21 @@ class PlanCheck:
         """
         if plan.epoch != self.epoch:
             return (
-                f"plan of step {plan.step} was made before {{odom}} began anew: epoch {self.epoch} expected, found {plan.epoch}"
+                f"plan of step {plan.step} was made before {{odom}} restarted: epoch {self.epoch} expected, found {plan.epoch}"
             )
         age_ns = now_ns - plan.stamp_ns
         if age_ns > self._plan_age_ns:
             return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
         if age_ns < -self._plan_age_ns:  # if accepted, it would make every later plan an old one
-            return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s ahead of now"
+            return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s in the future"
         if plan.stamp_ns <= self._last_stamp_ns:
             return f"plan of step {plan.step} is not newer than the last accepted one"
         if plan.step != running + 1 and (resting or plan.step != running):
             return f"plan of step {plan.step} does not follow step {running}"
         if plan.step == running and (plan.swing != swing).any():
-            return f"a revision of step {plan.step} swings other legs than the step that is running"
+            return f"a revision of step {plan.step} swings other legs than the running step"
         if plan.step == running and (plan.clearance > clearance)[plan.swing].any():
-            return f"a revision of step {plan.step} asks for more clearance than its feet were lifted with"
+            return f"a revision of step {plan.step} needs more clearance than its feet were lifted with"
         return ""
 
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
@@ -109,7 +109,7 @@ class PlanCheck:
         for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
             margin = support_margin(standing[:, :2], apply(body, self._centre)[:2])
             if margin < MIN_MARGIN:
-                inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
+                inside = f"{margin * 1e3:.0f} mm inside the support polygon {where}"
                 return f"the centre of mass would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
 
@@ -162,7 +162,7 @@ class PlanCheck:
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
             what = "touchdown" if plan.swing[leg] else "standing foot"
-            return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
+            return f"the {what} of the {LEGS[leg]} leg exceeds the reach of its {JOINTS[joint]} joint"
         return ""
 
 
@@ -177,7 +177,7 @@ def _malformed(plan: StepPlan) -> str:
         if not is_rigid(T):
             return f"the plan's {name} is not a rigid transform"
         if np.abs(T[:3, 3]).max() > FURTHEST:
-            return f"the plan's {name} is more than {FURTHEST * 1e-3:.0f} km away: numbers so large say nothing of millimetres"
+            return f"the plan's {name} is more than {FURTHEST * 1e-3:.0f} km away, too far for millimetre precision"
     return ""
 
 

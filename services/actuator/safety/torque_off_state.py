@@ -3,7 +3,7 @@
 from sextant.services.actuator.safety.torque_off_latch import Latch
 
 
-class OffOrder:
+class TorqueOffState:
     """Whether an order requires torque off, and problems of its latch.
 
     The order may be older than this process.
@@ -31,7 +31,7 @@ class OffOrder:
         try:
             self._closed = self._latch.closed
         except OSError as error:
-            self.unseen = f"whether torque is ordered off past this process cannot be seen: {error}"
+            self.unseen = f"cannot read the torque-off latch: {error}"
             return self._held
         since_ns = self._latch.since_ns if self._closed else -1
         self._held = since_ns == 0 or since_ns > self._taken_back_ns
@@ -49,7 +49,7 @@ class OffOrder:
             if self._latch is not None:
                 self._latch.close(at_ns)
         except OSError as error:
-            self.unkept = f"torque is off, but a restarted actuator would not know of that order: {error}"
+            self.unkept = f"torque is off, but the order cannot be stored for a restarted actuator: {error}"
 
     def take_back(self, given_ns: int, now_ns: int) -> bool:
         """Take the order back by one given at `given_ns` [ns]; on failure set `stuck`.
@@ -69,7 +69,7 @@ class OffOrder:
         self.unkept = self.stuck = ""
         try:
             if self._latch is not None and not self._latch.open(given_ns, now_ns):
-                self.stuck = "torque stays off, for that was ordered meanwhile; order it anew"
+                self.stuck = "torque stays off, because it was ordered off in the meantime; order it again"
         except OSError as error:
-            self.stuck = f"torque stays off, for that order cannot be taken back: {error}; remove that file"
+            self.stuck = f"torque stays off, because the torque-off latch cannot be opened: {error}; remove that file"
         return not self.stuck

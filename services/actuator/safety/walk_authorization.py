@@ -11,7 +11,7 @@ from sextant.services.actuator.safety.torque_off_latch import FOLDERS, name_of
 _LONGEST = 4096  # [B] read from a file at most
 
 
-class Permit:
+class WalkAuthorization:
     """Store of the walk order in force, which outlives the process."""
 
     def __init__(self, path: Path | None = None):
@@ -21,7 +21,7 @@ class Permit:
         self._order = None if path is None else _order_in(path)
 
     @classmethod
-    def of_port(cls, port: str) -> "Permit":
+    def of_port(cls, port: str) -> "WalkAuthorization":
         """Return the store of the robot behind a servo port.
 
         It lasts until the machine is switched off.
@@ -54,7 +54,7 @@ class Permit:
         try:
             self._path.unlink(missing_ok=True)
         except OSError as error:
-            self.trouble = f"a restarted actuator would walk on by an order that has ended: {error}"
+            self.trouble = f"a restarted actuator would resume an ended walk, its order cannot be deleted: {error}"
 
 
 def _order_in(path: Path) -> WalkOrder | None:

@@ -1,7 +1,7 @@
 """Servo bus driver: Dynamixel Protocol 1.0 over a port like pyserial's.
 
-It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusGone` is raised. Lost, broken, refused
-and implausible packets are counted by reason, and the last reading of their servo ages.
+It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusDisconnectedError` is raised. Lost,
+broken, refused and implausible packets are counted by reason, and the last reading of their servo ages.
 """
 
 from collections import Counter, deque
@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.commissioning import bus_scan
-from sextant.services.actuator.commissioning.bus_scan import Chorus, Problem, Voice
+from sextant.services.actuator.commissioning.bus_scan import BusResponse, PingResponses, Problem
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
-from sextant.services.actuator.servo_bus.reading_validation import Plausibility, State
+from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State
 from sextant.services.actuator.servo_bus.serial_port import (
     BAUD_RATE,
     LOST,
     REFUSAL,
     REPLY_TIMEOUT_NS,
-    BusGone,
-    Line,
+    BusDisconnectedError,
     Lost,
     Port,
+    SerialLine,
     gone,
     open_port,
 )
@@ -34,7 +34,7 @@ __all__ = [
     "BAUD_RATE",
     "LOST",
     "REPLY_TIMEOUT_NS",
-    "BusGone",
+    "BusDisconnectedError",
     "BusSetupError",
     "Lost",
     "Port",
@@ -157,10 +157,10 @@ class ServoBus:
         self._port = port
         self._clock = clock
         self._model, self._lock = model, lock
-        self._line = Line(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
+        self._line = SerialLine(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
-        self._plausible = Plausibility(n)
+        self._validator = ReadingValidator(n)
 
         self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
         self._next = 0
@@ -186,9 +186,9 @@ class ServoBus:
     def lost(self) -> Counter[str]:
         """Requests without a usable answer and dropped bytes, by reason.
 
-        Reasons are `Lost`, `dynamixel.Dropped` and `reading_validation.Doubt`.
+        Reasons are `Lost`, `dynamixel.Dropped` and `reading_validation.Implausibility`.
         """
-        return self._line.lost + self._line.dropped + self._plausible.refused
+        return self._line.lost + self._line.dropped + self._validator.refused
 
     @property
     def loss(self) -> float:
@@ -247,22 +247,22 @@ class ServoBus:
         answer = self._ask(dxl.write(servo_id, register.address, register.encode(value)), servo_id, 0)
         return answer is not None
 
-    def tell(self, servo_id: int, register: Register, value: int) -> None:
+    def write_unacknowledged(self, servo_id: int, register: Register, value: int) -> None:
         """Write a register without an expected answer, or with one of another id."""
         request = dxl.write(servo_id, register.address, register.encode(value))
         self._line.attempt(request, servo_id, 0, self._clock() + self._line.reply_timeout_ns)
 
-    def chorus(self, servo_id: int) -> Chorus:
+    def ping_responses(self, servo_id: int) -> PingResponses:
         """Return all responses to one ping within the timeout.
 
         Two servos with one id send more than one answer.
         """
         packets, garbage = self._line.overhear(dxl.ping(servo_id))
-        return Chorus(sum(packet.servo_id == servo_id for packet in packets), garbage)
+        return PingResponses(sum(packet.servo_id == servo_id for packet in packets), garbage)
 
-    def unasked(self) -> bytes:
+    def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request; servos send none."""
-        return self._line.unasked()
+        return self._line.unrequested_bytes()
 
     def meet(self) -> None:
         """Do nothing: the bus has no microcontroller that needs a session."""
@@ -274,10 +274,10 @@ class ServoBus:
 
         Raises:
             BusSetupError: Servos are missing, doubled, of another model, in wheel mode or refuse; all are named.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         seen = bus_scan.call(self, self.names)
-        for i, mute in [(i, found) for i, found in seen.items() if found.voice is Voice.MUTE]:
+        for i, mute in [(i, found) for i, found in seen.items() if found.response is BusResponse.MUTE]:
             seen[i] = bus_scan.wake(self, i) or mute
         if not seen:
             raise BusSetupError(
@@ -308,14 +308,14 @@ class ServoBus:
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         goals = whole(goal_ticks, dxl.GOAL_POSITION, len(self))
         speeds = whole(speed_ticks, dxl.MOVING_SPEED, len(self))
         rows = self._goal_rows
         rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
         rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
-        self._plausible.sent(np.broadcast_to(goals, (len(self),)).copy())
+        self._validator.sent(np.broadcast_to(goals, (len(self),)).copy())
         packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
         self._told_ns = self._clock()
         self._line.send(packet)
@@ -327,7 +327,7 @@ class ServoBus:
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
         rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
@@ -368,7 +368,7 @@ class ServoBus:
                 comes before them, so that a silent servo is detected.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         readings: list[ServoReading] = []
         start = self._clock()
@@ -456,9 +456,9 @@ class ServoBus:
         """Return the reading in an answer, or None if it is not plausible yet."""
         position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
         state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
-        refused = self._plausible.refused.total()
-        believed = self._plausible.believes(index, state, self._is_noisy(index))
-        for _ in range(self._plausible.refused.total() - refused):  # this reading, or the earlier one that it contradicts
+        refused = self._validator.refused.total()
+        believed = self._validator.accepts(index, state, self._is_noisy(index))
+        for _ in range(self._validator.refused.total() - refused):  # this reading, or the earlier one that it contradicts
             self._loss.note(self._clock(), True)
         if not believed:
             return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Port, ServoReading
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.servos import Outlet, Servos, connect
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -56,7 +56,7 @@ class Joints:
 
         Raises:
             BusSetupError: Servos are missing or wrong; the message names all of them.
-            BusGone: The port cannot be opened.
+            BusDisconnectedError: The port cannot be opened.
             ConnectionError: A servo has stopped answering.
         """
         self._profile, self._settings, self._clock = profile, settings, clock
@@ -69,7 +69,7 @@ class Joints:
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus
-        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have lost torque since it was last confirmed
+        self._rejected = np.zeros(18, dtype=np.bool_)  # servos that may have lost torque since it was last confirmed
         self._cycle = 0
         self._excused = int(settings.bridge)  # tolerated unanswered requests: readings from a bridge may be a cycle old
         self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they move slowly until they have caught up
@@ -96,7 +96,7 @@ class Joints:
         return self.gone or self._bus.trouble
 
     @property
-    def deaf(self) -> bool:
+    def not_responding(self) -> bool:
         """Whether goals should stay as they are, because servos may not receive them."""
         return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
 
@@ -110,7 +110,7 @@ class Joints:
             voltage=self.voltage,
             temperature=self.temperature,
             errors=self._bus.errors,
-            limp=~self.torque,
+            torque_disabled=~self.torque,
             behind=self._behind & (self._back_ns > 0),
             strength=self.strength,
             loss=self._bus.loss if self._watched else 0.0,
@@ -123,34 +123,34 @@ class Joints:
         return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
 
     @property
-    def limp(self) -> NDArray[np.bool_]:
+    def torque_disabled(self) -> NDArray[np.bool_]:
         """(6, 3) joints whose servo has no torque or has shut down."""
         return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
 
     @property
     def unsure(self) -> NDArray[np.bool_]:
         """(6, 3) joints without torque, or not yet at their goal after a silence."""
-        return np.asarray(self.limp | self._behind.reshape(6, 3))
+        return np.asarray(self.torque_disabled | self._behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 
     def read(self, urgent: Sequence[int]) -> list[ServoReading]:
         """Read urgent servos (0 to 17), then the rotation; reopen a lost bus."""
         if self.gone:
-            self._seek()
+            self._reconnect()
             return []
         self._since_ns = self._since_ns if self._since_ns >= 0 else self._clock()
         if self._lets_go:  # a broadcast is not acknowledged, so repeat it until torque is ordered on
-            self._say_let_go()
+            self._send_torque_off()
         try:
             readings = self._bus.poll(self._budget_ns, urgent)
             for reading in readings:
                 self._note(reading)
-                self._see_whether_it_caught_up(reading)
-            self._find_the_limp(readings)
-            self._see_to_touch()
-        except BusGone as error:
-            self._lose(error)
+                self._check_caught_up(reading)
+            self._find_torque_disabled(readings)
+            self._check_touch()
+        except BusDisconnectedError as error:
+            self._disconnect(error)
             return []
         return readings
 
@@ -164,19 +164,19 @@ class Joints:
         speeds = np.where(self._behind, [dxl.moving_speed_from(top) for top in self._catch_up.tolist()], 0)
         self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
 
-    def lose_touch(self) -> None:
+    def mark_stale(self) -> None:
         """Treat all joint positions as unknown; recent goals may not have arrived."""
         self.out_of_touch = True
-        self._doubted[:] = True
+        self._rejected[:] = True
         self._leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
 
-    def let_go(self) -> None:
+    def torque_off(self) -> None:
         """Turn all torque off; without a bus, as soon as it is back, before anything else."""
         self._lets_go = True
         self.torque[:] = False
-        self._say_let_go()
+        self._send_torque_off()
 
-    def grip(self) -> None:
+    def torque_on(self) -> None:
         """Turn torque on and restore torque limits, at the present joint positions.
 
         Only an operator's order calls this. A joint beyond its limit returns to the limit slowly.
@@ -188,16 +188,16 @@ class Joints:
         self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
         self.write(np.where(anew, within, self.goals))
         if self._latched():  # torque was ordered off while this process was late
-            self.let_go()
+            self.torque_off()
             return
         for _ in range(2):  # a broadcast is not acknowledged
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
-        self._doubted[:] = True
+        self._rejected[:] = True
         for index in np.flatnonzero(weak).tolist():
-            self._tell(partial(self._wake, index))
+            self._tell(partial(self._restore, index))
 
-    def revive(self, index: int) -> None:
+    def restore_torque(self, index: int) -> None:
         """End a servo's shutdown (0 to 17) at its present position, once acknowledged.
 
         A joint beyond its limit returns to the limit slowly.
@@ -207,7 +207,7 @@ class Joints:
         goals[leg, joint] = self._within(self.q)[leg, joint]
         self._leave_behind(np.arange(18) == index, GENTLE)
         self.write(goals)
-        self._tell(lambda: self._wake(index))
+        self._tell(lambda: self._restore(index))
 
     def read_loads(self) -> Array:
         """Read motor torques (6, 3) [N m] in joint direction; zero without an answer."""
@@ -259,16 +259,16 @@ class Joints:
         self._behind |= servos
         self._back_ns[servos] = 0
 
-    def _see_to_touch(self) -> None:
+    def _check_touch(self) -> None:
         """Mark all servos as lost if none answers, until all have caught up."""
         if float(self._bus.ages().min()) > _LOST_S:
-            self.lose_touch()
+            self.mark_stale()
         elif self.out_of_touch:
             back = self._back_ns[self._back_ns > 0]
             waited = len(back) > 0 and self._clock() - int(back.min()) > _PATIENT_S * 1e9
             self.out_of_touch = bool(self._behind.any()) and not waited
 
-    def _see_whether_it_caught_up(self, reading: ServoReading) -> None:
+    def _check_caught_up(self, reading: ServoReading) -> None:
         """Remove the speed limit of a servo once it has reached its goal."""
         i = reading.index
         if not self._behind[i]:
@@ -278,22 +278,22 @@ class Joints:
         if arrived or abs(self.q.flat[i] - self.goals.flat[i]) < _CAUGHT_UP:
             self._behind[i] = False
 
-    def _find_the_limp(self, readings: list[ServoReading]) -> None:
+    def _find_torque_disabled(self, readings: list[ServoReading]) -> None:
         """Read Torque Enable of doubtful servos, a few per cycle.
 
         A short power loss turns torque off.
         """
         answers = [(reading.index, reading.servo_id) for reading in readings]
-        for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._doubted[i] and self.torque[i]][:_VERIFIED]:
+        for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._rejected[i] and self.torque[i]][:_VERIFIED]:
             enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
             if enabled is not None:
-                self.torque[index], self._doubted[index] = bool(enabled), False
-        self._doubted |= self._bus.missed > self._excused
+                self.torque[index], self._rejected[index] = bool(enabled), False
+        self._rejected |= self._bus.missed > self._excused
         self._cycle += 1
         if self._cycle % _DOUBTED_EVERY == 0:  # a power loss may be shorter than the time between two requests
-            self._doubted[self._cycle // _DOUBTED_EVERY % 18] = True
+            self._rejected[self._cycle // _DOUBTED_EVERY % 18] = True
 
-    def _wake(self, index: int) -> None:
+    def _restore(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its position as goal."""
         servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
         placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
@@ -305,17 +305,17 @@ class Joints:
             return
         try:
             say()
-        except BusGone as error:
-            self._lose(error)
+        except BusDisconnectedError as error:
+            self._disconnect(error)
 
-    def _say_let_go(self) -> None:
+    def _send_torque_off(self) -> None:
         self._tell(lambda: self._bus.set_torque(False))
 
-    def _lose(self, error: BusGone) -> None:
+    def _disconnect(self, error: BusDisconnectedError) -> None:
         self.gone, self._tried_ns, self._since_ns, self.out_of_touch = str(error), self._clock(), -1, True
         self._bus.close()
 
-    def _seek(self) -> None:
+    def _reconnect(self) -> None:
         """Try to reopen the bus, and read goals and torque of all servos again."""
         if self._clock() - self._tried_ns < _AGAIN_NS and not self._lets_go:
             return
@@ -360,7 +360,7 @@ class Joints:
         until = self._clock() + _PATIENCE_NS
         while (table := self._stand(servo_id)) is None:
             if self._clock() >= until:
-                raise ConnectionError(f"servo {servo_id} stopped answering while it was asked how it stands")
+                raise ConnectionError(f"servo {servo_id} stopped answering while its state was read")
         return table
 
     def _insist(self, servo_id: int) -> bytes:
@@ -368,7 +368,7 @@ class Joints:
         for _ in range(_TRIES):
             if (table := self._stand(servo_id)) is not None:
                 return table
-        raise ConnectionError(f"it is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
+        raise ConnectionError(f"the port is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
 
     def _angles(self, ticks: Iterable[int]) -> Array:
         return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))

@@ -1,7 +1,7 @@
 """Servos behind a microcontroller bridge; see docs/bridge.md for the protocol.
 
-It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusGone` is raised. Broken, old and
-out-of-order frames are counted by reason, and the servo readings age.
+It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusDisconnectedError` is raised. Broken, old
+and out-of-order frames are counted by reason, and the servo readings age.
 """
 
 from collections import Counter
@@ -77,7 +77,7 @@ class Bridge:
         questions = _Questions(self)
         self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
-        self._odd: Counter[str] = Counter()  # ignored states
+        self._invalid_reason: Counter[str] = Counter()  # ignored states
         self._session = 0
         self._sequence = 0  # of orders
         self._boot: int | None = None  # of the microcontroller
@@ -120,7 +120,7 @@ class Bridge:
             if self.state
             else {}
         )
-        return self._registers.lost + self._receiver.dropped + self._odd + there
+        return self._registers.lost + self._receiver.dropped + self._invalid_reason + there
 
     @property
     def trouble(self) -> str:
@@ -139,7 +139,7 @@ class Bridge:
         if mode in (Mode.ADOPTING, Mode.CATCHING_UP):
             return f"the bridge is {mode.words}: goals are followed slowly or not yet"
         if mode is Mode.HOLDING and now_ns - self._goals_ns <= _SILENT_NS < self._goals_ns - self._goals_since_ns:
-            return "the bridge holds: no fresh goals reach it"
+            return "the bridge holds the last goals: no fresh goals reach it"
         return ""
 
     @property
@@ -166,7 +166,7 @@ class Bridge:
 
         Raises:
             BusSetupError: No bridge answers, its version differs, or servos are missing or wrong; all are named.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         self.meet()
         self._registers.setup()
@@ -176,7 +176,7 @@ class Bridge:
 
         Raises:
             BusSetupError: No bridge answers, or its version differs.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # differs from the last session
         self._sequence = 0
@@ -188,13 +188,13 @@ class Bridge:
             if self._receiver.other_version is not None:
                 found = self._receiver.other_version
                 raise BusSetupError(
-                    f"the bridge speaks version {found} of the wire, version {bridge_protocol.VERSION} expected; "
-                    f"flash it with a firmware of version {bridge_protocol.VERSION}, see docs/bridge.md"
+                    f"the bridge uses protocol version {found}, version {bridge_protocol.VERSION} expected; "
+                    f"flash firmware of version {bridge_protocol.VERSION}, see docs/bridge.md"
                 )
             if self._clock() >= until:
                 raise BusSetupError(
-                    "no bridge answers on the port; check its power and cable, and that the setting `bridge` is meant: "
-                    "a servo adapter needs it off"
+                    "no bridge answers on the port; check its power and cable; "
+                    "for a servo adapter turn the setting `bridge` off"
                 )
 
     def read(self, servo_id: int, register: Register) -> int | None:
@@ -226,7 +226,7 @@ class Bridge:
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         now_ns = self._clock()
         if self._goals_ns < 0 or now_ns - self._goals_ns > _SILENT_NS:
@@ -258,7 +258,7 @@ class Bridge:
             first: Ignored: all servos are read in every cycle.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         until = self._clock() + budget_ns
         while self._clock() < until and self._pump() == _CHUNK:
@@ -288,7 +288,7 @@ class Bridge:
         """Forward an instruction to one servo; return the number of the request.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         self._send(bridge_protocol.Ask(*self._head(), servo_id, instruction, parameters))
         return self._sequence
@@ -354,11 +354,11 @@ class Bridge:
     def _take(self, state: State) -> None:
         """Accept a newer state of this session with the right number of servos."""
         if state.session != self._session or not self._welcomed:
-            self._odd["state of another session"] += 1
+            self._invalid_reason["state of another session"] += 1
         elif self.state is not None and state.sequence <= self.state.sequence:
-            self._odd["state out of order"] += 1
+            self._invalid_reason["state out of order"] += 1
         elif len(state.position) != len(self):
-            self._odd["state of other servos"] += 1
+            self._invalid_reason["state of other servos"] += 1
         else:
             now_ns = self._clock()
             stamp_ns = now_ns - self._remote.age_ns(state.time_us, now_ns)

@@ -30,7 +30,7 @@ _STANDS = 3  # [ticks] of motion from which two identical readings are doubtful
 _RECENT_GOALS = 3  # cycles in which a servo may still be moving to a goal
 
 
-class Doubt(StrEnum):
+class Implausibility(StrEnum):
     """Why a reading is not accepted, or not yet."""
 
     RANGE = "value that no servo has"
@@ -56,14 +56,14 @@ class State(NamedTuple):
     error: int
 
 
-class Plausibility:
+class ReadingValidator:
     """Checks the next readings of n servos against their last accepted ones."""
 
     def __init__(self, n: int) -> None:
         """Begin without readings."""
-        self.refused: Counter[str] = Counter()  # readings that were rejected, by `Doubt`
+        self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
         self._believed: list[State | None] = [None] * n
-        self._doubted: list[tuple[State, Doubt] | None] = [None] * n
+        self._rejected: list[tuple[State, Implausibility] | None] = [None] * n
         self._voltage: int | None = None  # of any servo, because they share one supply
         self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
         self._aside = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
@@ -72,7 +72,7 @@ class Plausibility:
         """Store the goals (n,) that were sent to the servos."""
         self._goals.append(goal_ticks)
 
-    def believes(self, index: int, state: State, noisy: bool) -> bool:
+    def accepts(self, index: int, state: State, noisy: bool) -> bool:
         """Return whether to accept a reading; repeat the request if it is doubtful.
 
         Args:
@@ -80,61 +80,61 @@ class Plausibility:
             state: Its reading.
             noisy: Answers were recently broken. The checksum then misses about 1 of 256 errors.
         """
-        doubt = self._doubt(index, state, noisy)
-        if doubt is Doubt.RANGE:  # repetition does not make it right
+        doubt = self._find_implausibility(index, state, noisy)
+        if doubt is Implausibility.RANGE:  # repetition does not make it right
             self.refused[doubt] += 1
             return False
-        doubted = self._doubted[index]
+        doubted = self._rejected[index]
         if doubt is not None and doubted is not None and _same(doubted[0], state):
             doubt, doubted = None, None
         if doubted is not None:
             self.refused[doubted[1]] += 1
-        self._doubted[index] = None if doubt is None else (state, doubt)
+        self._rejected[index] = None if doubt is None else (state, doubt)
         if doubt is None:
-            self._believe(index, state)
+            self._accept(index, state)
         return doubt is None
 
-    def _believe(self, index: int, state: State) -> None:
+    def _accept(self, index: int, state: State) -> None:
         self._believed[index], self._voltage = state, state.voltage
-        low, high = self._bound_for(index, state.position)
+        low, high = self._bound(index, state.position)
         self._aside[index] = state.position - min(max(state.position, low), high)
 
-    def _bound_for(self, index: int, position: int) -> tuple[int, int]:
+    def _bound(self, index: int, position: int) -> tuple[int, int]:
         """Return lowest and highest recent goal of a servo; without one, its position."""
         goals = [int(goals[index]) for goals in self._goals] or [position]
         return min(goals), max(goals)
 
-    def _doubt(self, index: int, state: State, noisy: bool) -> Doubt | None:
+    def _find_implausibility(self, index: int, state: State, noisy: bool) -> Implausibility | None:
         """Return why a reading is doubtful, or None."""
         if state.position > dxl.TICK_MAX or max(state.speed, state.load) > _MAGNITUDE or state.error & _UNKNOWN_BITS:
-            return Doubt.RANGE
+            return Implausibility.RANGE
         before = self._believed[index]
         if before is None:
-            return Doubt.FIRST if noisy else None
+            return Implausibility.FIRST if noisy else None
         elapsed = (state.stamp_ns - before.stamp_ns) / _SEC
         speed, load = dxl.signed_magnitude(state.speed), dxl.signed_magnitude(state.load)
         speed_leap, load_leap = abs(speed - dxl.signed_magnitude(before.speed)), abs(load - dxl.signed_magnitude(before.load))
         if self._leaps(index, before.position, state.position, elapsed):
-            return Doubt.POSITION
+            return Implausibility.POSITION
         if speed_leap > _SPEED_LEAP and (noisy or abs(speed) * dxl.SPEED_RAD_S > _FASTEST):
-            return Doubt.SPEED
+            return Implausibility.SPEED
         if noisy and load_leap > _LOAD_LEAP:
-            return Doubt.LOAD
+            return Implausibility.LOAD
         if self._voltage is not None and abs(state.voltage - self._voltage) * dxl.VOLT_UNIT > _SAG:
-            return Doubt.VOLTAGE
+            return Implausibility.VOLTAGE
         if abs(state.temperature - before.temperature) > _WARMING + _WARMING_RATE * elapsed:
-            return Doubt.TEMPERATURE
+            return Implausibility.TEMPERATURE
         if state.error != before.error:
-            return Doubt.ERROR
+            return Implausibility.ERROR
         alike = state[1:] == before[1:] and abs(speed) * dxl.SPEED_RAD_S * elapsed > _STANDS * dxl.TICK_RAD
-        return Doubt.AGAIN if alike else None
+        return Implausibility.AGAIN if alike else None
 
     def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
         """Return whether a position is off the goal range, or too far to reach.
 
         The range is widened by the last load and lag.
         """
-        low, high = self._bound_for(index, before)
+        low, high = self._bound(index, before)
         aside = self._aside[index]
         near = low + min(aside, 0) - _LEAP <= position <= high + max(aside, 0) + _LEAP
         return not near or abs(position - before) > _FASTEST_TICKS * elapsed + _LEAP

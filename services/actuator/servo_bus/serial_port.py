@@ -20,6 +20,7 @@ import serial
 from serial.urlhandler import protocol_socket
 
 from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
 from sextant.shared.servo import dynamixel as dxl
@@ -42,8 +43,10 @@ _LAST_PORT = 65535
 _EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
 
 
-class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
+class BusDisconnectedError(SextantError, ConnectionError):
     """The port was closed, unplugged or hung up; open a new one and run setup."""
+
+    exit_status = 1
 
 
 class Port(Protocol):
@@ -100,7 +103,7 @@ class _Connection(protocol_socket.Serial):
 class Lost(StrEnum):
     """Why a request got no usable answer.
 
-    `Dropped` reasons of a parser and final `Doubt` reasons are counted separately.
+    `Dropped` reasons of a parser and final `Implausibility` reasons are counted separately.
     """
 
     TIMEOUT = "no answer"
@@ -119,11 +122,11 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
         timeout_ns: [ns] longest wait of one read. It is set once: changing it on an open device costs system calls.
 
     Raises:
-        BusGone: The port cannot be opened.
+        BusDisconnectedError: The port cannot be opened.
     """
     address = re.fullmatch(r"(socket|rfc2217)://[^/]+:(\d{1,5})([/?].*)?", url)
     if url.startswith(("socket://", "rfc2217://")) and (address is None or int(address[2]) > _LAST_PORT):
-        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected")
+        raise BusDisconnectedError(f"cannot open servo port {url}: {_EXPECTED} expected")
     alone = None if "://" in url else True  # two programs would read each other's answers
     network = url.startswith("socket://")
     kind = _Connection if network else serial.serial_for_url
@@ -135,10 +138,10 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except LOST as error:
-        raise BusGone(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
+        raise BusDisconnectedError(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
     except (ValueError, TypeError) as error:  # raised by pyserial for an invalid address
-        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected") from error
-    if slow := usb_adapter.quicken(url, port):
+        raise BusDisconnectedError(f"cannot open servo port {url}: {_EXPECTED} expected") from error
+    if slow := usb_adapter.lower_latency(url, port):
         log.warning(slow)
     return port
 
@@ -147,17 +150,17 @@ def _advice(error: Exception) -> str:
     """Return what to do about a port that cannot be opened."""
     match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial hides the errno of a socket
         case errno.EACCES | errno.EPERM:
-            return "this user has no right to it: `sudo usermod -aG dialout $USER`, then log in again"
+            return "this user may not open it: run `sudo usermod -aG dialout $USER`, then log in again"
         case errno.EAGAIN | errno.EBUSY:
-            return "another program uses it: end that first"
+            return "another program uses it; end that program first"
         case errno.ENOENT:
-            return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` shows where"
+            return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
         case errno.ECONNREFUSED:
-            return "is the simulator, or `sextant servos emulate`, up?"
-    return "is the adapter plugged in and nobody else using it, or the simulator up?"
+            return "is the simulator, or `sextant servos emulate`, running?"
+    return "check that the adapter is plugged in and no other program uses it, or that the simulator is running"
 
 
-class Line:
+class SerialLine:
     """Requests and answers over an open port."""
 
     def __init__(self, port: Port, clock: Callable[[], int], *, echo: bool, reply_timeout_ns: int) -> None:
@@ -181,7 +184,7 @@ class Line:
         """Send a packet.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         try:
             # A late answer would be taken for that to the next request; with echo it is recognised, as it precedes the echo.
@@ -209,7 +212,7 @@ class Line:
         A read that may take a whole timeout begins by `end_ns`, except for the first.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         if self._parser.pending:  # from earlier data
             self._parser.flush()
@@ -235,11 +238,11 @@ class Line:
         packets += parser.flush()
         return packets, parser.dropped.total() > 0
 
-    def unasked(self) -> bytes:
+    def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request; servos send none.
 
         Raises:
-            BusGone: The port is gone.
+            BusDisconnectedError: The port is gone.
         """
         heard = b""
         try:
@@ -310,8 +313,8 @@ class Line:
         return False
 
 
-def gone(error: Exception) -> BusGone:
-    """Return the `BusGone` error for a failure of the port."""
-    return BusGone(
+def gone(error: Exception) -> BusDisconnectedError:
+    """Return the `BusDisconnectedError` error for a failure of the port."""
+    return BusDisconnectedError(
         f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and whether another program uses it"
     )

@@ -9,7 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
-from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusGone, Port, ServoBus, ServoReading, open_port
+from sextant.services.actuator.servo_bus.dynamixel_bus import (
+    REPLY_TIMEOUT_NS,
+    BusDisconnectedError,
+    Port,
+    ServoBus,
+    ServoReading,
+    open_port,
+)
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -109,18 +116,18 @@ class Outlet:
         """Open the first port that is available.
 
         Raises:
-            BusGone: None can be opened.
+            BusDisconnectedError: None can be opened.
         """
         found: list[str] = []
-        for name in dict.fromkeys([*self._names, *usb_adapter.named_anew(self._adapter)]):
+        for name in dict.fromkeys([*self._names, *usb_adapter.renamed_devices(self._adapter)]):
             try:
                 port = open_port(name, timeout_ns=self._timeout_ns)
-            except BusGone as error:
+            except BusDisconnectedError as error:
                 found.append(str(error))
             else:
                 self._adapter = usb_adapter.identity(name) or self._adapter
                 return port
-        raise BusGone("; ".join(found))
+        raise BusDisconnectedError("; ".join(found))
 
 
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:

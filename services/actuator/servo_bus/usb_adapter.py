@@ -26,7 +26,7 @@ def devices(ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
     return sorted(port.device for port in ports() if port.vid is not None)
 
 
-def named_anew(who: tuple[int, int, str] | None, ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
+def renamed_devices(who: tuple[int, int, str] | None, ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
     """Return the present device names of an adapter, also after replugging."""
     return [port.device for port in ports() if who is not None and (port.vid, port.pid, port.serial_number) == who]
 
@@ -39,7 +39,7 @@ def latency_ms(url: str, devices: Path = DEVICES) -> int | None:
         return None
 
 
-def quicken(url: str, port: Any, devices: Path = DEVICES) -> str:
+def lower_latency(url: str, port: Any, devices: Path = DEVICES) -> str:
     """Set the latency timer of an open port to 1 ms, if permissions allow.
 
     The driver accepts the low-latency flag from any process that has the port open; its sysfs file belongs to root.
@@ -70,9 +70,9 @@ def advice(url: str, devices: Path = DEVICES) -> str:
     if found is None or found <= WANTED_MS:
         return ""
     return (
-        f"the latency timer of {url} is {found} ms, {WANTED_MS} expected: every question to a servo takes as long; "
-        f"`echo {WANTED_MS} | sudo tee {_timer(url, devices)}` sets it until it is unplugged, for good: "
-        f"`echo '{_RULE}' | sudo tee /etc/udev/rules.d/99-sextant.rules` and plug it in again"
+        f"the latency timer of {url} is {found} ms, {WANTED_MS} expected: every request to a servo takes that long; "
+        f"`echo {WANTED_MS} | sudo tee {_timer(url, devices)}` sets it until the adapter is unplugged; to set it permanently: "
+        f"`echo '{_RULE}' | sudo tee /etc/udev/rules.d/99-sextant.rules` and plug the adapter in again"
     )
 
 

@@ -25,13 +25,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 after a signal, 1 if the address is not available, 2 for invalid settings.
     """
     parser = argparse.ArgumentParser(
-        prog="python -m sextant.services.console.fleet_proxy", description="One address for several consoles."
+        prog="python -m sextant.services.console.fleet_proxy", description="Serve the pages of several consoles at one address."
     )
     parser.add_argument("--config", help="TOML file with settings")
-    words = "one setting of: host, port, token, robots"
+    words = "value of a setting, repeatable; settings: host, port, token, robots"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=words)
-    parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
-    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    parser.add_argument("--nice", type=int, default=0, help="niceness of the process, 0 to 19 (default 0)")
+    parser.add_argument("--parent", type=int, help="id of the parent process; end when it ends")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="lobby: %(message)s")
     if arguments.parent:
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         asyncio.run(_serve(settings))
     except OSError as error:
         words = f"the pages cannot be served on {settings.host} port {settings.port}: {error.strerror or error}"
-        logging.error("%s; is another console running? --set port=8081 takes another", words)
+        logging.error("%s; is another console running? choose another port with --set port=8081", words)
         return 1
     return 0
 

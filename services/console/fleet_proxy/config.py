@@ -26,7 +26,7 @@ class Settings:
 
     checks = (
         config.Check(("robots",), lambda robots: _misfits(robots)),
-        config.together("robots", lambda robots: len(robots) > 0, "one robot at least, name = port,"),
+        config.together("robots", lambda robots: len(robots) > 0, "at least one robot, name = port,"),
     )
 
     def __post_init__(self) -> None:

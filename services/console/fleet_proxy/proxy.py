@@ -13,7 +13,7 @@ from http import HTTPStatus
 from typing import NamedTuple
 
 from sextant.services.console.fleet_proxy.config import Settings
-from sextant.services.console.web.origin_policy import Door
+from sextant.services.console.web.origin_policy import OriginPolicy
 from sextant.services.console.web.page_files import HEADERS, KINDS, headers_of, page_files
 
 log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class Front:
     def __init__(self, settings: Settings):
         """Create the handler, which checks hosts against the proxy's address."""
         self._robots = settings.robots
-        self._door = Door(settings.door())
+        self._door = OriginPolicy(settings.door())
         self._files = page_files()
         self._count = 0
 
@@ -92,7 +92,7 @@ class Front:
         if len(hosts) != 1:
             return _plain(HTTPStatus.BAD_REQUEST, f"one Host expected, found {len(hosts)}")
         if not self._door.is_own(hosts[0].decode("ascii")):
-            return _plain(HTTPStatus.FORBIDDEN, "this address is not the console's own")
+            return _plain(HTTPStatus.FORBIDDEN, "this address is not an address of the console")
         target = request[1].decode("ascii")
         path, mark, query = target.removeprefix("/").partition("?")
         name, slash, rest = path.partition("/")
@@ -105,7 +105,7 @@ class Front:
             return _Answer(HTTPStatus.OK, {**HEADERS, "Content-Type": KINDS[".json"]}, json.dumps(known).encode())
         content = self._files.get(path or _OVERVIEW)
         if content is None:
-            return _plain(HTTPStatus.NOT_FOUND, f"no such file, and no such robot; there are {', '.join(self._robots)}")
+            return _plain(HTTPStatus.NOT_FOUND, f"no such file or robot; the robots are {', '.join(self._robots)}")
         return _Answer(HTTPStatus.OK, headers_of(path or _OVERVIEW), content)
 
 

@@ -92,7 +92,7 @@ class RecorderService:
             self._end(now_ns)
 
     def _begin(self, now_ns: int) -> None:
-        assert self._link is not None, "meet() comes before step()"
+        assert self._link is not None, "meet() must be called before step()"
         if self._recording is not None and not self._recording.finished:
             self._recording.join()
         wall = self._wall()
@@ -102,7 +102,7 @@ class RecorderService:
         try:
             self._files = open_rotation(folder, self._profile, self._settings, about)
         except OSError as error:
-            self._reason = f"nothing can be recorded to {folder}: {error}"
+            self._reason = f"cannot record to {folder}: {error}"
             _LOGGER.warning("%s", self._reason)
             return
         self._recording = LiveRecorder(self._files)

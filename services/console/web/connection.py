@@ -17,7 +17,7 @@ from websockets.http11 import Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from sextant.services.console.web.origin_policy import PROTOCOL, Door, Porter
+from sextant.services.console.web.origin_policy import PROTOCOL, OriginPolicy, RejectionLog
 from sextant.services.console.web.page_files import HEADERS, headers_of
 from sextant.services.console.web.pages import Page
 from sextant.services.console.web.requests import MAX_BYTES
@@ -36,8 +36,8 @@ _wire_log = logging.getLogger("websockets.server")
 class Host(Protocol):
     """Interface of the server that owns the connections and pages."""
 
-    door: Door
-    porter: Porter
+    door: OriginPolicy
+    porter: RejectionLog
     files: dict[str, bytes]
 
     def opened(self, connection: "Connection") -> None:
@@ -174,7 +174,7 @@ class Connection(asyncio.Protocol):
 
     def _file(self, path: str, host: str) -> Response:
         if not self._host.door.is_own(host):
-            return _plain(HTTPStatus.FORBIDDEN, "this address is not the console's own")
+            return _plain(HTTPStatus.FORBIDDEN, "this address is not an address of the console")
         name = path.removeprefix("/") or "index.html"
         content = self._host.files.get(name)
         if content is None:
@@ -191,7 +191,7 @@ class Connection(asyncio.Protocol):
                     return
                 self._host.hear(self._page, text)
             case Opcode.TEXT | Opcode.BINARY | Opcode.CONT:
-                self._wire.fail(1003, "a text in one piece expected")
+                self._wire.fail(1003, "an unfragmented text message expected")
             case Opcode.PONG:
                 self._answered = True
 

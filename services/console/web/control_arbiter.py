@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sextant.services.console.web.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, Request, TakeOver
+from sextant.services.console.web.requests import CancelGoal, Command, Drive, GoTo, Heartbeat, Name, Release, Request, TakeOver
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
 
 SEATS = 8  # maximum number of pages that may drive; further pages may only stop
@@ -42,7 +42,7 @@ class _Page:
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
+class OperatorSession:
     """Public state of one page."""
 
     seat: int
@@ -101,7 +101,7 @@ class Desk:
         """
         taken = {other.seat for other in self._pages.values()}
         seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
-        name, holder = (f"page {seat}", f"console {seat}") if seat else ("looking on", "console")
+        name, holder = (f"page {seat}", f"console {seat}") if seat else ("viewer", "console")
         self._pages[page] = _Page(seat, name, f"{holder} at {self._place}", now_ns)
         return seat
 
@@ -110,15 +110,15 @@ class Desk:
         found = self._pages.get(page)
         if found is None:
             return
-        self._end_leading(page, found, now_ns, f"{found.name} has gone")
+        self._end_leading(page, found, now_ns, f"{found.name} was closed")
         del self._pages[page]
 
     @property
-    def seats(self) -> tuple[Seat, ...]:
+    def seats(self) -> tuple[OperatorSession, ...]:
         """Public state of all pages, ordered by seat."""
         lease = "" if self._state is None else self._state.lease
         pages = sorted(self._pages.values(), key=lambda page: page.seat)
-        return tuple(Seat(p.seat, p.name, p.holder, bool(p.seat) and p.holder == lease) for p in pages)
+        return tuple(OperatorSession(p.seat, p.name, p.holder, bool(p.seat) and p.holder == lease) for p in pages)
 
     @property
     def at_the_pad(self) -> int:
@@ -141,7 +141,7 @@ class Desk:
         """Process a request; return why it is refused, "" if it is accepted."""
         sender = self._pages.get(page)
         if sender is None:
-            return "this page has been taken for gone; it connects anew"
+            return "the console has dropped this page; it reconnects"
         sender.heard_ns = now_ns
         match request:
             case Drive():
@@ -154,24 +154,24 @@ class Desk:
                 return self._take_over(sender, now_ns)
             case GoTo():
                 return self._go(page, sender, request, now_ns)
-            case GiveUp():
-                self._end_errand(now_ns, f"{sender.name} gives the goal up")
+            case CancelGoal():
+                self._end_errand(now_ns, f"{sender.name} cancelled the goal")
             case Name():
                 sender.name = request.name
-            case Here():
+            case Heartbeat():
                 pass
             case _:
-                return "not a matter of the desk"
+                return "unknown request"
         return ""
 
     def _drive(self, page: int, sender: _Page, drive: Drive, now_ns: int) -> str:
         press = self._press
         if press is not None and press.page == page and now_ns - press.heard_ns > DEAD_MAN_NS:
-            self._release_pad(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
+            self._release_pad(page, now_ns, f"no message from {sender.name} while the pad was held")
             press = None
         if drive.press <= sender.lapsed:  # the press has ended
             told, sender.told = sender.told, max(sender.told, drive.press)
-            return "the robot was stopped; let go of the pad and press it anew" if drive.press > told else ""
+            return "the robot was stopped; release the pad and press it again" if drive.press > told else ""
         if press is not None and press.page == page and press.drive.press == drive.press:
             press.drive, press.heard_ns = drive, now_ns
             return ""
@@ -181,7 +181,7 @@ class Desk:
         if refused:
             sender.lapsed = sender.told = drive.press  # the operator must release and press the pad again
             return refused
-        self._end_errand(now_ns, f"{sender.name} takes the pad")
+        self._end_errand(now_ns, f"{sender.name} uses the pad")
         self._press = _Press(page, drive, now_ns)
         self._order(sender, "walk", now_ns)
         return ""
@@ -194,7 +194,7 @@ class Desk:
 
     def _take_over(self, sender: _Page, now_ns: int) -> str:
         if not sender.seat:
-            return f"{SEATS} pages are open; close one"
+            return f"this page cannot take over; at most {SEATS} pages can control the robot: close another page"
         self._order_anew(sender, "stop", now_ns, take=True)
         return ""
 
@@ -210,11 +210,11 @@ class Desk:
 
     def _led_by_another(self, sender: _Page) -> str:
         if not sender.seat:
-            return f"this page looks on, and may stop; no more than {SEATS} lead"
+            return f"this page can only view and stop; at most {SEATS} pages can control the robot"
         if self._state is None:
-            return "no word from the actuator yet; is it up?"
+            return "no message from the actuator yet; is it running?"
         lease = self._state.lease
-        return f"{self._named(lease)} leads the robot; take over first" if lease not in ("", sender.holder) else ""
+        return f"{self._named(lease)} is in control of the robot; take over first" if lease not in ("", sender.holder) else ""
 
     def _cannot_lead(self, sender: _Page) -> str:
         refused = self._led_by_another(sender)
@@ -238,7 +238,7 @@ class Desk:
         self._state = state
         for page, sitting in self._pages.items():
             if now_ns - sitting.heard_ns > _AWAY_NS:
-                self._end_leading(page, sitting, now_ns, f"nothing was heard of {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
+                self._end_leading(page, sitting, now_ns, f"no message from {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
                 sitting.order = None  # the lease expires
         self._watch_press(now_ns)
         self._watch_errand(now_ns, status)
@@ -252,7 +252,7 @@ class Desk:
             return
         sitting = self._pages[press.page]
         if now_ns - press.heard_ns > DEAD_MAN_NS:
-            self._release_pad(press.page, now_ns, f"nothing was heard of {sitting.name} while the pad was held")
+            self._release_pad(press.page, now_ns, f"no message from {sitting.name} while the pad was held")
         elif self._state is not None and self._state.lease not in ("", sitting.holder):
             self._words.append(f"{self._named(self._state.lease)} has taken over")
             self._lapse()
@@ -262,10 +262,10 @@ class Desk:
         if errand is None or state is None:
             return
         if state.lease not in ("", self._pages[errand.page].holder):
-            self._words.append(f"{self._named(state.lease)} has taken over, the goal is given up")
+            self._words.append(f"{self._named(state.lease)} has taken over, the goal is cancelled")
             self._errand = None
         elif state.mode in (Mode.OFF, Mode.READY, Mode.SIT):
-            self._words.append(f"the goal is given up: {state.mode}: {state.reason}")
+            self._words.append(f"the goal is cancelled: {state.mode}: {state.reason}")
             self._errand = None
         elif status is not None and status.state == "arrived" and status.stamp_ns > errand.begun_ns:
             self._words.append(f"arrived: {status.reason}")
@@ -331,7 +331,7 @@ class Desk:
     def _end_leading(self, page: int, sitting: _Page, now_ns: int, why: str) -> None:
         self._release_pad(page, now_ns, why)
         if self._errand is not None and self._errand.page == page:
-            self._end_errand(now_ns, f"{why}, and its goal with it")
+            self._end_errand(now_ns, f"{why}; its goal is cancelled")
 
     def _release_pad(self, page: int, now_ns: int, why: str) -> None:
         """End the press of a page and stop the robot; `why` goes to the event log."""

@@ -18,7 +18,7 @@ _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 _TOKEN = "token."  # prefix of the token in the subprotocols of a page
 
 
-class Door:
+class OriginPolicy:
     """Access check: refuses foreign host names, pages of other sites and wrong tokens."""
 
     def __init__(self, settings: Settings):
@@ -43,21 +43,21 @@ class Door:
         """
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self.is_own(host):
-            return "this address is not the console's own"
+            return "this address is not an address of the console"
         if origin is not None and _site(origin) != host:
-            return "the page of another site may not connect"
+            return "a page of another site may not connect"
         if PROTOCOL not in offered:
-            return f"{PROTOCOL} is spoken here; load the page anew"
+            return f"the console uses protocol {PROTOCOL}; reload the page"
         if self._token:
             token = next((word.removeprefix(_TOKEN) for word in offered if word.startswith(_TOKEN)), "")
             if not hmac.compare_digest(token.encode(), self._token.encode()):
-                return "the token is wrong, or missing; open the address with #TOKEN behind it"
+                return "the token is wrong or missing; open the address with #TOKEN at its end"
         if pages >= MOST_PAGES:
-            return f"{MOST_PAGES} pages are open already; close one"
+            return f"{MOST_PAGES} pages are already open; close one"
         return ""
 
 
-class Porter:
+class RejectionLog:
     """Rate limit of log messages on refused pages.
 
     It passes at most one message per second, because refused pages try again.
@@ -77,7 +77,7 @@ class Porter:
         if now_s < self._next_s:
             self._left_out += 1
             return ""
-        more = f" (and {self._left_out} more since the last that was said)" if self._left_out else ""
+        more = f" (and {self._left_out} more since the last message)" if self._left_out else ""
         self._next_s, self._left_out = now_s + _SAID_EVERY_S, 0
         return f"a page was refused: {refusal}{more}"
 

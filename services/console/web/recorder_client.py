@@ -6,18 +6,18 @@ It repeats a command until the recorder acknowledges it.
 from collections.abc import Iterator
 from typing import Any
 
-from sextant.shared.recording.event_log import Diary
+from sextant.shared.recording.event_log import EventLog
 from sextant.shared.wire.messages import RecordCommand, RecorderState
 
 _REPEAT_NS = 1_000_000_000  # [ns] period of a command that is not acknowledged yet
 
 
-class Clerk:
+class RecorderClient:
     """Sends record commands to the recorder, again after a restart of the recorder."""
 
-    def __init__(self, diary: Diary):
-        """Start without a command; events are written to the event log `diary`."""
-        self._diary = diary
+    def __init__(self, event_log: EventLog):
+        """Start without a command; events are written to the event log `event_log`."""
+        self._event_log = event_log
         self._order: RecordCommand | None = None  # newest command; None after the recorder reports failure
         self._due_ns = 0
         self._state: RecorderState | None = None  # None if the recorder is silent
@@ -65,12 +65,12 @@ class Clerk:
         if state is None:
             if self._was_heard and before is not None:
                 wanted = self._order is not None and self._order.record
-                lost = ": what is said now is not recorded" if wanted or before.recording else ""
-                self._note(now_ns, f"no word from the recorder{lost}", bool(lost))
+                lost = "; messages are not recorded now" if wanted or before.recording else ""
+                self._note(now_ns, f"no message from the recorder{lost}", bool(lost))
             return
         self._was_heard = True
         if before is not None and before.recording and state.sequence < 0:
-            self._note(now_ns, "the recorder died and is back: what was said meanwhile is not recorded", True)
+            self._note(now_ns, "the recorder has restarted; messages in the meantime were not recorded", True)
         if state.reason:
             if self._order is not None and state.sequence == self._order.sequence:
                 self._order = None  # the recorder failed; the operator must repeat the request after a repair
@@ -80,9 +80,11 @@ class Clerk:
         elif state.file:
             self._note(now_ns, f"recorded {state.file}")
         if before is not None and state.recording and state.dropped > before.dropped:
-            self._diary.note(now_ns, "recorder", f"{state.dropped} messages were not recorded: the disk is too slow", bad=True)
+            self._event_log.note(
+                now_ns, "recorder", f"{state.dropped} messages were not recorded: the disk is too slow", bad=True
+            )
 
     def _note(self, now_ns: int, words: str, bad: bool = False) -> None:
         if words != self._told:
             self._told = words
-            self._diary.note(now_ns, "recorder", words, bad)
+            self._event_log.note(now_ns, "recorder", words, bad)

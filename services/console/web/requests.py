@@ -69,7 +69,7 @@ class GoTo:
 
 
 @dataclass(frozen=True, slots=True)
-class GiveUp:
+class CancelGoal:
     """Cancel the goal."""
 
 
@@ -89,7 +89,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Here:
+class Heartbeat:
     """Heartbeat of a page that is open and visible."""
 
 
@@ -107,7 +107,7 @@ class Name:
     name: str
 
 
-Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | GiveUp | Watch | Seen | Here | Record | Name
+Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | CancelGoal | Watch | Seen | Heartbeat | Record | Name
 
 
 @lru_cache(maxsize=64)  # a held pad repeats the same text
@@ -160,19 +160,19 @@ class _Fields:
             case "go to":
                 made = GoTo(self._waypoints(), self._speed(), self._walk(), self._truth("passage"))
             case "give up":
-                made = GiveUp()
+                made = CancelGoal()
             case "watch":
                 made = Watch(self._one_of("layer", get_args(Layer)), self._truth("picture"))
             case "seen":
                 made = Seen(self._one_of("what", ("map", "picture")))
             case "here":
-                made = Here()
+                made = Heartbeat()
             case "record":
                 made = Record(self._truth("on"))
             case "name":
                 made = Name(self._name())
             case _:
-                raise RequestError(f"no request of type {str(kind)[:40]!r} is known")
+                raise RequestError(f"unknown request type {str(kind)[:40]!r}")
         if self._fields:
             raise RequestError(f"{kind}: {', '.join(str(key)[:40] for key in list(self._fields)[:4])} not expected")
         return made
@@ -217,11 +217,11 @@ class _Fields:
     def _waypoints(self) -> tuple[tuple[float, float], ...]:
         value = self._take("waypoints")
         if not isinstance(value, list) or not 1 <= len(value) <= _MOST_WAYPOINTS:
-            raise RequestError(f"waypoints: 1 to {_MOST_WAYPOINTS} places expected")
+            raise RequestError(f"waypoints: 1 to {_MOST_WAYPOINTS} points expected")
         places = []
         for place in value:
             if not isinstance(place, list) or len(place) != 2:
-                raise RequestError("waypoints: places [x, y] expected")
+                raise RequestError("waypoints: points [x, y] expected")
             x, y = (_Fields({"x": number})._number("x", _FAR) for number in place)
             places.append((x, y))
         return tuple(places)

@@ -16,10 +16,10 @@ from sextant.services.console.config import Settings
 from sextant.services.console.web import view
 from sextant.services.console.web.connection import Connection
 from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
-from sextant.services.console.web.origin_policy import Door, Porter
+from sextant.services.console.web.origin_policy import OriginPolicy, RejectionLog
 from sextant.services.console.web.page_files import page_files
 from sextant.services.console.web.pages import Page
-from sextant.services.console.web.requests import Drive, Here, Request, RequestError, Seen, parse
+from sextant.services.console.web.requests import Drive, Heartbeat, Request, RequestError, Seen, parse
 
 _OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001
 _WAITING = 4096  # maximum number of requests that wait for the next tick; beyond it the oldest are dropped
@@ -49,7 +49,7 @@ class PageServer:
         Raises:
             OSError: The address is not available.
         """
-        self.door, self.porter = Door(settings), Porter()
+        self.door, self.porter = OriginPolicy(settings), RejectionLog()
         self.files = {**page_files(), "robots.json": b'{"robots":[],"here":""}'}
         self._settings, self._clock = settings, clock
         self._connections: dict[int, tuple[Page, Connection]] = {}  # page number -> page and its connection
@@ -64,7 +64,7 @@ class PageServer:
             self._socket = socket.create_server((settings.host, settings.port), family=family)
         except OSError as error:
             words = f"the page cannot be served on {settings.host} port {settings.port}: {error.strerror}"
-            raise OSError(f"{words}; is another console running? --set port=8081 takes another") from None
+            raise OSError(f"{words}; is another console running? choose another port with --set port=8081") from None
         self.port = int(self._socket.getsockname()[1])
         self._loop = asyncio.new_event_loop()
 
@@ -179,5 +179,5 @@ class PageServer:
                 self._overdue.cancel()
             self._overdue = self._loop.call_later(_OVERDUE_S, self._stir)  # this may be the last message of the press
             again, page.press = what.press == page.press, what.press
-        if not again and not isinstance(what, Here):
+        if not again and not isinstance(what, Heartbeat):
             self._stir()

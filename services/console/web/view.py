@@ -147,7 +147,7 @@ def glance(
         "type": "glance",
         "robot": robot,
         "mode": None if legs is None else legs.mode,
-        "reason": "no word from the actuator" if legs is None else legs.reason,
+        "reason": "no message from the actuator" if legs is None else legs.reason,
         "leader": "" if legs is None else next((s.name for s in desk.seats if s.leads), legs.lease),
         "voltage": None if legs is None else _known(legs.voltage),
         "temperature": None if legs is None else _known(legs.temperature),

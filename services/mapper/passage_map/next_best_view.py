@@ -23,11 +23,11 @@ Cells = NDArray[np.bool_]
 
 SEEN, NEAR, FAR, BESIDE, HIDDEN = 0, 1, 2, 3, 4
 WHY: Mapping[int, str] = {
-    NEAR: "nearer than the camera measures",
-    FAR: "too far or too flat to the line of sight",
-    BESIDE: "outside the picture",
-    HIDDEN: "hidden behind what stands before",
-    SEEN: "in view, without a return",
+    NEAR: "closer than the camera's minimum range",
+    FAR: "too far away or seen at too flat an angle",
+    BESIDE: "outside the image",
+    HIDDEN: "hidden behind an obstacle",
+    SEEN: "in view, but without a measurement",
 }
 _GRAZING = 0.12  # [1] sine of the angle between ground and ray, below which a return is uncertain
 _BORDER_PX = 2.5  # [px] removed by the flying-pixel filter at the image border and at edges

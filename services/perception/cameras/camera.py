@@ -101,7 +101,7 @@ def check_intrinsics(device: str, expected: Intrinsics, found: Intrinsics, toler
         return
     raise CameraError(
         f"{device}: intrinsics {in_words(expected)} expected by the robot's profile, found {in_words(found)}",
-        "set [camera.intrinsics] of the profile to what is found, or choose the profile of this camera with --robot",
+        "set [camera.intrinsics] of the profile to the values found, or choose the profile of this camera with --robot",
     )
 
 

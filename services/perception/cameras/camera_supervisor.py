@@ -28,7 +28,7 @@ class Keeper:
         """
         self.about = device
         self.ok = False
-        self.trouble = f"{device} has sent no picture yet"
+        self.trouble = f"{device} has sent no image yet"
         self.openings = 0
         self._opener, self._watch, self._clock = opener, watch, clock
         self._camera: Camera | None = None
@@ -58,7 +58,7 @@ class Keeper:
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
                 self._fail(
-                    f"{self._camera.about} has sent no new picture for {silent_s:.1f} s", "see that it is still plugged in"
+                    f"{self._camera.about} has sent no new image for {silent_s:.1f} s", "check that it is still plugged in"
                 )
             return None
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
@@ -92,7 +92,9 @@ class Keeper:
         """
         wrong = self._watch.look(frame.depth, frame.stamp_ns)
         if wrong:
-            remedy = "see that nothing covers it or stands right before it" if self._watch.sound else "plug it in again"
+            remedy = (
+                "check that nothing covers it or is closer than its minimum range" if self._watch.sound else "plug it in again"
+            )
             since_ns, patience_s = (self._useful_ns, _BLIND_S) if self._watch.sound else (self._opened_ns, _SETTLE_S)
             if now_ns - since_ns > patience_s * 1e9:
                 self._fail(f"{self.about}: {wrong}", remedy)
@@ -114,7 +116,7 @@ class Keeper:
         """Report a fault; reopen a device, but continue a recording."""
         assert self._camera is not None
         if self._camera.recorded:
-            self._hold_back(f"{cause}; it was recorded so")
+            self._hold_back(f"{cause}; the recording contains it")
         else:
             self._lose(f"{cause}; {remedy}")
 

@@ -57,22 +57,22 @@ class Watch:
         self.sound = False
         if depth.shape != self._size or depth.dtype != np.uint16:
             expected = f"{self._size[0]}x{self._size[1]} uint16"
-            return f"pictures of {expected} expected by the profile, found {'x'.join(map(str, depth.shape))} {depth.dtype}"
+            return f"images of {expected} expected by the profile, found {'x'.join(map(str, depth.shape))} {depth.dtype}"
         share = measured_share(depth, self._sensor)
         frozen_s = self._unchanged_s(depth, stamp_ns)
         self._share += _STEADY * (share - self._share)
         if share >= POOR and is_noise(depth):
-            return "its pictures are noise: neighbouring pixels have nothing to do with each other"
+            return "its images are noise: neighbouring pixels are unrelated"
         if min(share, self._share) >= POOR or share >= 2.0 * POOR:  # a view that becomes free is accepted at once
             self._poor_since_ns = -1
         elif self._poor_since_ns < 0:
             self._poor_since_ns = stamp_ns
         if share >= EMPTY and frozen_s >= _FROZEN_S:
-            return f"it has sent the same picture for {frozen_s:.1f} s: frozen"
+            return f"it has sent the same image for {frozen_s:.1f} s: frozen"
         self.sound = True
         poor_s = (stamp_ns - self._poor_since_ns) * 1e-9 if self._poor_since_ns >= 0 else 0.0
         if poor_s >= _PATIENCE_S:
-            what = "nothing" if self._share < EMPTY else f"only {min(share, self._share):.0%} of its picture"
+            what = "nothing" if self._share < EMPTY else f"only {min(share, self._share):.0%} of its image"
             return f"it has measured {what} within its range for {poor_s:.1f} s"
         return ""
 

@@ -19,7 +19,7 @@ from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "OpenNI2"
-_PLUG = "plug the camera into a USB 2 port with enough power, look for it with `lsusb`, and see that its device may be written"
+_PLUG = "plug the camera into a USB 2 port with enough power, check `lsusb`, and that this user may write to its device"
 _NOMINAL = 0.04  # [1] OpenNI2 reports the nominal field of view, not that of the individual device
 _PAIRED_US = 20_000  # [us] largest difference between the stamps of a depth and a colour image that belong together
 
@@ -93,7 +93,7 @@ class OpenNI:
         except self._errors as error:
             raise CameraError(f"{self.about}: {_words(error)}", _PLUG) from error
         if depth.size != shape[0] * shape[1]:
-            raise CameraError(f"{self.about}: a picture of {shape} expected, found {depth.size} pixels", _PLUG)
+            raise CameraError(f"{self.about}: an image of {shape} expected, found {depth.size} pixels", _PLUG)
         rgb = self._rgb[1] if color and self._rgb is not None and abs(self._rgb[0] - taken_us) <= _PAIRED_US else None
         return Frame(self._stamps.host_ns(taken_us * 1000, arrived_ns), depth.reshape(shape), rgb)
 
@@ -116,7 +116,7 @@ class OpenNI:
         self.about = _about(device.get_device_info())
         self._depth = depth = device.create_depth_stream()
         if depth is None:
-            raise CameraError(f"{self.about}: a depth camera expected, found none in it", _PLUG)
+            raise CameraError(f"{self.about}: a device with a depth camera expected, found one without", _PLUG)
         depth.configure_mode(i.width, i.height, rate, formats[expected.sensor.depth_scale])
         depth.set_mirroring_enabled(False)  # the drivers mirror by default
         if expected.color:
@@ -176,9 +176,9 @@ def _library() -> tuple[Any, tuple[type[Exception], ...]]:
         there = [folder for folder in folders if Path(folder, "libOpenNI2.so").exists()]
         cause = f"libOpenNI2.so in {there[0]} does not start" if there else f"libOpenNI2.so not found in {', '.join(folders)}"
         remedy = (
-            "see that its drivers are beside it, and made for this machine"
+            "check that its drivers are in the same folder, and built for this machine"
             if there
-            else "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or name its folder in OPENNI2_REDIST"
+            else "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or set OPENNI2_REDIST to its folder"
         )
         raise CameraError(f"{_NAME}: {cause} ({_words(error)})", remedy) from error
     return openni2, (OpenNIError, ClosedHandleError, OSError, AssertionError)  # the binding asserts valid handles

@@ -11,7 +11,7 @@ from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "Intel RealSense"
-_PLUG = "plug it into a USB 3 port with its own cable, and look for it with `rs-enumerate-devices` or `lsusb`"
+_PLUG = "plug it into a USB 3 port with its own cable, and check that `rs-enumerate-devices` or `lsusb` lists it"
 
 
 class RealSense:

@@ -80,15 +80,15 @@ class CameraService:
         """Return the status: the device and image count, or why no images arrive."""
         trouble = self._trouble()
         if trouble:
-            return f"no pictures: {trouble}; opened {self._keeper.openings} times so far"
-        return f"{self._keeper.about}, {self._pictures} pictures"
+            return f"no images: {trouble}; opened {self._keeper.openings} times so far"
+        return f"{self._keeper.about}, {self._pictures} images"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Publish the newest images, and the state when it changes or is due."""
         if self._error is not None:
             raise self._error
         if self._called_ns >= 0 and self._clock() - self._called_ns > _GIVE_UP_NS:
-            raise RuntimeError(f"{self._trouble()}; this process ends, so that a new one can open it")
+            raise RuntimeError(f"{self._trouble()}; this process ends, so that a new process can open the camera")
         self._color_wanted = tick.stamp_ns >= self._color_due_ns and inbox.wanted(topics.COLOR)
         frame = self._take()
         if frame is not None:

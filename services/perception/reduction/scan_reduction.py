@@ -265,7 +265,7 @@ def _bin(
 
 @compiled
 def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
-    """Return whether a cell holds a face without level ground beside its top."""
+    """Return whether a cell holds a face without level ground next to its top."""
     cell = cells[k]
     if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM_PIXELS):
         return False

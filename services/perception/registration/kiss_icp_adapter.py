@@ -155,7 +155,7 @@ class KissRegistration:
     ) -> Registered:
         self._failures += 1
         if self._failures >= self._acceptance.patience and match is not None:
-            reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
+            reason = f"{reason}; {self._failures} frames in a row failed, the map restarts at the prior pose"
             self._restart(T_prior)
             self._failures = 0
         return refused(stamp_ns, T_prior, prior_covariance, match, reason)

@@ -224,7 +224,7 @@ class Registration:
             elif not better.is_elsewhere:
                 self._believed = self._acceptance.search_every  # the scene has changed, not the pose
         if not reason and doubted and self._contradicts(misfit):
-            reason = f"{misfit.share:.0%} of the picture contradicts what was seen before"
+            reason = f"{misfit.share:.0%} of the image contradicts the map"
         match = found.match
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
@@ -289,9 +289,7 @@ class Registration:
         reason = objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
         share = self._frame.usual_share
         return (
-            f"{reason}; {1.0 - share:.0%} of the pixels of what is in view are missing"
-            if reason and share < _SPARSE
-            else reason
+            f"{reason}; {1.0 - share:.0%} of the pixels in view have no measurement" if reason and share < _SPARSE else reason
         )
 
     def _worsening(self, match: Match, overlap: float = _OVERLAP_WANTED) -> str:
@@ -303,7 +301,7 @@ class Registration:
         if not limits.legless or match.overlap > overlap or match.misfit <= limits.max_worsening * lately:
             return ""
         worse = match.misfit / lately
-        return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than of late"
+        return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than recent frames"
 
     def _is_passing_body(self, misfit: Misfit) -> bool:
         """Return whether all contradictions are one body in front of a camera at rest."""
@@ -340,7 +338,7 @@ class Registration:
             if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
                 objection = self._objection(better.match) or self._worsening(better.match, overlap=1.0)
                 return _Nowhere(objection, is_elsewhere=True) if objection else better
-        words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the place that fits best"
+        words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the best-fitting pose"
         return _Nowhere(words, is_elsewhere=True)
 
     def _remember(self, T: NDArray[np.float64]) -> None:
@@ -412,7 +410,7 @@ class Registration:
             # The ground here may be rougher than it has been so far.
             self._usual_rmse, self._lately = self._acceptance.max_rmse, _Fit()
             self._remember(T_prior)
-            reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
+            reason = f"{reason}; {self._failures} frames in a row failed, the map restarts at the prior pose"
             self._failures = 0
         return refused(stamp_ns, T_prior, prior_covariance, match, reason)
 
@@ -616,7 +614,7 @@ def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArr
     unit, factor = ("m", 1.0) if worst < 3 else ("deg", math.degrees(1.0))
     return (
         f"jump of {factor * twist[worst]:.3f} {unit} in {AXES[worst]} from the expected pose, "
-        f"{factor * allowed[worst]:.3f} {unit} believable"
+        f"at most {factor * allowed[worst]:.3f} {unit} plausible"
     )
 
 

@@ -141,7 +141,7 @@ class AnchorMap:
         places = _grid(shifts, angles)
         fits, worths, heights = self._judge(few, T_world_camera, places)
         if fits.max() < 0.0:
-            return Found(None, "lost: nothing within reach has been seen before")
+            return Found(None, "lost: no mapped ground within the search range")
         # 2. Fine search around the best. Among places that look alike the nearest is taken, so that directions that the ground
         # does not constrain keep their expected values.
         around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
@@ -151,11 +151,13 @@ class AnchorMap:
         fit = float(fits[best])
         # 3. The best must fit well, differ from the expected pose, and fit better than it. Points on unknown cells are neutral.
         if fit < _MIN_FIT:
-            return Found(None, f"lost: the best place within {_REACH:g} m fits {100 * max(fit, 0.0):.0f} % of the ground seen")
+            return Found(
+                None, f"lost: the best pose within {_REACH:g} m fits {100 * max(fit, 0.0):.0f} % of the visible ground"
+            )
         another = _is_other(near[best], np.zeros(3)) or abs(heights[best]) > _RISEN
         fit_here = (fitting + fit * (n - known)) / n
         if not another or fit < fit_here + _BETTER + _SIGMAS * math.sqrt(fit * (1.0 - fit) / n):
-            return Found(None, "no place nearby fits better than the expected one")
+            return Found(None, "no pose nearby fits better than the expected one")
         T = _placed(T_world_camera, near[best])
         T[2, 3] += heights[best]
         return Found(T, "")
@@ -182,14 +184,14 @@ class AnchorMap:
                 pose[2, 3] += heights[best]
                 candidates.append((float(worths[best]), float(fits[best]), pose))
         if not candidates:
-            return Found(None, "lost: nothing in view has been seen before")
+            return Found(None, "lost: none of the visible ground is in the map")
         candidates.sort(key=lambda candidate: -candidate[0])
         _, fit, T = candidates[0]
         if fit < _MIN_FIT_ANYWHERE:
-            return Found(None, f"lost: the best place in the map fits {100 * max(fit, 0.0):.0f} % of the ground seen")
+            return Found(None, f"lost: the best pose in the map fits {100 * max(fit, 0.0):.0f} % of the visible ground")
         rivals = [other for _, other, at in candidates[1:] if _differs(at, T)]
         if rivals and max(rivals) > fit - _BETTER:
-            return Found(None, "lost: several places in the map look alike")
+            return Found(None, "lost: several poses in the map fit equally well")
         return Found(T, "")
 
     def _judge(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:

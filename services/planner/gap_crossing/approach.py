@@ -101,7 +101,7 @@ class PassageMode:
         self._refused = ""
         nothing_at = None if self.under_way(goal) else self._nothing_at
         if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < _ELSEWHERE:
-            return Refused("a look from here has found nothing to cross")
+            return Refused("no gap to cross was found from here")
         if self._errand is None:
             assert terrain is not None
             led = self._to_verge(goal, state, standing, T_world_body, terrain)
@@ -145,9 +145,9 @@ class PassageMode:
             there = replace(goal, waypoints=place[None], tolerance=_AT_VERGE, passage=False)
             led = self._approach.lead(there, terrain, T_world_body, standing.body, state.stamp_ns)
             if isinstance(led, NoWay):
-                return Refused(f"no way to the verge of the gap: {led.reason}")
+                return Refused(f"no path to the edge of the gap: {led.reason}")
             if led.commands:
-                return Heading(led.commands, f"to the verge of a gap, {led.words}")
+                return Heading(led.commands, f"walking to the edge of a gap, {led.words}")
             self._approach = None
         unready = self._face(goal, state, standing.body, target)
         if unready is None:
@@ -180,16 +180,16 @@ class PassageMode:
             self._still_ns = -1
             self._turning_ns = state.stamp_ns if self._turning_ns < 0 else self._turning_ns
             if state.stamp_ns - self._turning_ns > _TURNING_NS:
-                return Refused(f"the robot does not get to face the passage: {np.degrees(error):.0f} deg are left")
+                return Refused(f"turning towards the gap takes too long: {np.degrees(error):.0f} deg are left")
             turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
             command = VelocityCommand(state.stamp_ns, np.zeros(2), turn, goal.body_height, goal.lift, goal.gait)
-            return Heading((command,), f"turning by {np.degrees(error):.0f} deg towards the passage")
+            return Heading((command,), f"turning by {np.degrees(error):.0f} deg towards the gap")
         if state.phase < 1.0:
             self._still_ns = -1
-            return Wait("coming to rest before the passage")
+            return Wait("stopping before the gap")
         self._still_ns = state.stamp_ns if self._still_ns < 0 else self._still_ns
         if state.stamp_ns - self._still_ns < _REST_NS:
-            return Wait("coming to rest before the passage")
+            return Wait("stopping before the gap")
         return None
 
     def _start(self, goal: Goal, standing: Standing, terrain: Terrain) -> Array | str:

@@ -98,7 +98,7 @@ def has_way(
     cells = np.floor((stance.feet[:, :2] - field.corner) / field.resolution + 0.5).astype(int)
     standing = tile[cells[:, 0], cells[:, 1]]
     if (standing < 0).any():
-        raise ValueError(f"feet on footholds expected, found {stance.feet[standing < 0]}")
+        raise ValueError(f"every foot on a foothold expected, found {stance.feet[standing < 0]} off footholds")
     tiles = _tiles(profile, settings, field, tile, (int(start[0]), -sides), size)
     known = np.zeros(1 << math.ceil(math.log2(2 * room)), dtype=np.uint64)
     node, after, first = np.zeros(room, np.uint64), np.zeros(room, np.int32), np.full(size[0], -1, np.int32)
@@ -148,7 +148,7 @@ def _tiles(
     """
     rules, count = rules_of(profile, settings), int(tile.max()) + 1
     if abs(rules.lattice - field.resolution) > 1e-9:
-        raise ValueError(f"cells as wide as the body's lattice, {rules.lattice} m, expected, found {field.resolution} m")
+        raise ValueError(f"a cell size equal to the body lattice ({rules.lattice} m) expected, found {field.resolution} m")
     # 1. Places of feet relative to the body, and the directions in which they are far enough out; then the same for tiles.
     carrying = field.elevation[tile >= 0]
     low, high = float(carrying.min()), float(carrying.max())

@@ -14,11 +14,11 @@ WORDS = (
     "",
     "out of reach",
     "foot under the body",
-    "foot behind its level of the body",
+    "foot on the wrong side of its leg mount",
     "feet closer than allowed",
     "no foothold",
     "ground unknown",
-    "support too small",
+    "support margin too small",
     "torque too large",
     "legs too close to each other",
     "body or leg too close to the ground",
@@ -46,7 +46,7 @@ def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
     """
     legs = [f"{LEGS[leg]} leg: {WORDS[found[leg]]}" for leg in range(6) if found[leg]]
     whole = [WORDS[found[6]]] if found[6] else []
-    return f"the robot stands badly, and no shift of {repair * 100:.0f} cm helps: {'; '.join(legs + whole)}"
+    return f"the start stance is invalid, even with the body shifted by up to {repair * 100:.0f} cm: {'; '.join(legs + whole)}"
 
 
 def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field) -> Why:
@@ -62,7 +62,7 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     x, y, _ = apply(field.T_world_strip, body)
     where = f"({x:.2f}, {y:.2f}) m"
     if not fails.any():
-        return Why(f"nothing leads on at {where}", False, NOBODY)
+        return Why(f"no step is possible at {where}", False, NOBODY)
     blind = bool(fails[roadmap_search.UNKNOWN].sum() > 0.2 * fails.sum())
     told = fails.copy()
     told[0] = 0
@@ -70,7 +70,9 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
     gap = _gap(feet, strokes, field)
     look = "; cells ahead are unknown" if blind else ""
-    return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals){gap}{look}", blind, leg)
+    return Why(
+        f"no step from {where}: {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} failed tests){gap}{look}", blind, leg
+    )
 
 
 def _gap(feet: Array, strokes: Array, field: Field) -> str:
@@ -85,9 +87,9 @@ def _gap(feet: Array, strokes: Array, field: Field) -> str:
     if width < _WORTH_TELLING * strokes[leg]:
         return ""
     bare, reach = round(100 * width), round(100 * float(strokes[leg]))
-    by = f", {bare - reach} cm more than" if bare > reach else " of"
+    more = f"{bare - reach} cm more than the leg's reach of" if bare > reach else "the leg reaches"
     stretch = f"{bare} cm{'' if ends else ' or more'}"
-    return f"; before the {LEGS[leg]} foot {stretch} carry none{by} the {reach} cm that its leg goes"
+    return f"; ahead of the {LEGS[leg]} foot {stretch} of ground without a foothold, {more} {reach} cm"
 
 
 def _bare_before(foot: Array, stroke: float, field: Field) -> tuple[float, bool]:

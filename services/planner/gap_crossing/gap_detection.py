@@ -36,7 +36,7 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     way = target - xy
     length = float(np.linalg.norm(way))
     if length < terrain.map.resolution:
-        return "the goal is here"
+        return "the robot is at the goal"
     heading = float(np.arctan2(way[1], way[0]))
     reach = float(np.hypot(*terrain.map.elevation.shape)) * terrain.map.resolution  # nothing is known beyond
     along = np.arange(0.0, min(length, reach), terrain.map.resolution)
@@ -48,11 +48,11 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
     known = np.isfinite(heights).mean(axis=1) > _KNOWN
     if not (bare & known).any():
-        return "no gap on the straight way to it"
+        return "no gap on the straight line to the goal"
     verge = float(along[bare & known][0])
     walls = along[wall]
     if walls.size and walls[0] < verge + _BASE:
-        return f"the straight way to it ends at something high after {walls[0]:.1f} m"
+        return f"an obstacle blocks the straight line to the goal after {walls[0]:.1f} m"
     return Verge(verge, heading)
 
 

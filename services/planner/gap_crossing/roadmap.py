@@ -144,7 +144,7 @@ class Roadmap:
             ValueError: `begin` was not called.
         """
         if self._field is None:
-            raise ValueError("a search that was begun expected: call begin() first")
+            raise ValueError("no search has begun; call begin() first")
         counts, budget = self._tree.counts, self._settings.budget
         while self._outcome is None and expansions > 0:
             if self._blame:
@@ -216,7 +216,7 @@ class Roadmap:
     def _crossing(self, goal: int) -> Crossing | NoWay:
         """Return the section to a configuration."""
         x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
-        seen = f"ground is known for {known:.2f} m ahead only"
+        seen = f"the ground is known only for {known:.2f} m ahead"
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
@@ -226,7 +226,7 @@ class Roadmap:
             end = goal
         if x >= self._tree.goal[0] - 1e-9:
             return self._section(end, False, seen)
-        return self._section(end, False, f"so far in {self._settings.cycles} cycles of the gait")
+        return self._section(end, False, f"planned {self._settings.cycles} gait cycles, the limit for one section")
 
     def _nothing_found(self) -> NoWay:
         """Return the result when the budget is used up or everything was tried."""

@@ -52,7 +52,7 @@ class PassageSettings:
         for name in ("body_step", "foot_step"):
             low, high = getattr(self, name)
             if not 0.0 <= low < high < np.inf:
-                raise ValueError(f"{name} from at least 0 upwards expected, found {low} to {high}")
+                raise ValueError(f"{name} of at least 0 in rising order expected, found {low} to {high}")
         for name in ("lattice", "torque", "eager", "alike"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
@@ -67,4 +67,4 @@ class PassageSettings:
                 raise ValueError(f"a {name} above 0 and up to 180 deg expected, found {getattr(self, name)}")
         if not self.wide <= self.strong <= self.weakest < 0:
             found = f"{self.wide}, {self.strong} and {self.weakest}"
-            raise ValueError(f"wide at most strong, strong at most weakest, weakest below 0, expected, found {found}")
+            raise ValueError(f"wide <= strong <= weakest < 0 expected, found {found}")

@@ -194,8 +194,8 @@ class Errand:
         self._feel(state)
         anew, self._newest_step = state.step < self._newest_step, state.step
         if anew:
-            self._pending, self._begun_ns, self._because = None, -1, " again: the actuator has begun anew"
-            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
+            self._pending, self._begun_ns, self._because = None, -1, " again: the actuator has restarted"
+            return self._enter("survey", Wait(f"surveying the gap{self._because}"))
         if self._pending is not None and state.step < self._pending.number:
             if not refused:
                 return self._pending
@@ -204,7 +204,7 @@ class Errand:
         if self._stage == "walk":
             return self._walk(state, standing, refused)
         if not resting:
-            return Wait("coming to rest")
+            return Wait("stopping")
         if self._stage == "plan":
             return self._plan(state, standing)
         if self._stage == "return":
@@ -224,8 +224,8 @@ class Errand:
         wrong = objection(map_, self._T_world_strip, STRIP) if map_ is not None and came else ""
         if map_ is None or not came or wrong:
             if still_ns > _PATIENCE_NS:
-                return Refused(f"no map of the passage comes from the mapper{wrong and f': {wrong}'}")
-            return Wait(f"looking at the passage{self._because}{wrong and f'; its map is of no use: {wrong}'}")
+                return Refused(f"no valid map of the gap received from the mapper{wrong and f': {wrong}'}")
+            return Wait(f"surveying the gap{self._because}{wrong and f'; the received map is invalid: {wrong}'}")
         self._map_ns = map_.stamp_ns
         if self._stage == "survey":
             self._walking_pose = standing.body
@@ -233,7 +233,11 @@ class Errand:
         if shows and is_near(map_.T_world_look, self._walking_pose):
             self._looks += 1
             rise = float(map_.T_world_look[2, 3] - self._walking_pose[2, 3])
-            words = f"raising the body by {rise * 100:.0f} cm to look" if rise > _RISE else "turning the body to look"
+            words = (
+                f"raising the body by {rise * 100:.0f} cm for a better view"
+                if rise > _RISE
+                else "turning the body for a better view"
+            )
             return self._enter("look", self._pose(state, standing, map_.T_world_look, words))
         self._field = Field.of(map_)
         if self._stage == "look":
@@ -251,7 +255,9 @@ class Errand:
         if back or self._returns >= _RETURNS:
             return self._enter("plan", Wait("planning"))
         self._returns += 1
-        return self._enter("return", self._pose(state, standing, self._walking_pose, "back from the look"))
+        return self._enter(
+            "return", self._pose(state, standing, self._walking_pose, "moving the body back to the walking pose")
+        )
 
     def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
         """Return a step in which only the body moves."""
@@ -298,12 +304,12 @@ class Errand:
             turned = abs(float(rpy_from_rotation(self._T_world_strip[:3, :3].T @ standing.body[:3, :3])[2]))
             if abs(root.body[1]) > _ASIDE or turned > _TURNED:
                 return Refused(
-                    f"the robot is {root.body[1]:.2f} m beside the strip and {np.degrees(turned):.0f} deg off its way"
+                    f"the robot is {root.body[1]:.2f} m and {np.degrees(turned):.0f} deg off the centre line of the strip"
                 )
             self._field = self._marked(self._field, root.feet)
             goal = goal_behind(self._field, float(root.body[0]) + _NEARLY, self._along(self._target))
             if goal is None:
-                return Over("behind the gap")
+                return Over("no gap ahead of the robot")
             if self._seed == ATTEMPTS:
                 refusal = self._once_more_here(standing.body[:2, 3])
                 if refusal:
@@ -317,7 +323,7 @@ class Errand:
         found = self._roadmap.grow(_PER_TICK)
         self._planning_ns += self._stopwatch() - began_ns
         if found is None:
-            return Wait(f"planning section {self._section} of the passage")
+            return Wait(f"planning section {self._section} of the gap crossing")
         self._begun_ns = -1
         if isinstance(found, NoWay) and found.closer is not None and self._seed == ATTEMPTS:
             found = found.closer  # after all attempts have failed: it may be a dead end
@@ -325,18 +331,20 @@ class Errand:
         self._stopped = found.reason if isinstance(found, NoWay) else ""
         if isinstance(found, NoWay):
             if self._seed < ATTEMPTS:
-                return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
+                return Wait(f"planning section {self._section} of the gap crossing again: {found.reason}")
             if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
                 self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that reveals little may be enough
-                return self._enter("survey", Wait(f"looking at the passage{self._because}"))
+                return self._enter("survey", Wait(f"surveying the gap{self._because}"))
             back = self._trail.back([apply(self._field.T_strip_world, place) for place in self._yielded], _YIELDED)
             if back:
-                self._walks = f"backing off in section {self._section}"
-                return self._set_out(back, state, f"backing off by {len(back)} steps to find another way: {found.reason}")
+                self._walks = f"backtracking in section {self._section}"
+                return self._set_out(back, state, f"backtracking {len(back)} steps to find another path: {found.reason}")
             return self._look_anew(found, standing.body[:2, 3])
         self._trail.begin(root, found.steps)
         self._walks = f"section {self._section}"
-        return self._set_out(found.steps, state, f"walking section {self._section} of the passage: {len(found.steps)} steps")
+        return self._set_out(
+            found.steps, state, f"walking section {self._section} of the gap crossing: {len(found.steps)} steps"
+        )
 
     def _look_anew(self, found: NoWay, xy: Array) -> "Outcome":
         """Plan again on a map with more scans, up to `PLANNINGS` times at one place.
@@ -345,8 +353,8 @@ class Errand:
         """
         if self._plannings_at(xy) < PLANNINGS:
             self._because = f" again: {found.reason}"
-            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
-        return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
+            return self._enter("survey", Wait(f"surveying the gap{self._because}"))
+        return Refused(found.reason + ("; no better view is available" if found.unseen else ""))
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
         """Start to walk steps; `words` is the reason for the status."""
@@ -359,7 +367,7 @@ class Errand:
         Return why another attempt there is useless, or "".
         """
         if self._plannings_at(xy) >= PLANNINGS:
-            words = f"after {PLANNINGS} plannings at one place the robot does not get on"
+            words = f"the robot made no progress after {PLANNINGS} plans at one place"
             return f"{words}: {self._stopped}" if self._stopped else words
         self._tried.append(xy.copy())
         return ""
@@ -393,18 +401,18 @@ class Errand:
         why = self._astray(standing, min(done, len(self._steps)))
         if why and resting and done > 0 and not self._astray(standing, done - 1):
             if state.stamp_ns - self._since_ns < _STILL_NS:
-                return Wait("a foot had no hold; standing")
+                return Wait("a foot had to search for the ground; waiting with all legs at rest")
             # The step was not taken, because some foot had to find its ground first. It is due again.
             self._base, done, why = self._base + 1, done - 1, ""
         why = self._gave_way or refused or why
         if done >= len(self._steps) or why:
             if not resting:
-                return Wait(f"the last step of {self._walks}")
+                return Wait(f"finishing the last step of {self._walks}")
             self._gave_way = ""
             self._yielded += self._sunk(standing, min(done, len(self._steps)))
             self._trail.ended(done)
             self._because = f" again: {why}" if why else ""
-            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
+            return self._enter("survey", Wait(f"surveying the gap{self._because}"))
         if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1, a foot searches for ground
             return Wait(self._words(done))
         return Move(
@@ -438,7 +446,7 @@ class Errand:
             off = feet[step.leg] - step.touchdown
             level, height = float(np.hypot(off[0], off[1])), abs(float(off[2]))
             if level > _OFF_PLACE or height > _OFF_HEIGHT:
-                return f"the {LEGS[step.leg]} foot is {max(level, height) * 100:.0f} cm from where it was to stand"
+                return f"the {LEGS[step.leg]} foot is {max(level, height) * 100:.0f} cm from its planned foothold"
         return ""
 
     def _sunk(self, standing: Standing, done: int) -> list[Array]:
@@ -450,7 +458,7 @@ class Errand:
         return [standing.feet[leg] - [0.0, 0.0, self._profile.foot.radius] for leg in low]
 
     def _words(self, step: int) -> str:
-        return f"passage, {self._walks}: step {step} of {len(self._steps)}"
+        return f"gap crossing, {self._walks}: step {step} of {len(self._steps)}"
 
     def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
         """Return the message with the planning result."""

@@ -21,7 +21,7 @@ def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float])
         size: [m] requested length and width.
     """
     if map_.elevation.size == 0:
-        return map_.reason or "it holds no cell"
+        return map_.reason or "the map has no cells"
     low, high = _RESOLUTIONS
     if not low <= map_.resolution <= high:
         return f"cells of {low} to {high} m expected, found {map_.resolution:.3g} m"
@@ -33,9 +33,9 @@ def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float])
     off = inverse(T_world_strip) @ Field.of(map_).T_world_strip
     turned = abs(float(rpy_from_rotation(off[:3, :3])[2]))
     if np.abs(off[:2, 3]).max() > _SAME_PLACE * map_.resolution or turned > _SAME_WAY:
-        return "it is of another strip"
+        return "the map shows another strip"
     if not is_rigid(map_.T_world_look):
-        return "the pose that it offers for a look is no pose"
+        return "the proposed viewing pose is not a rigid transform"
     return ""
 
 

@@ -111,5 +111,5 @@ def _search(
     )
     words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
     radius = 0.0 if nominal is None else float(np.linalg.norm(xy[-1] - nominal))
-    reason = f"no foothold within {radius * 100:.0f} cm of its place: of {len(xy)} cells {words}"
+    reason = f"no foothold within {radius * 100:.0f} cm of its nominal place ({len(xy)} cells: {words})"
     return NoFoothold(reason, unseen=2 * int(unknown.sum()) > len(xy))

@@ -42,4 +42,4 @@ class Refusals:
 
     def words(self) -> str:
         """Return why there is no step."""
-        return f"the actuator refuses every step that the ground allows: {self.reason}"
+        return f"the actuator refuses every feasible step: {self.reason}"

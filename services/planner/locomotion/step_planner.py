@@ -122,8 +122,8 @@ class StridePlanner:
         reached = float(np.linalg.norm(self._travel(command, 1.0)[0])) / stride.duration
         if reached > asked - 1e-3:
             return ""
-        why = f"no more by reach and speed of the legs in the {command.gait} gait"
-        return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: {why}"
+        limits = f"leg reach and joint speed in the {command.gait} gait"
+        return f", speed limited to {reached * 100:.1f} of {asked * 100:.1f} cm/s ({limits})"
 
     def plan(
         self,
@@ -157,7 +157,7 @@ class StridePlanner:
                 best = found
             if best is not None and best.room >= _ROOM_ENOUGH:
                 break
-        return best or first or Blocked("every step was refused")
+        return best or first or Blocked("the actuator refused every step")
 
     def choose(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
@@ -191,7 +191,7 @@ class StridePlanner:
                 shifted = self._make_room(situations[0], first.leg, terrain)
                 if shifted is not None:
                     return replace(shifted, instead=first.reason), shift
-        return first or Blocked("every step was refused"), 0
+        return first or Blocked("the actuator refused every step"), 0
 
     def _make_room(self, at: Situation, leg: int, terrain: Terrain) -> Stride | None:
         """Return a step of the body alone after which the legs of a situation can swing.
@@ -232,7 +232,7 @@ class StridePlanner:
                 after = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[legs], axis=1)
                 if before.sum() - after.sum() > _GATHERED:
                     return found, way
-        return Blocked("no step on the spot brings feet nearer to their resting places"), 0
+        return Blocked("no step on the spot brings the feet closer to their rest positions"), 0
 
     def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
         """Return the step with its touchdowns chosen again on a newer map.
@@ -275,7 +275,7 @@ class StridePlanner:
         standing = ~at.swing
         problem = (
             self._unreachable(touchdown, T_end)
-            or self._unstable(at.feet[standing], at.T_world_body, "where it is")
+            or self._unstable(at.feet[standing], at.T_world_body, "at the start of the step")
             or self._unstable(at.feet[standing], T_end, "at the end of the step")
             or self._unstable(touchdown[self._standing_next(at.command, touchdown, T_end)], T_end, "after the step")
         )
@@ -285,7 +285,7 @@ class StridePlanner:
         too_high = np.flatnonzero(at.swing & (clearance > self._profile.stance.max_lift))
         if len(too_high):
             leg = int(too_high[0])
-            return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
+            return Blocked(f"{LEGS[leg]} leg: an obstacle on the foot's path needs {clearance[leg] * 100:.0f} cm of lift", leg)
         way = Way(at.feet, touchdown, at.T_world_body, T_end, at.swing)
         highest = self._profile.stance.max_lift
         lifted = cleared(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
@@ -414,7 +414,7 @@ class StridePlanner:
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Return which leg would be overstretched at the end of the step, or ""."""
         bad = np.flatnonzero(~self.reached(feet_world, T_world_body))
-        return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
+        return f"{LEGS[bad[0]]} leg: its foot would be out of reach at the end of the step" if len(bad) else ""
 
     def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:
         centre = apply(T_world_body, resting_centre_of_mass(self._profile))
@@ -423,7 +423,7 @@ class StridePlanner:
         if margin >= least:
             return ""
         needed = f"{least * 100:.1f} cm needed"
-        return f"the centre of mass would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
+        return f"the centre of mass would be {margin * 100:.1f} cm inside the support polygon {when}, {needed}"
 
     def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
         """Return the clearance (6,) [m] over the higher end of each foot's path.

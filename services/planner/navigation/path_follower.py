@@ -185,7 +185,7 @@ class Pilot:
         found = find_way(crossing, xy, target, errand.goal.tolerance)
         errand.crossing, errand.found = crossing, found
         if isinstance(found, NoWay):
-            because = f"; it got stuck there: {errand.stuck_reason}" if errand.stuck else ""
+            because = f"; the robot got stuck before: {errand.stuck_reason}" if errand.stuck else ""
             errand.found, errand.way = NoWay(found.reason + because), None
             return
         if errand.way is not None:
@@ -228,7 +228,7 @@ class Pilot:
             wanted.append((0.5 * speed * np.array([cos(back), sin(back)]), 0.0))
         wanted.append((np.zeros(2), -turn))
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
-        return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
+        return Heading(commands, f"{left:.1f} m of path left to ({target[0]:.1f}, {target[1]:.1f})")
 
     def _veiled(self, errand: _Errand, way: Array, yaw: float) -> tuple[float, Array | None]:
         """Return distance [m] and place (2,) of the unseen ground to look at.

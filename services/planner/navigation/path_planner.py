@@ -47,11 +47,12 @@ def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Wa
     aim = _clipped(crossing, start, goal)
     end = _nearest_free(crossing, crossing.cell(aim), nearby if aim is goal else np.inf)
     if end is None:
-        return NoWay(f"no way to {_place(goal)}: {_around(crossing, crossing.cell(goal))} is too near to it")
+        return NoWay(f"no path to {_place(goal)}: {_around(crossing, crossing.cell(goal))} is too close to the goal")
     # 2. The cells of the path.
     cells, reached = cheapest_cells(crossing.cost, crossing.room, crossing.cell(start), end)
     if cells is None:
-        return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}")
+        words = f"blocked by {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}"
+        return NoWay(f"no path to {_place(goal)}: {words}")
     # 3. The corners of the path.
     points = crossing.centres(cells)
     last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
@@ -176,7 +177,7 @@ def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
             continue
         where = crossing.centres(np.argwhere(kinds == kind))
         said.append(f"{WORDS[kind]} {_extent(where)}")
-    return "; ".join(said) or "what is seen of the ground ends there"
+    return "; ".join(said) or "the end of the mapped ground"
 
 
 def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
@@ -187,9 +188,9 @@ def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str
     spare = crossing.room - crossing.needs
     _, cell = widest(np.where(crossing.stops == OPEN, spare + crossing.needs.max(), 0.0), start, end)
     if cell is None:
-        return "there is no gap"
+        return "there is no opening"
     at, room, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.room[cell], crossing.needs[cell]
-    return f"the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {needed:.2f} m"
+    return f"the widest opening, at {at}, has {room:.2f} m on either side of its middle, the robot needs {needed:.2f} m"
 
 
 def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:

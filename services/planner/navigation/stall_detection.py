@@ -57,14 +57,14 @@ class Progress:
             self._begin(self.left, error)
         slowly = max(1.0, 2.0 * _GOT_ON / (speed * _STILL_S))
         if self.still_s >= slowly * _STILL_S:
-            return f"in {self.still_s:.0f} s it did not move"
+            return f"no motion for {self.still_s:.0f} s"
         if self.astray_s < slowly * _ASTRAY_S:
             return ""
         if self.changed and self.undone < _ANEW:
             self.undone += 1
             self._begin(left, error)
             return ""
-        return f"in {self.astray_s:.0f} s it came no nearer"
+        return f"no progress for {self.astray_s:.0f} s"
 
     def pause(self) -> None:
         """Exclude the time until the next update.

@@ -48,9 +48,9 @@ WORDS = (
     "",
     f"a step of more than {int(MAX_STEP * 100)} cm",
     "no foothold",
-    "a hole, or ground that does not show",
-    "where it got stuck",
-    "too far off the straight way",
+    "a hole, or ground without measurements",
+    "a place where the robot got stuck",
+    "the maximum detour from the straight line",
 )
 
 

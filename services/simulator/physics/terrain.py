@@ -214,7 +214,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Puddles():
                 puddles += _scattered(part, rng)
             case Course():
-                raise AssertionError("a course is made of its pieces by now")
+                raise AssertionError("every course has been replaced by its pieces")
     for name, count in (("plane", len(planes)), ("height_map", len(fields))):
         if count > 1:
             raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
@@ -597,7 +597,7 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
     elif kind != ".png":
         raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
     elif scale is None:
-        raise ValueError(f"{path}: scale expected, the metres of one grey value, e.g. scale = 0.001; found none")
+        raise ValueError(f"{path}: scale expected (metres per grey value), e.g. scale = 0.001; found none")
     else:
         stored = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
     with np.errstate(over="ignore"):  # infinite heights are rejected below

@@ -181,7 +181,9 @@ class World:
             self._give_way(steps * TIME_STEP_NS / 1e9)
         # One velocity is enough, because a NaN spreads to all joints within a step.
         if not abs(self._qvel[0]) < 1e3:
-            raise FloatingPointError(f"the physics has diverged at {self.time_ns / 1e9:.3f} s; see the commands that led there")
+            raise FloatingPointError(
+                f"the physics has diverged at {self.time_ns / 1e9:.3f} s; check the commands before that time"
+            )
 
     def _give_way(self, dt: float) -> None:
         """Lower the overloaded weak boxes for a duration [s], up to their final depth."""

@@ -27,7 +27,7 @@ _RAM = dxl.TORQUE_ENABLE.address  # start of the registers that are lost without
 HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 
 
-class Workbench(ServoBusEmulator):
+class BenchEmulator(ServoBusEmulator):
     """Bus with all servos of a robot, of which any number is plugged in."""
 
     def __init__(

@@ -469,7 +469,7 @@ class MemoryPort:
         if not self.is_open:
             raise OSError("the port is closed; open a new one")
         if self._bus.outlet(now) != self._outlet:
-            raise OSError("the adapter was unplugged; open the port anew")
+            raise OSError("the adapter was unplugged; open the port again")
         return now
 
     def _collect(self, now_ns: int) -> None:

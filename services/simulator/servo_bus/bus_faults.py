@@ -12,7 +12,7 @@ from random import Random
 
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import AnswersOnly, Outlet, Reply
-from sextant.services.simulator.servo_bus.servo_faults import Ailments
+from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
@@ -201,12 +201,12 @@ class BusFaults(AnswersOnly):
         if suffered == self._suffered:
             return
         self._suffered = suffered
-        ailments = Ailments.none(len(self._bank))
+        ailments = ServoFaults.none(len(self._bank))
         for running in active:
             self._afflict(ailments, running, running.away(t_ns))
         self._bank.ail(ailments if active else None)
 
-    def _afflict(self, ailments: Ailments, running: _Running, away: bool) -> None:
+    def _afflict(self, ailments: ServoFaults, running: _Running, away: bool) -> None:
         """Add one fault to the fault state of servos and supply."""
         fault, row = running.fault, running.row
         match running.cell:

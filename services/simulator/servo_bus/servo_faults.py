@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(slots=True)
-class Ailments:
+class ServoFaults:
     """Active faults of n servos and their battery."""
 
     unpowered: NDArray[np.bool_]  # (n,) servos without power; when it returns, torque is off and the RAM has factory values
@@ -24,7 +24,7 @@ class Ailments:
     drain: float = 0.0  # [1/s] additional discharge, as a share of the battery's capacity
 
     @classmethod
-    def none(cls, n: int) -> "Ailments":
+    def none(cls, n: int) -> "ServoFaults":
         """Return the state of n servos without faults."""
         no, ticks = np.zeros((3, n), dtype=np.bool_), np.zeros(n, dtype=np.int64)
         return cls(no[0], no[1], no[2], np.zeros(n, dtype=np.uint8), ticks, np.zeros(n), ticks - 1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.simulator.servo_bus.servo_faults import Ailments
+from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import ServoError, ServoModel
@@ -284,7 +284,7 @@ class ServoBank:
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
         self._limp = np.ones(n, dtype=np.bool_)
-        self._ailments = Ailments.none(n)
+        self._ailments = ServoFaults.none(n)
         self._ailing = False
         self._jammed_at = np.zeros(n)  # [rad]
 
@@ -327,9 +327,9 @@ class ServoBank:
         self._aims_changed = True
         self._others_changed |= not (address >= _AIM_START and end <= _AIM_END)
 
-    def ail(self, ailments: Ailments | None) -> None:
+    def ail(self, ailments: ServoFaults | None) -> None:
         """Set the active faults, None for no faults, and apply their immediate effects."""
-        before, now = self._ailments, Ailments.none(len(self)) if ailments is None else ailments
+        before, now = self._ailments, ServoFaults.none(len(self)) if ailments is None else ailments
         if not self._measured:
             self._refresh(0)  # frozen registers keep the current values
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):

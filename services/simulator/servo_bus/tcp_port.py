@@ -159,7 +159,7 @@ class TcpBusServer:
                 if client in ready:
                     data = client.recv(_CHUNK)
                     if not data:
-                        return "client hung up"
+                        return "client disconnected"
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
                     outbox.put(answers if self._answering(self._clock()) else ())
@@ -168,7 +168,7 @@ class TcpBusServer:
                     if door in ready:  # while the client is still connected
                         other, peer = door.accept()
                         other.close()
-                        log.info("servo bus client %s turned away: another is connected", peer)
+                        log.info("servo bus client %s rejected: another client is connected", peer)
                 outbox.put(self._spoken())
                 due = outbox.take(self._clock())
                 if due:

@@ -8,7 +8,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
 
-from sextant.shared.recording.event_log import Diary
+from sextant.shared.recording.event_log import EventLog
 from sextant.shared.recording.foxglove import ground, numbers, robot
 from sextant.shared.recording.foxglove.parts import time
 from sextant.shared.robot.profile import RobotProfile
@@ -44,7 +44,7 @@ class Foxglove:
         self._profile = profile
         self._T_world_odom = np.eye(4)
         self._due_ns: dict[str, int] = {}
-        self._diary = Diary()
+        self._event_log = EventLog()
         self._logged = 0  # number of log entries already returned
         self._health = HealthTable()
         self._tells: Mapping[AnyTopic, Callable[[Any, int], Iterator[Told]]] = {
@@ -77,7 +77,7 @@ class Foxglove:
         try:
             message, _ = codec.decode(frame, topic.type, topic.max_bytes)
         except codec.DecodeError as error:
-            self._diary.note(at_ns, "recorder", f"{topic.key}: {error}", bad=True)
+            self._event_log.note(at_ns, "recorder", f"{topic.key}: {error}", bad=True)
         else:
             if topic in self._tells:
                 told += self._tells[topic](message, at_ns)
@@ -93,7 +93,7 @@ class Foxglove:
         return True
 
     def _legs(self, state: ActuatorState, at_ns: int) -> Iterator[Told]:
-        self._diary.legs(at_ns, state)
+        self._event_log.legs(at_ns, state)
         T_world_body = self._T_world_odom @ state.T_odom_body
         yield "/tf", robot.frames(state, self._T_world_odom, self._profile.camera.T_body_camera)
         yield "/body", robot.body(state, T_world_body)
@@ -107,12 +107,12 @@ class Foxglove:
             yield "/plan", robot.footholds(plan)
 
     def _planner(self, status: PlannerStatus, at_ns: int) -> Iterator[Told]:
-        self._diary.planner(at_ns, status)
+        self._event_log.planner(at_ns, status)
         if len(status.path) and self._due("way", at_ns, _MAP_NS):
             yield "/plan", robot.way(status)
 
     def _passage(self, plan: PassagePlan, at_ns: int) -> Iterator[Told]:
-        self._diary.passage(at_ns, plan)
+        self._event_log.passage(at_ns, plan)
         yield "/plan", robot.section(plan)
 
     def _map(self, terrain: TerrainMap, _: int) -> Iterator[Told]:
@@ -129,22 +129,22 @@ class Foxglove:
 
     def _pose(self, pose: BodyPose, at_ns: int) -> None:
         self._T_world_odom = pose.T_world_odom
-        self._diary.perception(at_ns, pose)
+        self._event_log.perception(at_ns, pose)
 
     def _camera(self, state: CameraState, at_ns: int) -> None:
-        self._diary.camera(at_ns, state)
+        self._event_log.camera(at_ns, state)
 
     def _service(self, role: str, health: Health, at_ns: int) -> None:
         self._health.add(role, health, at_ns)
         if self._due("services", at_ns, _SERVICES_NS):
             self._health.forget(at_ns)
-            self._diary.services(at_ns, self._health.named())
+            self._event_log.services(at_ns, self._health.named())
 
     def _log(self) -> Iterator[Told]:
         """Yield the new entries of the event log."""
-        entries = self._diary.entries
-        new = min(self._diary.count - self._logged, len(entries))
-        self._logged = self._diary.count
+        entries = self._event_log.entries
+        new = min(self._event_log.count - self._logged, len(entries))
+        self._logged = self._event_log.count
         for entry in list(entries)[len(entries) - new :]:
             level = Log.WARNING if entry.bad else Log.INFO
             yield "/log", Log(timestamp=time(entry.at_ns), level=level, message=entry.words, name=entry.who)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.services.actuator.estop.config import Settings
-from sextant.services.actuator.estop.service import Stop
+from sextant.services.actuator.estop.service import EmergencyStop
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.robot.profiles import load_profile
@@ -29,18 +29,18 @@ def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Latch:
     return Latch.of_port(PORT)
 
 
-def say(stop: Stop, mode: str, sequence: int, holder: str = "operator") -> None:
+def say(stop: EmergencyStop, mode: str, sequence: int, holder: str = "operator") -> None:
     hear(stop, ModeCommand(0, mode, sequence, holder))  # type: ignore[arg-type]
 
 
-def hear(stop: Stop, order: ModeCommand | StopOrder) -> None:
+def hear(stop: EmergencyStop, order: ModeCommand | StopOrder) -> None:
     inbox = Inbox(stop.reads, stop.stages)
     inbox.receive(topics.OF_TYPE[type(order)], codec.encode(order), 0)
     assert list(stop.step(Tick(0), inbox)) == []
 
 
 def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "walk", 1)
     assert not latch.closed
     say(stop, "off", 2)
@@ -55,7 +55,7 @@ def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
 
 
 def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     hear(stop, StopOrder(0, "stop", 7, "viewer"))
     assert not latch.closed
     hear(stop, StopOrder(0, "off", 8, "viewer"))
@@ -64,7 +64,7 @@ def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> No
     hear(stop, StopOrder(0, "off", 8, "viewer"))
     assert not latch.closed, "an order counts once"
     hear(stop, StopOrder(0, "off", 3, "viewer"))
-    assert latch.closed, "a viewer whose machine began anew counts anew"
+    assert latch.closed, "a viewer whose machine has restarted counts from the start"
     for k in range(1000):
         hear(stop, StopOrder(0, "off", k, f"viewer {k}"))
     assert len(stop._stops) <= 64
@@ -76,7 +76,7 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
 
     The actuator decides whether that has happened.
     """
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
     for sequence, order in ((5, "off"), (9, mode), (5, "off"), (3, "off")):
         inbox.receive(topics.MODE, codec.encode(ModeCommand(0, order, sequence, "a")), 0)  # type: ignore[arg-type]
@@ -87,7 +87,7 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
 def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_heard_where_it_is_of_now(latch: Latch) -> None:
     """Check a late order to turn torque off, which the guard obeys, too."""
     second = 1_000_000_000
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
 
     def put(mode: str, sequence: int, stamp_ns: int) -> None:
@@ -106,7 +106,7 @@ def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_h
 
 
 def test_a_repetition_is_latched_no_second_time_whatever_numbers_its_holder_has_stopped_by_since(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "off", 9)
     hear(stop, StopOrder(0, "off", 3, "operator"))
     latch.open()
@@ -115,14 +115,14 @@ def test_a_repetition_is_latched_no_second_time_whatever_numbers_its_holder_has_
 
 
 def test_an_order_to_let_go_that_comes_by_a_late_clock_is_latched_as_one_after_what_it_takes_back(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "stand", 9, "a")
     say(stop, "off", 5, "b")
     assert latch.since_ns == 10
 
 
 def test_numbers_that_are_no_times_bar_no_later_orders_way(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "off", 10**18)
     assert latch.closed
     latch.open()
@@ -133,11 +133,11 @@ def test_numbers_that_are_no_times_bar_no_later_orders_way(latch: Latch) -> None
 
 
 def test_it_tries_again_where_the_latch_cannot_be_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     with monkeypatch.context() as patched:
         patched.setattr(Latch, "close", lambda *_: (_ for _ in ()).throw(OSError("no such folder")))
         say(stop, "off", 3)
-        assert "cannot be latched: no such folder" in stop.doing()
+        assert "cannot latch a torque-off order: no such folder" in stop.doing()
     assert list(stop.step(Tick(0), Inbox(stop.reads, stop.stages))) == []
     assert latch.since_ns == 3
     assert stop.doing() == "torque is latched off"
@@ -185,7 +185,7 @@ def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypat
 
 
 def test_no_order_opens_it(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "off", 1)
     for sequence, mode in enumerate(("stop", "ready", "stand", "walk", "sit"), 2):
         say(stop, mode, sequence)
@@ -277,7 +277,7 @@ def test_it_is_closed_where_any_of_its_files_says_so_and_open_where_none_does(tm
 
 
 def test_one_that_cannot_be_looked_at_is_neither_open_nor_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     with monkeypatch.context() as patched:
         patched.setattr(Path, "lstat", broken)
         with pytest.raises(OSError, match="Input/output error"):
@@ -285,7 +285,7 @@ def test_one_that_cannot_be_looked_at_is_neither_open_nor_closed(latch: Latch, m
         with pytest.raises(OSError, match="Input/output error"):
             latch.open()
         assert latch.since_ns == 0
-        assert stop.doing() == "whether torque is latched off cannot be seen: [Errno 5] Input/output error"
+        assert stop.doing() == "cannot read the torque-off latch: [Errno 5] Input/output error"
     assert not latch.closed
 
 
@@ -299,7 +299,7 @@ def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, he
 
     Otherwise a robot that stands up after a newer order would fall.
     """
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
     inbox.receive(topics.STOP, codec.encode(StopOrder(100, "off", 1, "viewer")), 0)
     assert list(stop.step(Tick(heard_ns), inbox)) == []
@@ -307,7 +307,7 @@ def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, he
 
 
 def test_many_holders_take_no_more_room(latch: Latch) -> None:
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     for k in range(1000):
         say(stop, "off", k, f"holder {k}")
     assert len(stop._newest) <= 64
@@ -317,9 +317,9 @@ def test_a_latch_that_cannot_be_closed_is_said_and_the_stop_path_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "gone",))
-    stop = Stop(PROFILE, Settings(PORT))
+    stop = EmergencyStop(PROFILE, Settings(PORT))
     say(stop, "off", 1)
-    assert stop.doing().startswith("an order to let go cannot be latched: ")
+    assert stop.doing().startswith("cannot latch a torque-off order: ")
     (tmp_path / "gone").mkdir()
     say(stop, "off", 2)
     assert stop.doing() == "torque is latched off"

@@ -7,7 +7,7 @@ import pytest
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import servos, usb_adapter
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
 
 
 class Adapter:
@@ -22,15 +22,15 @@ def test_an_adapter_says_who_it_is_and_is_found_under_its_new_name() -> None:
     who = usb_adapter.identity("/dev/ttyUSB0", lambda: before)
     assert who == (0x0403, 0x6014, "FT1")
     after = [Adapter("/dev/ttyUSB1", serial="FT2"), Adapter("/dev/ttyUSB2")]
-    assert usb_adapter.named_anew(who, lambda: after) == ["/dev/ttyUSB2"]
-    assert usb_adapter.named_anew(who, list) == []
+    assert usb_adapter.renamed_devices(who, lambda: after) == ["/dev/ttyUSB2"]
+    assert usb_adapter.renamed_devices(who, list) == []
 
 
 @pytest.mark.parametrize("url", ["/dev/ttyS0", "/dev/ttyUSB9", "socket://127.0.0.1:5000"])
 def test_a_port_that_is_no_adapter_is_nobody(url: str) -> None:
     ports = [Adapter("/dev/ttyS0", None, None, None), Adapter("/dev/ttyUSB9", serial=None)]
     assert usb_adapter.identity(url, lambda: ports) is None
-    assert usb_adapter.named_anew(None, lambda: [Adapter("/dev/ttyUSB0"), *ports]) == []
+    assert usb_adapter.renamed_devices(None, lambda: [Adapter("/dev/ttyUSB0"), *ports]) == []
 
 
 class Desk:
@@ -40,13 +40,13 @@ class Desk:
         self.adapters, self.others, self.tried = list(adapters), others, list[str]()
         monkeypatch.setattr(servos, "open_port", self.open)
         monkeypatch.setattr(usb_adapter.identity, "__defaults__", (lambda: self.adapters,))
-        monkeypatch.setattr(usb_adapter.named_anew, "__defaults__", (lambda: self.adapters,))
+        monkeypatch.setattr(usb_adapter.renamed_devices, "__defaults__", (lambda: self.adapters,))
 
     def open(self, url: str, timeout_ns: int) -> str:
         assert timeout_ns == servos.read_timeout_ns(Settings())
         self.tried.append(url)
         if url not in (*self.others, *(adapter.device for adapter in self.adapters)):
-            raise BusGone(f"no {url}")
+            raise BusDisconnectedError(f"no {url}")
         return url
 
 
@@ -58,7 +58,7 @@ def test_an_outlet_takes_the_first_name_there_is_and_follows_the_adapter(monkeyp
     desk.adapters = [Adapter("/dev/ttyUSB3", serial="FT2"), Adapter("/dev/ttyUSB4")]
     assert outlet.open() == "/dev/ttyUSB4", "the same adapter, and no other"
     desk.adapters = []
-    with pytest.raises(BusGone, match=r"^no /dev/ttyACM0; no /dev/ttyUSB0$"):
+    with pytest.raises(BusDisconnectedError, match=r"^no /dev/ttyACM0; no /dev/ttyUSB0$"):
         outlet.open()
     desk.adapters = [Adapter("/dev/ttyUSB7")]
     assert outlet.open() == "/dev/ttyUSB7", "it is remembered"

@@ -205,7 +205,7 @@ def test_a_plan_is_walked_to_its_end_and_then_it_holds_with_torque_on() -> None:
         phases.append(state.phase)
     assert modes[0] is Mode.WALK
     assert modes[-1] is Mode.HOLD
-    assert "no new plan came" in state.reason
+    assert "no new plan received" in state.reason
     assert rig.torque
     assert state.step == plan.step
     assert (np.diff(phases) >= 0).all()

@@ -23,9 +23,7 @@ def test_a_servo_that_was_left_weak_is_named_and_taken_up_by_order_alone() -> No
     rig.bank.write(row, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(300))
     rig.start()
     state = rig.cycle(5)
-    words = (
-        "the femur servo of the left rear leg (id 9) was left with 29% of its torque; order `ready` to turn it up where it is"
-    )
+    words = "the femur servo of the left rear leg (id 9) has only 29% of its torque; order `ready` to restore it"
     assert (state.mode, words in state.warnings) == (Mode.FAULT, True)
     rig.command("ready")
     state = rig.cycle(2)
@@ -42,7 +40,7 @@ def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
     shut_down(rig, IDS.index(16))
     state = rig.cycle(5)
     assert state.mode is Mode.FAULT
-    words = "the femur servo of the right middle leg (id 16) has shut down for its load"
+    words = "the femur servo of the right middle leg (id 16) has shut down because of overload"
     assert state.reason == words
     rig.hear(rig.plan(state))
     assert words in rig.cycle().refused
@@ -63,7 +61,7 @@ def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot
         assert rig.cycle(8).mode is Mode.FAULT
         state = rig.cycle(150)
         assert state.mode is Mode.HOLD
-        assert state.reason == "what was broken is whole again"
+        assert state.reason == "the fault has cleared"
         assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(1023)
     shut_down(rig, row)
     assert rig.cycle(40).mode is Mode.FAULT
@@ -82,8 +80,8 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     row = IDS.index(16)
     rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
     shut_down(rig, row)
-    limp = rig.joint(row)
-    rig.stuck[row] = limp
+    torque_disabled = rig.joint(row)
+    rig.stuck[row] = torque_disabled
     leg = row // 3
     while rig.cycle().mode is Mode.WALK:
         pass
@@ -110,9 +108,9 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     turns = (steps[1:] * steps[:-1] < 0.0).sum(axis=0)
     assert turns.max() <= 4, "its goals do not hunt"
     assert not rig.air(state).any()
-    assert "the femur servo of the right middle leg (id 16) takes up its work again, slowly" in seen
+    assert "the femur servo of the right middle leg (id 16) is catching up with its goal, slowly" in seen
     assert state.mode is Mode.HOLD
-    assert abs(rig.joint(row) - limp) > np.radians(8.0), "it is where the others are"
+    assert abs(rig.joint(row) - torque_disabled) > np.radians(8.0), "it is where the others are"
 
 
 def lies_limp(rig: Rig, row: int, by: float) -> None:
@@ -142,7 +140,8 @@ def test_of_two_legs_that_were_limp_the_second_waits_where_it_lies_and_nobody_wa
         if before is not None and second not in order:
             np.testing.assert_allclose(rig.goals[second], before, atol=2 * TICK)
             assert (
-                state.reason == "the femur servo of the right middle leg (id 16), with 1 more, takes up its work again, slowly"
+                state.reason
+                == "the femur servo of the right middle leg (id 16), with 1 more, is catching up with its goal, slowly"
             )
     assert order == [row // 3 for row in rows], "one after the other"
     assert not rig.air(state).any()
@@ -204,7 +203,7 @@ def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None
         rig.cycle()
     del rig.stuck[row]
     state = rig.cycle(4)
-    assert "takes up its work again" in state.reason
+    assert "is catching up with its goal" in state.reason
     rig.command("ready")
     state = rig.cycle(20)
     assert state.mode is Mode.READY
@@ -258,7 +257,7 @@ def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_com
     rig.now_ns += 3_500_000_000
     state = rig.cycle()
     assert state.mode is Mode.FAULT
-    assert state.reason == "the computer has kept the actuator waiting for 3.5 s"
+    assert state.reason == "the actuator process did not run for 3.5 s"
     for _ in range(100):
         last = rig.goals
         state = rig.cycle()
@@ -286,7 +285,7 @@ def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
             assert np.abs(rig.goals - before).max() <= np.radians(30.0) * 0.02 + TICK
     assert state.mode is Mode.WALK
     assert refused
-    assert refused[-1].endswith("refused: the joints take up their work again, slowly")
+    assert refused[-1].endswith("refused: the joints are catching up with their goals, slowly")
 
 
 @pytest.mark.parametrize("cycles", [3, 15, 27])

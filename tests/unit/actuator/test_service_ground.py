@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.locomotion.step_executor import Walker
+from sextant.services.actuator.locomotion.step_executor import StepExecutor
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.servo import dynamixel as dxl
@@ -32,9 +32,9 @@ def test_a_foot_without_ground_reaches_down_and_is_taken_back_and_everybody_hear
     rig.ground[lost] = False
     state, states = stepped(rig, first)
     reasons = [s.reason for s in states]
-    assert any("it reaches down" in r for r in reasons)
+    assert any("the foot reaches down" in r for r in reasons)
     assert state.mode is Mode.HOLD
-    assert "the step is taken back" in state.reason
+    assert "the step is reversed" in state.reason
     assert state.touch_ns[lost] > 0
     assert not state.touch_carries[lost]
     assert state.touch[lost, 2] < -0.02, "it has looked below the ground"
@@ -55,7 +55,7 @@ def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_re
     rig.cycle(40)
     assert rig.state is not None
     rig.hear(rig.plan(rig.state))
-    while "it reaches down" not in rig.cycle().reason:
+    while "the foot reaches down" not in rig.cycle().reason:
         assert rig.now_ns < 10_000_000_000
     rig.hear(rig.plan(rig.state))
     assert "no ground under" in rig.cycle(2).refused
@@ -91,7 +91,7 @@ def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float,
     assert rig.state is not None
     assert rig.state.warnings == ()
     later = rig.cycle(20)
-    assert any("no word from the IMU" in warning for warning in later.warnings)
+    assert any("no IMU readings" in warning for warning in later.warnings)
     np.testing.assert_allclose(later.T_odom_body[2, :3], up, atol=np.radians(1.0))
 
 
@@ -112,7 +112,7 @@ def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
         state = listen(rig, rotation_from_rpy((np.radians(35.0), 0.0, 0.0))[2])
     assert state.mode is Mode.HOLD
     assert state.step == running
-    assert "off what is commanded, by the IMU" in state.reason
+    assert "deg from the commanded pose, by the IMU" in state.reason
     assert any("by the IMU" in warning for warning in state.warnings)
     rig.hear(rig.plan(state))
     assert "by the IMU" in rig.cycle().refused
@@ -151,12 +151,12 @@ def test_a_fallen_robot_keeps_its_legs_still(angle: float) -> None:
     rig = Rig()
     sure(rig)
     state = tip(rig, angle)
-    assert any("off what is commanded" in warning for warning in state.warnings)
+    assert any("from the commanded pose" in warning for warning in state.warnings)
     goals = rig.goals
     for _ in range(150):
         state = listen(rig, rotation_from_rpy((angle, 0.0, 0.0))[2])
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
-    assert any("off what is commanded" in warning for warning in state.warnings)
+    assert any("from the commanded pose" in warning for warning in state.warnings)
 
 
 def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
@@ -167,7 +167,7 @@ def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
     for _ in range(500):
         state = listen(rig, -UP)
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
-    assert any("180 deg off what is commanded" in warning for warning in state.warnings)
+    assert any("180 deg from the commanded pose" in warning for warning in state.warnings)
 
 
 def test_a_robot_with_a_fault_moves_no_leg() -> None:
@@ -199,7 +199,7 @@ def test_a_robot_that_has_tipped_walks_on_by_a_new_order_only(heard: bool) -> No
     state = listen(rig, UP) if heard else rig.cycle()
     rig.hear(rig.plan(state))
     assert rig.cycle().mode is Mode.WALK
-    assert not any("off what is commanded" in warning for warning in rig.cycle().warnings)
+    assert not any("from the commanded pose" in warning for warning in rig.cycle().warnings)
 
 
 def test_a_robot_that_lies_on_its_side_does_not_walk_by_an_order() -> None:
@@ -218,7 +218,7 @@ def test_standing_up_anew_twists_nobody() -> None:
     rig = Rig()
     sure(rig)
     rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # gyro and legs agree on the turn
-    rig.actuator._walker = Walker(Settings(), REST, rig.actuator._odometry.T_odom_body)
+    rig.actuator._executor = StepExecutor(Settings(), REST, rig.actuator._odometry.T_odom_body)
     rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
     rig.cycle()
     goals = rig.goals

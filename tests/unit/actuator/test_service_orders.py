@@ -10,7 +10,7 @@ import pytest
 
 from sextant.services.actuator.safety.command_ordering import WalkOrder
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.safety.walk_authorization import Permit
+from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig
@@ -23,7 +23,7 @@ def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_unt
     rig.command("off")
     state = rig.cycle(2)
     assert (state.mode, rig.torque) == (Mode.OFF, False)
-    words = "torque is off, but a restarted actuator would not know of that order: "
+    words = "torque is off, but the order cannot be stored for a restarted actuator: "
     assert any(warning.startswith(words) for warning in state.warnings)
     folder.mkdir()
     state = rig.cycle(3)
@@ -43,7 +43,7 @@ def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_no
     monkeypatch.setattr(Path, "lstat", broken)
     state = rig.cycle(3)
     assert (state.mode, rig.torque) == (Mode.HOLD, True)
-    words = "whether torque is ordered off past this process cannot be seen: [Errno 5] Input/output error"
+    words = "cannot read the torque-off latch: [Errno 5] Input/output error"
     assert words in state.warnings
     rig.command("off")
     assert rig.cycle(2).mode is Mode.OFF
@@ -68,7 +68,9 @@ def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_pat
         state = rig.cycle()
         assert not rig.torque
     assert state.mode is Mode.OFF
-    assert any(warning.startswith("torque stays off, for that order cannot be taken back: ") for warning in state.warnings)
+    assert any(
+        warning.startswith("torque stays off, because the torque-off latch cannot be opened: ") for warning in state.warnings
+    )
 
 
 def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_begins_anew(tmp_path: Path) -> None:
@@ -86,7 +88,7 @@ def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_be
         assert not rig.torque
         assert latch.closed
     assert state.mode is Mode.OFF
-    assert any("it was given before torque was ordered off; order it anew" in words for words in state.warnings)
+    assert any("it was given before torque was ordered off; order it again" in words for words in state.warnings)
     rig.command("stand")
     rig.cycle(2)
     assert rig.torque
@@ -138,7 +140,7 @@ def test_who_wakes_from_sleep_goes_on_with_nothing(order: str) -> None:
     state = rig.cycle(2)
     assert state.mode is (Mode.READY if order == "stand" else Mode.HOLD)
     assert state.lease == ""
-    assert any(words.endswith("before the computer slept; order it anew") for words in state.warnings)
+    assert any(words.endswith("before the computer was suspended; order it again") for words in state.warnings)
     goals = rig.goals
     assert rig.cycle(20).lease == "", "repeated"
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
@@ -159,21 +161,21 @@ def test_torque_goes_off_for_who_wakes_from_sleep() -> None:
 def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
     """Check a client that repeats its walk order: it missed or ignores the stop."""
     rig = Rig(latch=Latch(tmp_path / "off"))
-    rig.permit = Permit(tmp_path / "walk")
+    rig.authorization = WalkAuthorization(tmp_path / "walk")
     rig.start()
     rig.cycle(2)
     rig.walking()
-    assert rig.permit.order == WalkOrder("operator", rig.order)
+    assert rig.authorization.order == WalkOrder("operator", rig.order)
     if stopped:
         rig.hear(StopOrder(rig.now_ns, "stop", 1, "viewer"))
         rig.cycle(100)
-    rig.permit = Permit(tmp_path / "walk")  # as the next process finds it
+    rig.authorization = WalkAuthorization(tmp_path / "walk")  # as the next process finds it
     rig.start()
     rig.running = None
     state = rig.cycle(100)
     assert state.mode is Mode.HOLD
     assert state.lease == ("" if stopped else "operator")
-    told = any("was not in force then; order it anew" in warning for warning in state.warnings)
+    told = any("was not in force at that time; order it again" in warning for warning in state.warnings)
     assert told == stopped
 
 
@@ -221,6 +223,6 @@ def test_torque_that_is_ordered_off_while_it_is_turned_on_stays_off(tmp_path: Pa
     rig.cycle(2)
     rig.command("ready")
     state = rig.cycle()
-    assert "torque stays off, for that was ordered meanwhile; order it anew" in state.warnings
+    assert "torque stays off, because it was ordered off in the meantime; order it again" in state.warnings
     assert rig.cycle(5).mode is Mode.OFF
     assert not rig.torque

@@ -241,7 +241,7 @@ def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
     rig.hear(word)
     rig.beat(300.0)
     page.ask("order", order="stand")
-    assert "leads the robot" in page.until("refused")["words"], "the name of a service is a claim"
+    assert "is in control of the robot" in page.until("refused")["words"], "the name of a service is a claim"
     rig.inbox.receive(topics.HEALTH_OF["viewer"], codec.encode(word), rig.now)
     rig.beat(300.0)
     page.ask("order", order="stand")
@@ -250,7 +250,7 @@ def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
     rig.legs()
     rig.beat(300.0)
     page.ask("order", order="stand")
-    page.until("refused", lambda told: "leads the robot" in told["words"])  # its router has another role by now
+    page.until("refused", lambda told: "is in control of the robot" in told["words"])  # its router has another role by now
     page.ask("order", order="off")
     sent: list[Message] = []
     limit = time.monotonic() + PATIENCE_S
@@ -287,7 +287,7 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
     rig.hear(terrain())
     silent = glance.until("glance", lambda found: found["silent"])
     assert silent["silent"] == ["mapper"]
-    assert (silent["mode"], silent["reason"]) == (None, "no word from the actuator")
+    assert (silent["mode"], silent["reason"]) == (None, "no message from the actuator")
     assert set(glance.told) == {"glance"}
     assert glance.frames == {}
     page = rig.page()
@@ -296,7 +296,7 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
     rig.legs()
     rig.beat()
     glance.ask("order", order="stand")
-    assert "looks on" in glance.until("refused")["words"]
+    assert "can only view" in glance.until("refused")["words"]
     glance.ask("order", order="off")
     limit = time.monotonic() + PATIENCE_S
     said: list[Message] = []

@@ -1,4 +1,6 @@
+import argparse
 import contextlib
+import importlib.util
 import json
 import os
 import subprocess
@@ -11,10 +13,10 @@ from typing import get_args
 import pytest
 
 from sextant.deploy import cli
+from sextant.deploy.campaign import trials
 from sextant.deploy.commands.common import out_folder
-from sextant.deploy.judging.report import Report, write
-from sextant.deploy.process_table import Command
-from sextant.deploy.trials import batch
+from sextant.deploy.evaluation.report import Report, write
+from sextant.deploy.launch.process_table import Command
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.messages import GaitName
 from sextant.shared.wire.topics import TOPICS
@@ -28,7 +30,7 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
     loaded = set(done.stdout.split())
     assert "sextant.deploy.cli" in loaded, done.stderr
     assert not loaded & {"numpy", "zenoh", "cv2", "numba", "mujoco", "mcap"}
-    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "compose", "service"):
+    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "recording", "service"):
         assert command in loaded, f"{command} is not offered"
 
 
@@ -46,15 +48,15 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["up", "onboard", "--camera", "nowhere"], "a folder with depth.txt expected, found 'nowhere'"),
         (["up", "all", "--scenario", "flat", "--camera", "realsense"], "leave --scenario out"),
         (["up", "onboard", "--set", "planner.blind=true"], "no service 'planner'"),
-        (["up", "offboard", "--with", "actuator"], "actuator stays on the robot, beside its servos and its camera"),
-        (["up", "offboard", "--with", "simulator"], "what is simulated is started by --scenario"),
+        (["up", "offboard", "--with", "actuator"], "actuator must run on the robot, with its servos and camera"),
+        (["up", "offboard", "--with", "simulator"], "is a simulation process; --scenario starts it"),
         (["up", "offboard", "--with", "plannar"], "did you mean 'planner'?"),
         (["up", "onboard", "--without", "mapper"], "mapper is not started by the role onboard"),
         (["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"], "no servo port /dev/nowhere; plug in"),
         (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
         (["replay", "nowhere.mcap"], "recording.mcap of a run"),
         (["replay", "nowhere.txt"], "depth.txt"),
-        (["compose", "--scenario", "stepz"], "did you mean 'steps'?"),
+        (["service", "compose", "--scenario", "stepz"], "did you mean 'steps'?"),
         (["trials", "stepz", "--seeds", "0:2"], "did you mean 'steps'?"),
         (["trials", "table", "nowhere"], "campaign.jsonl or trials.jsonl, expected"),
     ],
@@ -112,7 +114,7 @@ class NoLink:
 def test_what_is_up_is_the_robot_that_is_asked_for(
     words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.launch import half
+    from sextant.deploy.launch import host_launcher
 
     started: list[tuple[str, ...]] = []
 
@@ -121,9 +123,9 @@ def test_what_is_up_is_the_robot_that_is_asked_for(
             started.extend(command.arguments for command in commands)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(half, "Launcher", Launcher)
-    monkeypatch.setattr(half, "Router", lambda *_: contextlib.nullcontext())
-    monkeypatch.setattr(half, "ZenohLink", lambda _: contextlib.nullcontext(NoLink()))
+    monkeypatch.setattr(host_launcher, "Launcher", Launcher)
+    monkeypatch.setattr(host_launcher, "Router", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(host_launcher, "ZenohLink", lambda _: contextlib.nullcontext(NoLink()))
     assert cli.main(["up", "all", "--scenario", "flat", *words]) == 130
     capsys.readouterr()
     assert len(started) == 8
@@ -139,39 +141,41 @@ def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["compose"]) == 0
+    assert cli.main(["service", "compose"]) == 0
     assert capsys.readouterr().out == (ROOT / "deploy" / "compose.yaml").read_text()
-    assert cli.main(["compose", "--offboard"]) == 0
+    assert cli.main(["service", "compose", "--offboard"]) == 0
     assert capsys.readouterr().out == (ROOT / "deploy" / "compose.offboard.yaml").read_text()
 
 
 def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from sextant.deploy import doctor
+    from sextant.deploy.doctor import machine_checks
 
-    for level, status in ((doctor.Level.WARN, 0), (doctor.Level.FAIL, 1)):
-        monkeypatch.setattr(doctor, "examine", lambda *_, level=level: [doctor.Check("a", level, "so so", "mend it")])
+    for level, status in ((machine_checks.Level.WARN, 0), (machine_checks.Level.FAIL, 1)):
+        monkeypatch.setattr(
+            machine_checks, "examine", lambda *_, level=level: [machine_checks.Check("a", level, "so so", "mend it")]
+        )
         assert cli.main(["doctor"]) == status
         assert "mend it" in capsys.readouterr().out
 
 
 def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from sextant.deploy import doctor
+    from sextant.deploy.doctor import machine_checks
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(doctor, "examine", interrupted)
+    monkeypatch.setattr(machine_checks, "examine", interrupted)
     assert cli.main(["doctor"]) == 130
     assert "stopped by the operator" in capsys.readouterr().err
 
 
 def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sextant.deploy import doctor
+    from sextant.deploy.doctor import machine_checks
 
     def broken(*_: object) -> None:
         raise ValueError("a bug")
 
-    monkeypatch.setattr(doctor, "examine", broken)
+    monkeypatch.setattr(machine_checks, "examine", broken)
     with pytest.raises(ValueError, match="a bug"):
         cli.main(["doctor"])
 
@@ -193,7 +197,7 @@ def test_a_folder_that_cannot_be_written_to_is_said_before_anything_is_done(
     assert f"may not write to the folder {tmp_path}" in capsys.readouterr().err
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert cli.main(["trials", "flat", "--seeds", "1000:1001", "--out", str(tmp_path / "file")]) == 2
-    assert "cannot make the folder" in capsys.readouterr().err
+    assert "cannot create the folder" in capsys.readouterr().err
 
 
 def report(success: bool, seed: int = 3) -> Report:
@@ -286,7 +290,7 @@ def test_a_machine_that_cannot_warm_up_does_not_walk(
 ) -> None:
     from sextant.deploy.runs import live_run
 
-    monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); its last words: no mujoco")
+    monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); last output: no mujoco")
     assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1
     assert "no mujoco" in (printed := capsys.readouterr().err)
     assert "sextant doctor" in printed
@@ -342,8 +346,8 @@ def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatc
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from sextant.deploy.campaign import campaign_table
     from sextant.deploy.runs import lockstep_run
-    from sextant.deploy.trials import campaign_table
 
     left: list[Path] = []
 
@@ -373,9 +377,9 @@ def test_trials_of_all_terrains_print_one_table(
 def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.judging.report import Passage, Section
+    from sextant.deploy.campaign import campaign_table
+    from sextant.deploy.evaluation.report import Passage, Section
     from sextant.deploy.runs import lockstep_run
-    from sextant.deploy.trials import campaign_table
 
     passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(
@@ -394,8 +398,8 @@ def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
 def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from sextant.deploy.campaign import campaign_table
     from sextant.deploy.runs import lockstep_run
-    from sextant.deploy.trials import campaign_table
     from sextant.shared.scenario.scenario import trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
@@ -426,7 +430,7 @@ def test_trials_of_a_changed_program_are_refused_in_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
 
-    monkeypatch.setattr(batch, "_begun_by", lambda: (b"another", "abc1234"))
+    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another", "abc1234"))
     assert cli.main(["trials", "flat", "--seeds", "0:3", "--out", str(tmp_path)]) == 2
     assert "restore commit abc1234" in capsys.readouterr().err
 
@@ -474,3 +478,31 @@ def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
         )
     assert done.returncode == 1
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("words", [["info", "nowhere.mcap"], ["recover", "nowhere.mcap"]])
+def test_a_command_that_has_moved_works_with_a_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words) == 2
+    hint, error = capsys.readouterr().err.splitlines()
+    assert hint == f"`sextant {words[0]}` is now `sextant recording {words[0]}`"
+    assert error.startswith(f"sextant recording {words[0]}: nowhere.mcap")
+
+
+def test_a_benchmark_has_moved_out_of_the_package(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(Path(__file__).parents[3])
+    assert cli.main(["bench", "roles", "--only", "king"]) == 2
+    hint, error = capfd.readouterr().err.splitlines()
+    assert hint == "`sextant bench` is now `python -m benchmarks`"
+    assert error.startswith("python -m benchmarks roles: --only")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    assert cli.main(["faults", "--list"]) == 2
+    assert "in a checkout of Sextant" in capfd.readouterr().err
+
+
+def test_the_help_of_each_command_fits_a_screen_and_there_are_at_most_sixteen() -> None:
+    parser = cli._parser()
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    listed = {choice.dest for choice in commands._choices_actions}
+    assert len(listed) <= 16
+    for name in listed:
+        assert commands.choices[name].format_help().count("\n") <= 60, name

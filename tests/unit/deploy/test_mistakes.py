@@ -6,12 +6,14 @@ Each ends with status 1 or 2 and one sentence, never with a traceback.
 import json
 import os
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from benchmarks import cli as benchmarks
 from sextant.deploy import cli
 
 SCENARIO = """name = "mine"
@@ -77,7 +79,6 @@ MISTAKES = [
     ("trial flat --seeds 0:2", "did you mean 'trials'?"),
     ("topics lst", "unknown 'lst'; did you mean 'list'?"),
     ("servos calibarte", "unknown 'calibarte'; did you mean 'calibrate'?"),
-    ("bench acuracy", "did you mean 'accuracy'?"),
     ("keys shwo here", "did you mean 'show'?"),
     ("demo step", "did you mean 'steps'?"),
     ("up onbord", "did you mean 'onboard'?"),
@@ -94,7 +95,7 @@ MISTAKES = [
     ("trials flat --seeds 5", "--seeds: A:B with A < B expected"),
     ("trials flat --seeds 0:1000000000000", "--seeds: at most 1000000 seeds expected"),
     ("trials flat --seeds 0:2 --jobs 100000", "--jobs: a whole number of 1 to 256 expected"),
-    ("foxglove --port 99999", "--port: a whole number of 0 to 65535 expected"),
+    ("topics foxglove --port 99999", "--port: a whole number of 0 to 65535 expected"),
     ("servos calibrate --pose 0 0 nan", "--pose: degrees from -180 to 180 expected, found 'nan'"),
     ("servos test --leg front", "--leg: unknown 'front'; did you mean 'left front'?"),
     ("video run --size huge", "--size: WxH expected"),
@@ -102,8 +103,6 @@ MISTAKES = [
     ("run flat --lockstep --link fast", "--link: MS,MBIT,LOSS expected"),
     ("run flat --lockstep --link 1e9,1,0", "delay_ms from 0 to 1000 expected"),
     ("plot run --what hieght", "did you mean"),
-    ("faults limp_servo", "limp_servo"),
-    ("fuzz --only camera/dept", "did you mean 'camera/depth'?"),
     ("up offboard --with plannar", "did you mean 'planner'?"),
     ("up onboard --set actuator.rate=50", "rate"),
     # Names of scenarios and profiles.
@@ -111,7 +110,7 @@ MISTAKES = [
     ("run flat.tmol --lockstep", "no scenario 'flat.tmol'; did you mean 'flat'?"),
     ("run nowhere.toml --lockstep", "nowhere.toml: no such file"),
     ("run flat --lockstep --robot fantomx_mk2", "no profile 'fantomx_mk2'; did you mean 'phantomx_mk2'?"),
-    ("compose --scenario rubbel", "did you mean 'rubble'?"),
+    ("service compose --scenario rubbel", "did you mean 'rubble'?"),
     # Files.
     ("run typo.toml --lockstep", "goal.distanse: unknown key; did you mean 'distance'?"),
     ("run gait.toml --lockstep", "did you mean 'tripod'?"),
@@ -121,7 +120,7 @@ MISTAKES = [
     ("run utf16.toml --lockstep", "utf16.toml: UTF-8 text expected, found UTF-16"),
     ("run latin1.toml --lockstep", "latin1.toml:1: UTF-8 text expected, found byte 0xdc"),
     ("run deep.toml --lockstep", "deep.toml: TOML expected, found lists or tables more than 32 deep"),
-    ("run empty.toml --lockstep", "name: missing; a value of a text is needed"),
+    ("run empty.toml --lockstep", "name: missing; a text is needed"),
     ("run pipe.toml --lockstep", "pipe.toml: a file expected, found a pipe"),
     ("run . --lockstep", "no scenario '.'"),
     ("run none.toml --lockstep", "gone.npy"),
@@ -131,17 +130,17 @@ MISTAKES = [
     ("run flat --lockstep --robot loop.toml", "which extends this one"),
     ("run flat --lockstep --robot legs.toml", "links.femure: unknown key; did you mean 'femur'?"),
     ("run flat --lockstep --robot .", "no profile '.'"),
-    ("run flat --lockstep --out notes.txt", "cannot make the folder notes.txt"),
+    ("run flat --lockstep --out notes.txt", "cannot create the folder notes.txt"),
     ("fleet fleet.toml", "robots.alpha.conect: unknown key; did you mean 'connect'?"),
     ("fleet fleat.toml", "fleat.toml: no such file"),
     ("replay depth", "gone.png: no such file"),
     ("replay bent", "camera.toml: k1: 0 (distortion"),
-    ("replay unsorted", "depth.txt:2: times that ascend expected"),
+    ("replay unsorted", "depth.txt:2: ascending times expected"),
     ("replay notes.txt", "notes.txt"),
     ("replay recording.mcap", "recording.mcap"),
-    ("info notes.txt", "notes.txt"),
-    ("info gone.mcap", "gone.mcap"),
-    ("recover notes.txt", "notes.txt"),
+    ("recording info notes.txt", "notes.txt"),
+    ("recording info gone.mcap", "gone.mcap"),
+    ("recording recover notes.txt", "notes.txt"),
     ("video gone", "gone: no such run"),
     ("plot gone", "gone"),
     ("plot run", "run"),
@@ -154,10 +153,22 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "message"), MISTAKES, ids=lambda value: value[:60])
-def test_a_mistake_is_named_in_one_sentence(line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+OF_BENCHMARKS = [
+    ("acuracy", "did you mean 'accuracy'?"),
+    ("faults limp_servo", "limp_servo"),
+    ("fuzz --only camera/dept", "did you mean 'camera/depth'?"),
+]
+CASES = [(cli.main, "sextant", *case) for case in MISTAKES] + [
+    (benchmarks.main, benchmarks.PROGRAM, *case) for case in OF_BENCHMARKS
+]
+
+
+@pytest.mark.parametrize(("main", "program", "line", "message"), CASES, ids=lambda value: str(value)[:60])
+def test_a_mistake_is_named_in_one_sentence(
+    main: Callable[[Sequence[str]], int], program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     try:
-        status = cli.main(line.split())
+        status = main(line.split())
     except SystemExit as ended:
         status = int(str(ended.code))
     printed = capsys.readouterr()
@@ -165,4 +176,4 @@ def test_a_mistake_is_named_in_one_sentence(line: str, message: str, here: Path,
     assert message in printed.err
     assert "Traceback" not in printed.err
     assert all(line.startswith("  - ") for line in printed.err.splitlines()[1:]), "one sentence, or a list of problems"
-    assert re.match(r"sextant\b", printed.err)
+    assert re.match(rf"{program}\b", printed.err)

@@ -20,7 +20,7 @@ from sextant.deploy.launch.launcher import free_port
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
-from sextant.services.simulator.servo_bus.bench_emulator import Workbench
+from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
@@ -33,12 +33,12 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 @pytest.fixture
-def bench() -> Workbench:
-    return Workbench(PROFILE, np.random.default_rng(1))
+def bench() -> BenchEmulator:
+    return BenchEmulator(PROFILE, np.random.default_rng(1))
 
 
 @pytest.fixture
-def url(bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     with TcpBusServer(bench) as server:
@@ -53,14 +53,14 @@ def url(bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
         (["calibrate", "--pose", "0", "0", "90"], "--pose: a pose within the left front leg's limits expected, found tibia 90"),
         (["calibrate", "--out", "other.toml"], "other.toml is a lotriet_rx64, phantomx_mk2 expected"),
         (["calibrate", "--out", "other"], "--out: a file that ends in .toml expected, found other"),
-        (["calibrate", "--out", "nowhere/other.toml"], "--out: a folder that is there and may be written expected"),
+        (["calibrate", "--out", "nowhere/other.toml"], "--out: an existing, writable folder expected"),
         (["scan", "--ids", "0:300"], "ids of servos expected, 0 to 253, found '0:300'"),
         (["emulate", "--listen", "70000"], "--listen: a whole number of 0 to 65535 expected, found '70000'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_wrong_input_is_refused_before_a_servo_hears_of_it(
-    words: list[str], hint: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], hint: str, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("other.toml").write_text('extends = "lotriet_rx64"\n')
     try:
@@ -87,7 +87,7 @@ def test_a_port_that_is_not_there_fails_in_words(command: str, capsys: pytest.Ca
 
 @pytest.mark.parametrize("command", ["set-id", "calibrate", "test"])
 def test_where_nobody_answers_nothing_moves(
-    command: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    command: str, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if command == "set-id":
         bench.unplug(bench._with_id(9))  # otherwise there is no question
@@ -96,12 +96,14 @@ def test_where_nobody_answers_nothing_moves(
     assert not bench.counts.instructions[dxl.Instruction.WRITE]
 
 
-def test_a_scan_for_scripts_and_for_people_say_the_same(bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scan_for_scripts_and_for_people_say_the_same(
+    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench.unplug(bench._with_id(9))
     words = ["servos", "scan", "--port", url, "--ids", "1:19"]
     assert cli.main([*words, "--json"]) == 1
     heard = capsys.readouterr()
-    assert heard.err == "asking 18 ids at 1000000 baud; those that nobody has take a while\n"
+    assert heard.err == "scanning 18 ids at 1000000 baud; unused ids take longer\n"
     table = json.loads(heard.out)
     assert [row["id"] for row in table["servos"]] == [i for i in range(1, 19) if i != 9]
     assert table["servos"][0] == {
@@ -117,18 +119,18 @@ def test_a_scan_for_scripts_and_for_people_say_the_same(bench: Workbench, url: s
 
 
 def test_what_is_to_be_done_for_several_servos_is_said_once(
-    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for servo_id in (9, 10, 11):
         bench.unplug(bench._with_id(servo_id))
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:19"]) == 1
     told = capsys.readouterr().out.splitlines()
     assert {line.split(" (")[0] for line in told[-4:-1]} == {"servo 9", "servo 10", "servo 11"}
-    assert told[-1].startswith("  -> see to its cable")
+    assert told[-1].startswith("  -> check its cable")
     assert sum("->" in line for line in told) == 1
 
 
-def test_where_nobody_answers_that_is_said_once(bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nobody_answers_that_is_said_once(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
     bench.unplug(range(18))
     words = ["servos", "scan", "--port", url, "--ids", "1:4"]
     assert cli.main(words) == 1
@@ -139,13 +141,13 @@ def test_where_nobody_answers_that_is_said_once(bench: Workbench, url: str, caps
     assert len(json.loads(capsys.readouterr().out)["problems"]) == 3, "a script is told of each"
     assert cli.main(["servos", "off", "--port", url]) == 1
     told = capsys.readouterr().out.splitlines()
-    assert told[0] == "each of 18 servos does not answer, or refuses"
+    assert told[0] == "each of 18 servos does not answer, or refuses the order"
     assert "--bridge" in told[1]
-    assert told[2] == "0 of 18 servos say that torque is off"
+    assert told[2] == "0 of 18 servos confirm torque off"
 
 
 def test_a_calibration_of_a_file_goes_into_it_and_beside_it_where_asked(
-    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["servos", "calibrate", "--port", url, "--yes", "--leg", LEGS[2]]
     Path("deep").mkdir()
@@ -162,7 +164,7 @@ def test_a_calibration_of_a_file_goes_into_it_and_beside_it_where_asked(
 
 @pytest.mark.parametrize(("torque", "left"), [("on", 1), ("off", 0), ("", 0)])
 def test_torque_is_left_as_a_script_says(
-    torque: str, left: int, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    torque: str, left: int, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["servos", "test", "--port", url, "--yes", "--leg", LEGS[0], *(["--torque", torque] if torque else [])]
     assert cli.main(words) == 0
@@ -180,11 +182,11 @@ def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
     port, link = os.ttyname(end), tmp_path / "link"
     link.symlink_to(port)
     with closing(open_port(port)):
-        assert cli.main(["servos", "off", "--port", str(link)]) == 1, "nobody says that torque is off"
+        assert cli.main(["servos", "off", "--port", str(link)]) == 1, "torque off is not confirmed"
     told = capsys.readouterr()
     assert f"{link} is in use" in told.err
-    assert "torque is latched off: an actuator that has this port lets go at once" in told.out
-    assert "see whether the legs give way" in told.err
+    assert "torque is latched off: an actuator on this port turns it off at once" in told.out
+    assert "if the legs do not give way" in told.err
     for name in (str(link), port):
         latch = Latch.of_port(name)
         assert latch.closed
@@ -210,7 +212,7 @@ def test_torque_is_latched_off_where_the_port_is_gone_and_where_it_is_free(
 
 
 def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "not there",))
     bench._servos.tables[:, dxl.TORQUE_ENABLE.address] = 1
@@ -220,7 +222,9 @@ def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
 
 
 @pytest.mark.parametrize("deaf", [False, True])
-def test_torque_goes_off_at_the_port_itself(deaf: bool, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_torque_goes_off_at_the_port_itself(
+    deaf: bool, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Turn torque off for a standing robot whose actuator is gone.
 
     One of its servos may have lost its cable since.
@@ -233,8 +237,8 @@ def test_torque_goes_off_at_the_port_itself(deaf: bool, bench: Workbench, url: s
         bench.unplug(bench._with_id(9))
     assert cli.main(["servos", "off", "--port", url]) == int(deaf)
     told = capsys.readouterr().out
-    assert ("17 of 18 servos say that torque is off" if deaf else "torque is off: 18 of 18 servos say so") in told
-    assert ("servo 9 (left rear femur) does not answer, or refuses" in told) == deaf
+    assert ("17 of 18 servos confirm torque off" if deaf else "torque is off: confirmed by 18 of 18 servos") in told
+    assert ("servo 9 (left rear femur) does not answer, or refuses the order" in told) == deaf
     assert int(torque.sum()) == int(deaf)
     if not deaf:
         assert cli.main(["servos", "scan", "--port", url]) == 0
@@ -247,7 +251,7 @@ def test_torque_goes_off_behind_a_microcontroller(tmp_path: Path, monkeypatch: p
     No other process uses the board.
     """
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
-    bench = Workbench(PROFILE, np.random.default_rng(1))
+    bench = BenchEmulator(PROFILE, np.random.default_rng(1))
     torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
     torque[:] = 1
     with TcpBusServer(Board(bench)) as server:
@@ -258,18 +262,18 @@ def test_torque_goes_off_behind_a_microcontroller(tmp_path: Path, monkeypatch: p
 
 
 def test_a_microcontroller_that_is_none_is_told(
-    bench: Workbench, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    bench: BenchEmulator, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
     assert cli.main(["servos", "off", "--bridge", "--port", url]) == 1
     told = capsys.readouterr().err
-    assert "nobody says that torque is off" in told
+    assert "torque off is not confirmed" in told
     assert "no bridge answers on the port" in told
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
 def test_a_signal_in_the_midst_of_a_move_leaves_torque_off_and_all_as_before(
-    number: signal.Signals, bench: Workbench, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: signal.Signals, bench: BenchEmulator, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Handle a signal during a move, also twice, as from a hang-up or a second Ctrl-C."""
     receive, sent = bench.receive, []
@@ -303,17 +307,17 @@ def test_a_command_runs_in_another_thread_too(url: str, capsys: pytest.CaptureFi
 
 
 def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
-    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.bend(LEGS.index("left rear"), np.radians([0.0, 40.0, 0.0]))
     assert cli.main(["servos", "calibrate", "--port", url, "--leg", "left rear", "--yes"]) == 1
     told = capsys.readouterr().out
     assert told.count("the leg is not in the pose") == 1
-    assert "the left rear leg is left out" in told
+    assert "the left rear leg is skipped" in told
 
 
 @pytest.mark.filterwarnings("ignore:.*socket.*:pytest.PytestUnraisableExceptionWarning")  # pyserial drops a closed socket
-def test_a_second_program_is_told_that_it_is_not_alone(bench: Workbench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_program_is_told_that_it_is_not_alone(bench: BenchEmulator, capsys: pytest.CaptureFixture[str]) -> None:
     """Report that the port is in use.
 
     Otherwise the second program would receive nothing and suspect 18 cables.
@@ -328,6 +332,6 @@ def test_a_second_program_is_told_that_it_is_not_alone(bench: Workbench, capsys:
                 first.sendall(dxl.ping(2))
                 assert first.recv(64)
             assert cli.main(["servos", "scan", "--port", server.url, "--ids", "1:3"]) == 0
-            assert "2 of all 18 servos of phantomx_mk2 were asked, and are in order" in capsys.readouterr().out, (
+            assert "2 of all 18 servos of phantomx_mk2 were scanned and are in order" in capsys.readouterr().out, (
                 "next is served"
             )

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sextant.deploy import cli
-from sextant.deploy.video import files, ground
+from sextant.deploy.video import ground, video_writer
+from sextant.deploy.video.captions import Caption
 from sextant.deploy.video.film import Cut, Film
-from sextant.deploy.video.painter import Figure, Mark, Painter, View
-from sextant.deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
+from sextant.deploy.video.rasterizer import blank, draw_faces, draw_field, draw_limbs
+from sextant.deploy.video.renderer import Figure, Mark, Painter, View
 from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
 from sextant.deploy.video.sinking import Sinking
-from sextant.deploy.video.story import Maps, Moment, Story, Track
-from sextant.deploy.video.words import Caption
+from sextant.deploy.video.timeline import Maps, Moment, Story, Track
 from sextant.services.simulator.physics.solids import Boxes
 from sextant.services.simulator.physics.terrain import Terrain, Weak
 from sextant.shared.files.whole_files import WriteError
@@ -172,7 +172,7 @@ def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Story
         assert story.began_ns <= shown[0]
         assert shown[-1] <= story.ended_ns
     for from_s, to_s in ((5.0, 6.0), (2.0, 2.0), (3.0, 1.0)):
-        with pytest.raises(ValueError, match=r"a part of the 4\.0 s"):
+        with pytest.raises(ValueError, match=r"a part of the recorded 4\.0 s"):
             Cut(from_s=from_s, to_s=to_s).times_ns(story)
 
 
@@ -414,7 +414,7 @@ def test_maps_come_as_time_goes_on(run: Path) -> None:
 def test_a_video_has_the_size_and_the_pictures_that_went_in(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"walk{suffix}"
     shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
-    assert files.write(path, shades, 10.0, (160, 96)) == 5
+    assert video_writer.write(path, shades, 10.0, (160, 96)) == 5
     video, read = cv2.VideoCapture(str(path)), []
     while (got := video.read())[0]:
         read.append(got[1][..., ::-1])
@@ -428,7 +428,7 @@ def test_a_video_has_the_size_and_the_pictures_that_went_in(tmp_path: Path, suff
 def test_an_animated_picture_moves(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"walk{suffix}"
     shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
-    assert files.write(path, shades, 10.0, (160, 96)) == 5
+    assert video_writer.write(path, shades, 10.0, (160, 96)) == 5
     with Image.open(path) as image:
         assert (image.size, image.n_frames) == ((160, 96), 5)  # type: ignore[attr-defined]
         for k, shade in enumerate(shades):
@@ -442,7 +442,7 @@ def test_a_gif_keeps_the_color_of_what_is_small_and_vivid(tmp_path: Path) -> Non
     picture = np.stack([60 + x // 3, 80 + y // 2, 90 + (x + y) // 6], axis=-1).astype(np.uint8)
     picture[40:44, 50:54] = (219, 22, 102)
     picture[90:94, 200:204] = (18, 158, 110)
-    assert files.write(path, [picture, picture[::-1]], 10.0, (320, 192)) == 2
+    assert video_writer.write(path, [picture, picture[::-1]], 10.0, (320, 192)) == 2
     with Image.open(path) as image:
         found = np.asarray(image.convert("RGB")).astype(int)
     assert np.abs(found - picture).max(axis=-1).mean() < 6
@@ -457,18 +457,18 @@ def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
 
     for suffix in (".mp4", ".webp"):
         with pytest.raises(KeyboardInterrupt):
-            files.write(tmp_path / f"walk{suffix}", breaks_off(), 10.0, (160, 96))  # type: ignore[arg-type]
+            video_writer.write(tmp_path / f"walk{suffix}", breaks_off(), 10.0, (160, 96))  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm"])
 def test_a_film_that_lacks_its_end_is_said_and_not_left(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [np.full((96, 160, 3), 10 * k, dtype=np.uint8) for k in range(12)]
-    assert files.write(tmp_path / f"whole{suffix}", frames, 10.0, (160, 96)) == 12
-    assert files._frames_in(tmp_path / f"whole{suffix}") == 12
-    monkeypatch.setattr(files, "_frames_in", lambda _: 11)  # as OpenCV leaves it on a full disk, without an error
+    assert video_writer.write(tmp_path / f"whole{suffix}", frames, 10.0, (160, 96)) == 12
+    assert video_writer._frames_in(tmp_path / f"whole{suffix}") == 12
+    monkeypatch.setattr(video_writer, "_frames_in", lambda _: 11)  # as OpenCV leaves it on a full disk, without an error
     with pytest.raises(WriteError, match="cannot be written: the disk is full"):
-        files.write(tmp_path / f"cut{suffix}", frames, 10.0, (160, 96))
+        video_writer.write(tmp_path / f"cut{suffix}", frames, 10.0, (160, 96))
     assert [path.name for path in tmp_path.iterdir()] == [f"whole{suffix}"]
 
 
@@ -476,7 +476,7 @@ def test_the_command_draws_a_run_and_says_what_came_of_it(run: Path, capsys: pyt
     out = run / "short.webp"
     words = ["video", str(run), "--out", str(out), "--size", "160x96", "--fps", "5", "--from", "1", "--to", "3", "--speed", "2"]
     assert cli.main(words) == 0
-    assert f"{out}: 5 pictures, 1.0 s at 5 a second" in capsys.readouterr().out
+    assert f"{out}: 5 frames, 1.0 s at 5 frames per second" in capsys.readouterr().out
     with Image.open(out) as image:
         assert (image.size, image.n_frames) == ((160, 96), 5)  # type: ignore[attr-defined]
 
@@ -487,7 +487,7 @@ def test_what_was_cut_off_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path, 
     path.write_bytes(whole[: int(0.6 * len(whole))])
     out = tmp_path / "walk.webp"
     assert cli.main(["video", str(path), "--out", str(out), "--size", "64x64", "--fps", "1"]) == 0
-    assert "was cut off: it is drawn as far as it goes" in capsys.readouterr().err
+    assert "is truncated; its first" in capsys.readouterr().err
     assert out.is_file()
 
 
@@ -499,7 +499,7 @@ def another_ground(folder: Path) -> list[str]:
 def test_a_ground_that_is_not_known_is_said_and_can_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = another_ground(tmp_path)
     assert cli.main(words) == 0
-    assert "drawn on the map that the robot made" in capsys.readouterr().err
+    assert "the video shows the robot's map instead" in capsys.readouterr().err
     assert cli.main([*words, "--scenario", "flat"]) == 0
     assert capsys.readouterr().err == ""
     assert cli.main([*words, "--scenario", "nowhere"]) == 2
@@ -514,7 +514,7 @@ WRONG: dict[str, tuple[Spoil, str]] = {
     "an unknown suffix": (lambda folder: [recorded(folder), "--out", "walk.mov"], "one of .mp4, .webm"),
     "beyond the end": (
         lambda folder: [recorded(folder), "--from", "30", "--out", str(folder / "w.webp")],
-        "a part of the 4.0 s",
+        "a part of the recorded 4.0 s",
     ),
 }
 

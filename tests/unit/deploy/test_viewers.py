@@ -30,13 +30,13 @@ def recorded(tmp_path: Path) -> Path:
 
 def test_a_recording_is_written_for_rerun(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rerun", reason="rerun, of the extra of that name: pip install -e '.[rerun]'")
-    assert cli.main(["export", str(recorded), "--rerun", str(tmp_path / "r.rrd")]) == 0
+    assert cli.main(["recording", "export", str(recorded), "--rerun", str(tmp_path / "r.rrd")]) == 0
     assert "102 messages" in capsys.readouterr().out, "of the maps the recorder keeps one a second"
     assert (tmp_path / "r.rrd").read_bytes()[:4] in (b"RRF2", b"RRIO")
 
 
 def test_what_cannot_be_exported_is_said(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["export", str(recorded), "--rerun", str(tmp_path / "r.mp4")]) == 2
+    assert cli.main(["recording", "export", str(recorded), "--rerun", str(tmp_path / "r.mp4")]) == 2
     assert "ends in .rrd expected" in capsys.readouterr().err
 
 
@@ -44,7 +44,7 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
     from websockets.sync.client import connect
 
-    from sextant.deploy.foxglove_server import FoxgloveServer
+    from sextant.deploy.viewers.foxglove_server import FoxgloveServer
 
     with FoxgloveServer(PROFILE, "127.0.0.1", 0) as server:
         state = codec.encode(actuator_state(PROFILE, stamp_ns=7 * S))
@@ -75,9 +75,9 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
 
 def test_a_port_that_is_taken_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
-    from sextant.deploy.foxglove_server import FoxgloveServer
+    from sextant.deploy.viewers.foxglove_server import FoxgloveServer
 
     with FoxgloveServer(PROFILE, "127.0.0.1", 0) as server:
         port = server.target.rpartition(":")[2]
-        assert cli.main(["foxglove", "--port", port]) == 1
-    assert "--port names another" in capsys.readouterr().err
+        assert cli.main(["topics", "foxglove", "--port", port]) == 1
+    assert "give another port with --port" in capsys.readouterr().err

@@ -72,10 +72,10 @@ class Rig:
 GARBAGE = {
     "no pixels behind its points": (scan(ground(), count=np.zeros(len(ground()), np.uint8)), "counts of at least 1"),
     "a negative variance": (scan(ground(), pose_covariance=-np.eye(6)), "covariance"),
-    "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "1e+12 m beside its camera"),
-    "points far from their camera": (scan(ground(), origin=np.array([1e5, 0.0, 0.0])), "1e+05 m beside its camera"),
-    "a camera that is elsewhere": (scan(ground(), p_world_camera=np.array([40.0, 0.0, 0.25])), "40 m from where the body is"),
-    "a camera at the end of the world": (scan(ground(), p_world_camera=np.full(3, codec.MAX_NUMBER)), "from where the body is"),
+    "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "1e+12 m away from its camera"),
+    "points far from their camera": (scan(ground(), origin=np.array([1e5, 0.0, 0.0])), "1e+05 m away from its camera"),
+    "a camera that is elsewhere": (scan(ground(), p_world_camera=np.array([40.0, 0.0, 0.25])), "40 m away from the body"),
+    "a camera at the end of the world": (scan(ground(), p_world_camera=np.full(3, codec.MAX_NUMBER)), "away from the body"),
 }
 
 
@@ -85,7 +85,7 @@ def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> 
     before = rig.map(scan(ground()))
     assert before is not None
     for _ in range(5):
-        assert rig.map(garbage) is None, "nobody takes the old map for a new one"
+        assert rig.map(garbage) is None, "the old map is not taken for a new one"
         assert words in rig.mapper.doing()
     after = rig.map(scan(ground()))
     assert after is not None
@@ -160,7 +160,7 @@ def test_one_scan_for_five_seconds_is_mapped_once() -> None:
     assert rig.map(scan(ground())) is not None
     for k in range(1, 16):
         assert rig.map(scan(ground()), late_ns=k * 66_000_000) is None
-        assert "no newer" in rig.mapper.doing()
+        assert "not newer" in rig.mapper.doing()
     assert rig.map(scan(ground())) is not None
 
 

@@ -242,17 +242,17 @@ def test_a_passage_is_told_of_while_somebody_asks_and_only_then() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan()
-    assert "surveying" not in rig.mapper.doing()
+    assert "mapping a gap" not in rig.mapper.doing()
     (told,) = surveyed(rig, STRIP)
     assert told.stamp_ns == rig.now_ns
     assert told.elevation.shape == (270, 100)
     np.testing.assert_allclose(told.origin, [-0.445, -0.495])
-    assert "surveying" in rig.mapper.doing()
+    assert "mapping a gap" in rig.mapper.doing()
     rig.now_ns += 1600 * MS
     rig.inbox.now_ns = rig.now_ns
     made = without_receipt(rig.mapper.step(ground_scan(rig.now_ns, 0.0), rig.inbox))
     assert [type(m) for m in made] == [TerrainMap]
-    assert "surveying" not in rig.mapper.doing()
+    assert "mapping a gap" not in rig.mapper.doing()
 
 
 def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
@@ -328,7 +328,7 @@ def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
         ((0.0, 0.0), 0.0, -1.0, 1.0, "length and width"),
         ((0.0, 0.0), 0.0, 2.705, 1.0, "whole cells"),
         ((0.0, 0.0), 0.0, 50.0, 50.0, "at most 40000 cells"),
-        ((0.0, 0.0), 0.785, 100.0, 0.04, "in the box around it"),
+        ((0.0, 0.0), 0.785, 100.0, 0.04, "in the box around the strip"),
         ((1e9, 0.0), 0.0, 2.7, 1.0, "within"),
         ((0.0, 0.0), 0.0, 1.0, 0.02, "at least 3 cells along and across expected, found 100 x 2"),
         ((0.0, 0.0), 0.0, 0.01, 1.0, "at least 3 cells"),
@@ -421,7 +421,7 @@ def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the
     early, late = ground.heights(np.array([[0.55, 0.0], [0.9, 0.0]]))
     assert late == pytest.approx(0.0008 * 59, abs=0.003)
     assert early == pytest.approx(late, abs=0.005)
-    assert "drifted by +" in rig.mapper.doing()
+    assert "compensates +" in rig.mapper.doing()
 
 
 @pytest.mark.parametrize("lifted", [-50.0, 50.0])
@@ -471,7 +471,7 @@ def test_a_map_without_ground_under_the_feet_that_stand_is_begun_again() -> None
     made = Terrain(stand_on_what_was_seen(rig, 0.75, on_pillars=0))
     np.testing.assert_allclose(made.heights(PROFILE.rest_feet(HEIGHT)[:, :2]), 0.0, atol=0.02)
     assert np.isnan(made.heights(np.array([[-0.45, 0.0]]))).all(), "what it knew elsewhere is forgotten"
-    assert "begun again 1 times: the feet stood where it showed no ground" in rig.mapper.doing()
+    assert "restarted 1 times because the feet stood where the map had no ground" in rig.mapper.doing()
 
 
 @pytest.mark.parametrize(
@@ -482,7 +482,7 @@ def test_a_map_without_ground_under_the_feet_that_stand_is_begun_again() -> None
 def test_it_is_kept_where_feet_may_stand_on_what_it_shows(depth: float, on_pillars: int, scans: int) -> None:
     rig = Rig()
     stand_on_what_was_seen(rig, depth, on_pillars, scans)
-    assert "begun again" not in rig.mapper.doing()
+    assert "restarted" not in rig.mapper.doing()
 
 
 def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> None:

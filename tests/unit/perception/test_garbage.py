@@ -129,7 +129,7 @@ def test_one_frame_for_five_seconds(world) -> None:  # type: ignore[no-untyped-d
     late = made[5:]
     assert all(not pose_of(messages).ok and "frozen" in pose_of(messages).reason for messages in late)
     assert all(scan_of(messages) is None for messages in late)
-    assert "same picture for 5.0 s" in pose_of(made[-1]).reason
+    assert "same image for 5.0 s" in pose_of(made[-1]).reason
     np.testing.assert_allclose(pose_of(made[-1]).T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=12e-3)
     for _ in range(3):
         messages = rig.see()

@@ -150,7 +150,7 @@ def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(m
     for ok, named in ((False, True), (True, False)):
         state = CameraState(rig.now_ns, device="openni2", ok=ok, reason="" if ok else "no device found; plug it in")
         rig.inbox.receive(topics.CAMERA_STATE, codec.encode(state), rig.now_ns)
-        assert ("the camera sends none: no device found" in rig.status().reason) is named
+        assert ("the camera sends no images: no device found" in rig.status().reason) is named
     rig.plans(50)
     assert "camera" not in rig.status().reason, "it has not been heard of for a second"
 
@@ -161,7 +161,7 @@ def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
     unknown, rng = np.full(shape, np.nan, np.float32), np.random.default_rng(0)
     return {
         "not seen": replace(map_, elevation=unknown, score=unknown),
-        "of 113 cells": replace(map_, elevation=np.full(shape, np.inf, np.float32)),
+        "(113 cells": replace(map_, elevation=np.full(shape, np.inf, np.float32)),
         "left front leg": replace(map_, elevation=rng.normal(0.0, 1.0, shape).astype(np.float32)),
         "found 0 m": replace(map_, resolution=0.0),
         "found -0.01 m": replace(map_, resolution=-0.01),
@@ -350,7 +350,7 @@ def test_a_planner_that_comes_new_into_a_step_waits_for_its_end() -> None:
     new.begin(replace(first, step=7))
     assert new.plans(10, phase=0.2) == []
     assert new.plans(10, phase=0.8) == []
-    assert "not one of mine" in new.status().reason
+    assert "unknown step in progress" in new.status().reason
     new.finish(replace(first, step=7))
     assert {p.step for p in new.plans(10)} == {8}
 
@@ -418,7 +418,7 @@ def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
         assert len(part) > 1
         assert (np.diff(part) < 0).all()
     assert rig.status().state == "blocked"
-    assert rig.status().reason == "the actuator refuses every step that the ground allows: out of reach"
+    assert rig.status().reason == "the actuator refuses every feasible step: out of reach"
 
 
 def test_a_robot_that_was_refused_everything_tries_again_now_and_then_and_says_blocked_meanwhile() -> None:
@@ -458,8 +458,8 @@ def test_a_robot_that_stands_blocked_gathers_its_feet_and_then_goes_on() -> None
     np.testing.assert_allclose(plan.body_goal[:2, 3], 0.0, atol=1e-9)
     status = rig.status()
     assert status.state == "blocked", "the step does not lead on"
-    assert status.reason.startswith("feet back under the body: ")
-    assert "stretched" in status.reason
+    assert status.reason.startswith("moving the feet back under the body: ")
+    assert "out of reach" in status.reason
     rig.begin(plan)
     rig.cycle()
     rig.finish(plan)
@@ -489,7 +489,7 @@ def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_agai
     assert any((plan.swing != first.swing).any() for plan in others)
     status = rig.status()
     assert status.state == "blocked"
-    assert "the actuator refuses every step" in status.reason
+    assert "the actuator refuses every feasible step" in status.reason
 
 
 @pytest.mark.parametrize(
@@ -628,7 +628,7 @@ def test_the_status_carries_the_way_that_is_walked() -> None:
     rig.plans(3)
     status = rig.status()
     assert status.state == "stepping"
-    assert status.reason.startswith("0.6 m of way left to (0.6, 0.0)")
+    assert status.reason.startswith("0.6 m of path left to (0.6, 0.0)")
     np.testing.assert_allclose(status.path[[0, -1]], [[0.0, 0.0], [0.6, 0.0]], atol=1e-9)
 
 
@@ -636,14 +636,14 @@ def test_a_fresh_velocity_comes_before_a_goal_and_the_goal_after_it() -> None:
     rig = led((0.6, 0.0))
     rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
     assert rig.plans(20) == []
-    assert rig.status().reason == "no velocity is commanded"
+    assert rig.status().reason == "the commanded velocity is zero"
     assert not len(rig.status().path)
     rig.command = None
     assert rig.plans(30)
     rig.goal = None
     rig.plans(60)
     assert rig.plans(20) == []
-    assert rig.status().reason == "no fresh velocity command, and no goal"
+    assert rig.status().reason == "no fresh velocity command and no goal"
 
 
 def by_touch() -> Rig:
@@ -738,12 +738,12 @@ def test_into_ground_that_was_never_in_view_it_does_not_walk_and_says_to_look_fi
     rig.command = VelocityCommand(0, np.array(velocity), 0.0, HEIGHT, 0.04)
     take_steps(rig, 10)
     assert rig.status().state == "blocked"
-    assert rig.status().reason.endswith(f"; the ground there is unseen: turn {side} first to look at it")
+    assert rig.status().reason.endswith(f"; the ground there is unseen: turn {side} first to see it")
     rig.command = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
     take_steps(rig, 10)
     assert rig.status().state == "blocked"
     assert "not seen" in rig.status().reason
-    assert "to look at it" not in rig.status().reason, "it is in view"
+    assert "to see it" not in rig.status().reason, "it is in view"
 
 
 def test_on_mapped_ground_it_turns_on_the_spot() -> None:
@@ -891,7 +891,7 @@ def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
     first = rig.plans(10)[-1]
     rig.begin(first)
     rig.plans(5, phase=0.4)
-    rig.plans(30, phase=0.5, plan_ns=-1, reason="something holds the left front foot on its way; the step is taken back")
+    rig.plans(30, phase=0.5, plan_ns=-1, reason="an obstacle blocks the left front foot; the step is reversed")
     rig.state = replace(rig.state, mode=Mode.HOLD, phase=1.0, swing=NOBODY)
     again = rig.plans(10)[-1]
     assert again.step == first.step + 1
@@ -913,9 +913,9 @@ def test_where_no_other_step_goes_on_from_one_by_touch_it_goes_on_by_touch(monke
         rig.finish(replace(plan, touchdown=np.maximum(plan.touchdown, [-9.0, -9.0, PROFILE.foot.radius])))
         assert rig.pose is not None
         rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
-    stretched = Blocked("right rear leg: would be stretched beyond its limits at the end of the step")
+    stretched = Blocked("right rear leg: its foot would be out of reach at the end of the step")
     monkeypatch.setattr(rig.planner._strides, "choose", lambda *_: (stretched, 0))
     sent = rig.plans(40)
     assert sent, rig.status().reason
     assert sent[-1].stop
-    assert rig.status().reason.startswith("by touch")
+    assert rig.status().reason.startswith("walking by touch")

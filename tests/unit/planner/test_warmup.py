@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 
-from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
+from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.settings import PassageSettings

@@ -37,7 +37,7 @@ class Card {
   }
 
   order(order) {
-    if (!this.link.ask("order", { order })) this.wrong.textContent = `${order === "off" ? "torque off" : "stop"} has not gone out: there is no link`;
+    if (!this.link.ask("order", { order })) this.wrong.textContent = `${order === "off" ? "torque off" : "stop"} was not sent: no link`;
   }
 
   take(message) {
@@ -51,7 +51,7 @@ class Card {
     this.mode.className = `mode ${mode}`;
     this.reason.textContent = glance ? glance.reason : why;
     this.planner.textContent = glance ? glance.planner : "";
-    const known = glance ? [glance.voltage === null ? "" : `${glance.voltage.toFixed(1)} V`, glance.temperature === null ? "" : `hottest ${glance.temperature.toFixed(0)} °C`, glance.leader ? `${glance.leader} leads` : "nobody leads"] : [];
+    const known = glance ? [glance.voltage === null ? "" : `${glance.voltage.toFixed(1)} V`, glance.temperature === null ? "" : `hottest ${glance.temperature.toFixed(0)} °C`, glance.leader ? `${glance.leader} is in control` : "no client is in control"] : [];
     this.power.textContent = known.filter(Boolean).join(", ");
     this.wrong.textContent = glance && glance.silent.length ? `silent: ${glance.silent.join(", ")}` : "";
     this.fine = Boolean(glance && glance.mode);
@@ -63,7 +63,7 @@ let cards = [];
 
 function count() {
   const here = cards.filter((card) => card.fine).length;
-  $("count").textContent = `${here} of ${cards.length} robots are heard`;
+  $("count").textContent = `${here} of ${cards.length} robots are connected`;
 }
 
 function orderAll(order) {

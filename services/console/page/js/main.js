@@ -103,7 +103,7 @@ function clicked(point) {
   if (!aiming) return;
   aim(false);
   if (!point) {
-    panels.notice("nothing is known of the ground there; click on the map");
+    panels.notice("the ground is unknown there; click on the map");
     return;
   }
   link.ask("go to", { waypoints: [[point.x, point.y]], speed: Number($("speed").value), ...walk(), passage: $("passage").checked });

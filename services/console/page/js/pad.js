@@ -60,7 +60,7 @@ export class Pad {
     this.readGamepad();
     if (frozen && this.held) {
       this.cut();
-      this.sayCut("this page stood still for a moment, and the robot was stopped; let go of the pad and press it anew");
+      this.sayCut("this page was paused, and the robot was stopped; release the pad and press it again");
     }
     const wish = this.wish();
     if (wish === null) {

@@ -66,11 +66,11 @@ export class Panels {
   state(state) {
     const { legs } = state;
     set("mode-word", legs ? legs.mode : "lost", legs ? legs.mode : "lost");
-    set("mode-reason", legs ? legs.reason : "no word from the actuator");
+    set("mode-reason", legs ? legs.reason : "no message from the actuator");
     const leading = state.seats.find((seat) => seat.leads);
     const mine = Boolean(leading) && leading.seat === this.seat;
     const lease = legs ? legs.lease : "";
-    set("leader-words", mine ? "you lead" : lease ? `${leading ? leading.name : lease} leads` : "nobody leads");
+    set("leader-words", mine ? "you are in control" : lease ? `${leading ? leading.name : lease} is in control` : "no client is in control");
     mark($("leader"), mine ? "me" : "");
     $("take-over").hidden = mine || !lease || this.seat === 0;
     $("give-up").disabled = !state.goal;
@@ -81,7 +81,7 @@ export class Panels {
   numbers() {
     const { legs, planner, pose, camera, recorder } = this.newest;
     this.newest = null;
-    set("planner-words", planner ? `${planner.state}: ${planner.reason}` : "no word from the planner", planner && planner.state === "blocked" ? "bad" : "");
+    set("planner-words", planner ? `${planner.state}: ${planner.reason}` : "no message from the planner", planner && planner.state === "blocked" ? "bad" : "");
     const at = pose ? `x ${pose.T[3].toFixed(2)} m, y ${pose.T[7].toFixed(2)} m, ${((pose.yaw * 180) / Math.PI).toFixed(0)} deg` : "no pose";
     const overlap = pose && pose.overlap !== null ? `, overlap ${(100 * pose.overlap).toFixed(0)} %` : "";
     set("pose-words", `${at}${overlap}${pose && pose.reason ? `: ${pose.reason}` : ""}`, pose && !pose.ok ? "warn" : "");
@@ -99,7 +99,7 @@ export class Panels {
     const free = recorder.free_gigabytes === null ? "" : `, ${recorder.free_gigabytes} GB free`;
     const lost = recorder.dropped ? `, ${recorder.dropped} messages lost` : "";
     const how = `${recorder.seconds} s, ${recorder.megabytes} MB${free}${lost}`;
-    const words = recorder.recording ? `${how}: ${recorder.file}` : recorder.file ? `recorded ${recorder.file}` : `nothing yet${free}`;
+    const words = recorder.recording ? `${how}: ${recorder.file}` : recorder.file ? `recorded ${recorder.file}` : `no recording yet${free}`;
     return set("recorder-words", recorder.reason || words, recorder.reason ? "bad" : lost ? "warn" : "");
   }
 
@@ -107,7 +107,7 @@ export class Panels {
     const { stall_torque: stall, temperature_limit: hot, warn_voltage: low } = this.robot;
     const volts = legs.voltage === null ? "voltage unknown" : `${legs.voltage.toFixed(1)} V`;
     const warm = legs.temperature === null ? "temperature unknown" : `hottest ${legs.temperature.toFixed(0)} °C`;
-    const tired = legs.pace < 1 ? `, walks at ${(100 * legs.pace).toFixed(0)} %` : "";
+    const tired = legs.pace < 1 ? `, walking at ${(100 * legs.pace).toFixed(0)} %` : "";
     const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot - 12);
     set("power", `${volts}, ${warm}${tired}`, bad ? "warn" : "");
     this.cells.forEach(({ foot, bars }, i) => {
@@ -138,7 +138,7 @@ export class Panels {
       const silent = service.silent_s > 3;
       words.textContent = silent ? `silent for ${service.silent_s.toFixed(0)} s` : service.doing;
       line.className = silent ? "silent" : "";
-      const clock = service.robot_ahead_s ? [`another machine; the robot's clock is ${service.robot_ahead_s} s ahead of its own`] : [];
+      const clock = service.robot_ahead_s ? [`another machine; the robot's clock is ${service.robot_ahead_s} s ahead of its clock`] : [];
       line.title = [...clock, ...Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`)].join("\n");
       line.append(name, words);
       return line;

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning import bus_scan
-from sextant.services.actuator.commissioning.bus_scan import NotAServoBusError, Voice, look
+from sextant.services.actuator.commissioning.bus_scan import BusResponse, NotAServoBusError, scan_servo
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, ServoBus
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
@@ -46,8 +46,8 @@ def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> Non
     desk.reset(FEMUR)
     words = trouble(desk)
     assert "2 of 18 servos" in words
-    assert "servo 1 (left front coxa) is answered for more than once" in words
-    assert "1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+    assert "servo 1 (left front coxa) gives several or garbled answers" in words
+    assert "a reset sets id 1: this may be servo 9 (left rear femur)" in words
     assert (desk.tables[[desk.row(COXA)], dxl.RETURN_DELAY.address] == 0).all()
     assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # the scan has not configured the reset servo
 
@@ -56,7 +56,7 @@ def test_where_many_are_missing_who_was_reset_is_not_listed() -> None:
     desk = Desk()
     desk.reset(FEMUR)
     desk.bench.unplug([desk.row(i) for i in (3, 4, 5)])
-    assert "1 is what a reset leaves: it may be any of the 4 that are missing" in trouble(desk)
+    assert "a reset sets id 1: this may be any of the 4 missing servos" in trouble(desk)
 
 
 def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> None:
@@ -67,7 +67,7 @@ def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> Non
     desk.profile = replace(desk.profile, legs=legs)
     words = trouble(desk)
     assert "servo 9 (left rear femur) does not answer" in words
-    assert "servo 1 is none of the robot's; 1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+    assert "servo 1 is not one of the robot's servos; a reset sets id 1: this may be servo 9 (left rear femur)" in words
 
 
 @pytest.mark.parametrize("delay", [0, 250], ids=["speaking at once", "one after the other"])
@@ -77,7 +77,7 @@ def test_two_servos_with_one_id_are_found(delay: int) -> None:
     desk.change(FEMUR, dxl.ID, 16)
     words = trouble(desk)
     assert "servo 9 (left rear femur) does not answer" in words
-    assert "servo 16 (right middle femur) is answered for more than once" in words
+    assert "servo 16 (right middle femur) gives several or garbled answers" in words
 
 
 def test_nothing_is_written_to_a_servo_that_is_not_right() -> None:
@@ -91,16 +91,16 @@ def test_nothing_is_written_to_a_servo_that_is_not_right() -> None:
 
 def test_whoever_is_looked_at_says_all_of_itself() -> None:
     desk = Desk()
-    seen = bus_scan.look(desk.bus(), FEMUR)
+    seen = bus_scan.scan_servo(desk.bus(), FEMUR)
     assert seen is not None
-    assert seen.voice is Voice.CLEAR
+    assert seen.response is BusResponse.CLEAR
     assert (seen.model, seen[dxl.FIRMWARE], seen[dxl.ID], seen.is_wheel) == ("AX-12A", 24, FEMUR, False)
     assert seen.voltage == pytest.approx(12.6, abs=0.2)
     assert seen.temperature == 25.0
     table = desk.tables[desk.row(FEMUR)]
     assert (np.frombuffer(seen.table, dtype=np.uint8)[:19] == table[:19]).all()
     assert (np.frombuffer(seen.table, dtype=np.uint8)[24:] == table[24:48]).all()
-    assert bus_scan.look(desk.bus(), 99) is None
+    assert bus_scan.scan_servo(desk.bus(), 99) is None
 
 
 def test_a_call_in_order_costs_no_timeouts() -> None:
@@ -126,10 +126,10 @@ def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
         return replies
 
     desk.bench.receive = one_late  # type: ignore[method-assign]
-    seen = bus_scan.look(bus, FEMUR)
+    seen = bus_scan.scan_servo(bus, FEMUR)
     assert late
     assert seen is not None
-    assert seen.voice is Voice.CLEAR
+    assert seen.response is BusResponse.CLEAR
 
 
 def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
@@ -141,9 +141,9 @@ def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
         return [] if data[4:5] == b"\x02" and data[6] > 2 else receive(data, now_ns)  # long replies are lost
 
     desk.bench.receive = loose  # type: ignore[method-assign]
-    seen = bus_scan.look(bus, FEMUR)
+    seen = bus_scan.scan_servo(bus, FEMUR)
     assert seen is not None
-    assert seen.voice is Voice.FADING
+    assert seen.response is BusResponse.FADING
 
 
 @pytest.mark.parametrize(("number", "name"), [(18, "AX-18A"), (300, "AX-12W")])
@@ -179,6 +179,8 @@ class _Station:
 def test_another_device_on_the_port_is_named_by_what_it_sends() -> None:
     station = _Station(b"Temperature 21.5 C\r\n")
     bus = ServoBus(station, [1, 2], station.clock)
-    with pytest.raises(NotAServoBusError, match=r"another device sends 'Temperature 21\.5 C\.\.Temp.*; serial ports here: "):
-        look(bus, 1)
+    with pytest.raises(
+        NotAServoBusError, match=r"another device sends 'Temperature 21\.5 C\.\.Temp.*; serial ports of this computer: "
+    ):
+        scan_servo(bus, 1)
     assert station.now_ns < 5e9, "within seconds"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.commissioning import calibration, calibration_file
 from sextant.services.actuator.commissioning.calibration import calibrate, implausible, trims_deg
-from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT, ServoSilentError
+from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT, ServoNotRespondingError
 from sextant.shared.files import config
 from sextant.shared.robot.profile import LEGS, Calibration, RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -70,19 +70,19 @@ def test_a_leg_that_is_held_to_be_checked_is_held_gently_and_let_go() -> None:
     row = desk.row(PHANTOMX.legs[0].servo_ids[1])
     seen: list[tuple[int, ...]] = []
 
-    def look() -> str:
+    def scan_servo() -> str:
         desk.settle()
         words = desk.tables.view("<u2")
         seen.append((desk.tables[row, 24], words[row, 17], words[row, 16], desk.tables[:, 24].sum()))
         return ""
 
-    _, kept, _ = measured(desk, [bend(desk, LEGS[0]), "h", look, "b", bend(desk, LEGS[0]), ""], legs=LEGS[:1])
+    _, kept, _ = measured(desk, [bend(desk, LEGS[0]), "h", scan_servo, "b", bend(desk, LEGS[0]), ""], legs=LEGS[:1])
     assert seen == [(1, TORQUE_LIMIT, MOVING_SPEED, 3)]
     assert len(kept) == 1
     assert_limp_and_as_before(desk)
 
 
-@pytest.mark.parametrize("end", [KeyboardInterrupt, ServoSilentError])
+@pytest.mark.parametrize("end", [KeyboardInterrupt, ServoNotRespondingError])
 def test_however_it_ends_the_torque_is_off(end: type[BaseException]) -> None:
     desk = Desk()
 
@@ -177,7 +177,7 @@ def test_servos_that_are_not_in_order_are_named_and_nothing_is_asked() -> None:
     desk.bench.unplug([desk.row(9)])
     done, _, builder = measured(desk, [])
     assert not done
-    assert "servo 9 (left rear femur) does not answer: see to its cable" in builder.all_told
+    assert "servo 9 (left rear femur) does not answer: check its cable" in builder.all_told
 
 
 def test_a_servo_that_falls_silent_is_named() -> None:
@@ -187,7 +187,7 @@ def test_a_servo_that_falls_silent_is_named() -> None:
         desk.bench.unplug([desk.row(3)])
         return ""
 
-    with pytest.raises(ServoSilentError, match=r"servo 3 \(left front femur\) did not answer"):
+    with pytest.raises(ServoNotRespondingError, match=r"servo 3 \(left front femur\) did not answer"):
         measured(desk, [pull], legs=LEGS[:1])
 
 
@@ -198,7 +198,7 @@ def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_na
         desk.bench.unplug([desk.row(1)])
         return ""
 
-    with pytest.raises(ServoSilentError, match=r"servo 1 \(left front coxa\) .* switch its power off and on again"):
+    with pytest.raises(ServoNotRespondingError, match=r"servo 1 \(left front coxa\) .* switch its power off and on again"):
         measured(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
     desk.bench._plugged.add(desk.row(1))  # its power stayed on
     desk.bench._find_listeners()
@@ -262,7 +262,7 @@ def test_a_file_is_made_and_then_changed(tmp_path: Path) -> None:
     [
         (
             'extends = "phantomx_mk2"\ncalibration = []\n',
-            "expected, found another way of writing them; nothing was",
+            "expected, found another notation; nothing was",
         ),
         ("extends = \n", "TOML expected, found"),
         ('extends = "phantomx_mk2"\n[links]\nshin = 1.0\n', "links.shin: unknown key"),

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning.joint_test import STEP_DEG, exercise
+from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
 from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT
 from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.servo import dynamixel as dxl
@@ -39,7 +39,7 @@ class Watched(Desk):
 
 def run(desk: Desk, answers: list[Answer], **options: object):  # type: ignore[no-untyped-def]
     builder = Builder(answers)
-    return exercise(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
+    return run_joint_test(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
 
 
 def test_every_joint_moves_up_and_back_alone_gently() -> None:
@@ -77,7 +77,7 @@ def test_without_a_yes_nothing_moves() -> None:
     assert moved is None
     assert not np.array(desk.torque).any()
     assert (np.array(desk.q) == desk.q[0]).all()
-    assert "nothing is moved" in builder.told[-1]
+    assert "nothing was moved" in builder.told[-1]
 
 
 @pytest.mark.parametrize("hold", [True, False])
@@ -86,7 +86,7 @@ def test_the_torque_is_left_as_the_operator_chose(hold: bool) -> None:
     _, builder = run(desk, [True, hold], legs=LEGS[:1], hold_after=None)
     desk.settle()
     assert desk.tables[:, dxl.TORQUE_ENABLE.address].all() == hold
-    assert builder.told[-1] == ("torque is on: the legs hold where they are" if hold else "torque is off")
+    assert builder.told[-1] == ("torque is on: the legs hold their present positions" if hold else "torque is off")
     words = desk.tables.view("<u2")
     assert (np.abs(words[:, 15].astype(int) - words[:, 18]) <= 1).all() or not hold  # each goal equals the joint's position
 
@@ -104,7 +104,7 @@ def test_a_joint_that_is_blocked_is_named() -> None:
     desk.bench._servos.step = stuck  # type: ignore[method-assign,assignment]
     moved, _ = run(desk, [True], legs=LEGS[:1])
     problems = {one.name: one.problem for one in moved}
-    assert "did not get there: something blocks it" in problems["left front femur"]
+    assert "did not reach its goal: an obstacle blocks it" in problems["left front femur"]
     assert problems["left front coxa"] == problems["left front tibia"] == ""
 
 
@@ -142,7 +142,7 @@ def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer],
     desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
     builder = Builder(answers)
     with pytest.raises(KeyboardInterrupt):
-        exercise(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1], hold_after=hold_after)
+        run_joint_test(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1], hold_after=hold_after)
     desk.settle()
     return builder
 

@@ -87,7 +87,7 @@ def test_what_is_wrong_is_named_by_leg_and_joint_with_what_to_do() -> None:
         "servo 12 (right rear tibia) does not answer",
         "servo 16 (right middle femur) is model 64 (RX-64), expected 12 (AX-12A)",
         "servo 7 (left rear coxa) does not answer",
-        "servo 200 is none of the robot's",
+        "servo 200 is not one of the robot's servos",
     }
 
 
@@ -99,7 +99,7 @@ def test_voltage_heat_and_latched_overload_are_named() -> None:
     words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
     assert len(words) == 18
     assert all("V, at least 10.5 V expected: charge the battery" in one for one in words)
-    assert any(one.startswith("servo 6 (right front tibia)") and "64 deg C warm, its limit is 70" in one for one in words)
+    assert any(one.startswith("servo 6 (right front tibia)") and "64 deg C hot, its limit is 70" in one for one in words)
     assert any(one.startswith("servo 17 (left middle tibia) reports overload") for one in words)
 
 
@@ -109,9 +109,7 @@ def test_a_reset_rx_64_is_found_at_the_rate_of_the_factory() -> None:
     desk.reset(lost)
     words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), RX)]
     assert f"servo {lost} (right rear femur) does not answer" in words
-    reset = (
-        f"servo 1 talks at 57143 baud, 1000000 expected; 1 is what a reset leaves: it may be servo {lost} (right rear femur)"
-    )
+    reset = f"servo 1 answers at 57143 baud, 1000000 expected; a reset sets id 1: this may be servo {lost} (right rear femur)"
     assert reset in words
 
 
@@ -147,7 +145,7 @@ def test_it_can_be_left_and_goes_on_with_what_is_missing(done: int) -> None:
     desk = Desk(fresh=True)
     left = Builder([*[plug(desk)] * done, "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, left)
-    assert "goes on with what is missing" in left.told[-1]
+    assert "for the remaining servos" in left.told[-1]
     again = Builder([plug(desk)] * (18 - done))
     assert set_ids.set_ids(line(desk), PHANTOMX, again)
     assert f"{done} of 18 servos have their ids" in again.told
@@ -196,7 +194,7 @@ def test_two_new_servos_at_once_are_refused_and_left_as_they_are() -> None:
 
     builder = Builder([plug(desk, 2), one_out, "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "two servos or more answer as 1: neither can be set" in builder.all_told
+    assert "two or more servos have id 1: none of them can be set" in builder.all_told
     assert sorted(ids(desk)) == [*[1] * 17, 3]
     assert desk.tables[1, dxl.RETURN_DELAY.address] == 250
 
@@ -206,7 +204,7 @@ def test_a_servo_of_another_model_is_refused() -> None:
     desk.tables[0, dxl.MODEL_NUMBER.address] = 64
     builder = Builder([plug(desk), "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "a servo AX-12A expected, but it is an RX-64: left as it is" in builder.all_told
+    assert "an AX-12A expected, but it is an RX-64: the servo is unchanged" in builder.all_told
     assert ids(desk) == [1] * 18
 
 
@@ -218,7 +216,7 @@ def test_a_servo_may_be_named_and_a_used_one_has_any_id() -> None:
     set_ids.set_ids(line(desk), PHANTOMX, builder)
     assert desk.tables[0, dxl.ID.address] == 9
     assert desk.tables.view("<u2")[0, dxl.CCW_ANGLE_LIMIT.address // 2] == 1023
-    assert "looking for it at all ids" in builder.all_told
+    assert "searching all ids" in builder.all_told
     assert "found 'left knee'; one of left front coxa" in builder.all_told
 
 
@@ -240,7 +238,7 @@ def test_a_locked_servo_is_told() -> None:
         return ""
 
     set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug_locked, "q"]))
-    assert "switch its power off and on and try again" in builder.all_told
+    assert "switch its power off and on, then try again" in builder.all_told
     assert np.all(desk.tables[:, dxl.ID.address] == 1)
 
 
@@ -256,7 +254,7 @@ def test_a_servo_that_is_done_becomes_another_joints_only_with_a_yes(agreed: boo
     assert not set_ids.set_ids(line(desk), desk.profile, builder)
     desk.settle()
     assert (tibia in ids(desk), femur in ids(desk)) == (agreed, not agreed)
-    assert "is the only one that answers, and is set already. Make it the left front tibia?" in builder.asked[2]
+    assert "is the only servo that answers, and is already set. Make it the left front tibia?" in builder.asked[2]
     assert "2 of 18" not in builder.all_told
 
 
@@ -281,7 +279,7 @@ def test_no_servo_is_given_the_id_of_one_that_is_plugged_in() -> None:
     desk = Desk(fresh=True)
     builder = Builder([plug(desk), plug(desk, answer="left front femur"), "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "servo 3 (left front femur) is plugged in already: unplug it first, or name another joint" in builder.told
+    assert "servo 3 (left front femur) is already plugged in: unplug it first, or type another joint" in builder.told
     assert sorted(ids(desk)) == [*[1] * 17, 3]
 
 
@@ -300,8 +298,8 @@ def test_a_used_servo_that_has_the_wanted_id_is_set_up() -> None:
     desk = Desk(fresh=True)
     builder = Builder([used(desk, 0, 3, RETURN_DELAY=100, STATUS_RETURN_LEVEL=1), used(desk, 1, 5), "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "servo 3 (left front femur) is set, and read back" in builder.all_told
-    assert "servo 5 (left front tibia) is set, and read back" in builder.all_told
+    assert "servo 3 (left front femur) is set and verified" in builder.all_told
+    assert "servo 5 (left front tibia) is set and verified" in builder.all_told
     assert desk.tables[0, [dxl.RETURN_DELAY.address, dxl.STATUS_RETURN_LEVEL.address]].tolist() == [0, 2]
 
 
@@ -313,7 +311,7 @@ def test_servos_that_come_back_together_are_what_their_ids_say() -> None:
 
     builder = Builder([both, "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "servo 3 (left front femur), servo 5 (left front tibia) appeared, and are taken for that" in builder.all_told
+    assert "servo 3 (left front femur), servo 5 (left front tibia) appeared, and all of them are set" in builder.all_told
     assert "2 of 18 servos have their ids" in builder.told
 
 
@@ -328,7 +326,7 @@ def test_one_that_was_cut_off_behind_its_id_is_completed(agreed: bool) -> None:
     used(desk, 1, 3)()
     builder = Builder([agreed, "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert builder.asked[0].startswith("Of servo 9 (left rear femur) the id is set, and not all that goes with it")
+    assert builder.asked[0].startswith("The id of servo 9 (left rear femur) is set, but not all other registers")
     assert f"{1 + agreed} of 18 servos have their ids" in builder.told
     words = desk.tables.view("<u2")
     assert words[0, dxl.CCW_ANGLE_LIMIT.address // 2] == 1023 * agreed
@@ -346,8 +344,8 @@ def test_one_that_is_heard_now_and_then_is_to_be_tried_again(level: int, monkeyp
 
     monkeypatch.setattr(desk.bench, "receive", loose)
     set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug(desk), "q"]))
-    assert "left as it is; try again" in builder.all_told
-    assert "plug another" not in builder.all_told
+    assert "the servo is unchanged; try again" in builder.all_told
+    assert "plug in another" not in builder.all_told
 
 
 # ---------------------------------------------------------------------------------------------------------- protection
@@ -372,7 +370,7 @@ def test_limits_and_protections_that_somebody_changed_are_named_and_set_right(
     found = set_ids.scan(line(desk))
     (problem,) = set_ids.verdict(found, PHANTOMX)
     assert problem.words.startswith(f"servo 9 (left rear femur) {words}")
-    assert "set-id` with it alone on the bus, its leg and joint typed, sets what is safe" in problem.advice
+    assert "set-id` with this servo alone on the bus and type its leg and joint to restore safe values" in problem.advice
     desk.bus().setup()  # the set-up by an actuator does not change it
 
     others = [row for row in range(18) if row != desk.row(9)]
@@ -408,4 +406,4 @@ def test_where_nobody_answers_that_is_one_problem_beside_strangers() -> None:
     desk.change(9, dxl.ID, 200)
     desk.bench.unplug([row for row in range(18) if row != desk.row(200)])
     told = [one.words for one in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX, each=False)]
-    assert told == ["none of 18 servos answers", "servo 200 is none of the robot's"]
+    assert told == ["none of 18 servos answers", "servo 200 is not one of the robot's servos"]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Feeler, FemurReading
+from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading, TouchdownDetector
 from sextant.services.actuator.locomotion.feedforward import link_torques
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import World
@@ -54,7 +54,7 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
     """
     tick = dxl.TICK_RAD if coarse else 1e-9
     goals = np.round(goals / tick) * tick
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
     q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
     touches, pushes = list[bool](), list[float]()
@@ -108,7 +108,7 @@ def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
     """Check that a femur far behind its goal has the same push at any reading delay."""
     pushes = list[float]()
     for since_ms in (0.5, 3.0, 6.0, 10.0, 18.0):
-        feeler, ahead = Feeler(PROFILE), Q.copy()
+        feeler, ahead = TouchdownDetector(PROFILE), Q.copy()
         for cycle in range(3):
             ahead[LEG, FEMUR] = Q[LEG, FEMUR] - 0.5 - 0.06 * cycle
             feeler.see(Q, ahead)
@@ -132,7 +132,7 @@ def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> No
 def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
     body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice the total mass
     for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
-        feeler = Feeler(profile)
+        feeler = TouchdownDetector(profile)
         for _ in range(3):
             feeler.see(Q, Q)  # constant goals
         held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
@@ -153,7 +153,7 @@ def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(si
     goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls with this torque 8 ms after it receives its goal
     found = list[float]()
     for heard in (True, False):
-        feeler = Feeler(PROFILE)
+        feeler = TouchdownDetector(PROFILE)
         for cycle in range(4):
             told = Q.copy()
             told[LEG, FEMUR] = goal + cycle * step
@@ -184,7 +184,7 @@ def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
     robot = load_profile("lotriet_rx64")
     q = body_inverse(robot, robot.rest_feet())
     for speed, touches in ((-5.75, False), (0.0, True)):  # [rad/s]
-        feeler = Feeler(robot)
+        feeler = TouchdownDetector(robot)
         for k in range(4):
             feeler.see(q, q)
             feeler.read(LEG, femur(speed, -robot.servo.stall_torque, k * PERIOD))
@@ -192,7 +192,7 @@ def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
 
 
 def test_a_push_at_rest_is_a_foot_that_bears() -> None:
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     held = link_torques(PROFILE, Q)
     for newton, bears in ((0.0, False), (1.5, True)):
         arm = 0.1
@@ -210,7 +210,7 @@ def test_a_push_at_rest_is_a_foot_that_bears() -> None:
     ("newton", "bears", "touches"), [(2.9, False, False), (3.1, True, False), (4.4, True, False), (4.6, True, True)]
 )
 def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches: bool) -> None:
-    feeler, held = Feeler(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
+    feeler, held = TouchdownDetector(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
     for cycle in range(3):
         feeler.see(Q, Q)
         push = newton * feeler._heavier * (cycle == 2)
@@ -222,7 +222,7 @@ def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches
 
 
 def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
-    feeler, arm = Feeler(PROFILE), 0.1
+    feeler, arm = TouchdownDetector(PROFILE), 0.1
     held = link_torques(PROFILE, Q)
     for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
         feeler.see(Q, Q)
@@ -239,7 +239,7 @@ def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_n
     """
     pushes = list[float]()
     for told in (0.0, -1.5 * dxl.TICK_RAD):
-        feeler, goal = Feeler(PROFILE), Q.copy()
+        feeler, goal = TouchdownDetector(PROFILE), Q.copy()
         for cycle in range(3):
             goal[LEG, FEMUR] = Q[LEG, FEMUR] + told * (cycle - 2)
             feeler.see(Q, goal)
@@ -254,7 +254,7 @@ def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_n
 
 
 def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     feeler.see(Q, Q)
     assert feeler.silent(1_000_000_000).all()
     feeler.read(LEG, femur(0.0, 0.0, 1_000_000_000))
@@ -270,11 +270,11 @@ def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(
     inertia = np.zeros((world.model.nv, world.model.nv))
     mujoco.mj_fullM(world.model, world.data, inertia)
     femora = 6 + 3 * np.arange(6) + FEMUR  # after the body's six degrees of freedom
-    np.testing.assert_allclose(inertia[femora, femora], Feeler(robot)._inertia, rtol=0.05)
+    np.testing.assert_allclose(inertia[femora, femora], TouchdownDetector(robot)._inertia, rtol=0.05)
 
 
 def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     feeler.see(Q, Q)
     expected = []
     for cycle, asked_in_vain in enumerate((False, False, False, True, False, True, True, False, False)):
@@ -288,7 +288,7 @@ def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
 
 
 def test_readings_far_apart_say_nothing() -> None:
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     for cycle in range(5):
         feeler.see(Q, Q)
         feeler.read(LEG, femur(0.0, -1.5, cycle * 4 * PERIOD))
@@ -300,7 +300,7 @@ def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
 
     It would be 5 N on a foot only 3 cm from its femur's axis.
     """
-    feeler = Feeler(PROFILE)
+    feeler = TouchdownDetector(PROFILE)
     near = body_inverse(PROFILE, PROFILE.rest_feet(0.13) + (PROFILE.links.coxa + 0.03 - PROFILE.foot_radii)[:, None] * OUT)
     held = link_torques(PROFILE, near)
     for cycle, noise in enumerate((0.0, 0.0, 0.14)):

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENTLE, LOWERED, GoalLimits
+from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENTLE, LOWERED, JointRateLimits
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profiles import load_profile
@@ -29,7 +29,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 )
 @settings(max_examples=200)
 def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(wanted: list[Array], seed: int, dt: float) -> None:
-    limits = GoalLimits(PROFILE)
+    limits = JointRateLimits(PROFILE)
     last = np.random.default_rng(seed).uniform(LIMITS[..., 0], LIMITS[..., 1])
     for q in wanted:
         with np.errstate(all="ignore"):
@@ -46,22 +46,22 @@ def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(wan
 def test_a_leg_out_of_reach_is_named() -> None:
     q = REST.copy()
     q[2, 1] = np.nan
-    goal, warning = GoalLimits(PROFILE).safe(q, REST, DT)
-    assert warning == "foot out of reach, held: right middle"
+    goal, warning = JointRateLimits(PROFILE).safe(q, REST, DT)
+    assert warning == "foot out of reach, leg held in place: right middle"
     np.testing.assert_array_equal(goal, REST)
     q[4, 0] = np.inf
-    _, warning = GoalLimits(PROFILE).safe(q, REST, DT)
-    assert warning == "foot out of reach, held: right middle, left rear"
+    _, warning = JointRateLimits(PROFILE).safe(q, REST, DT)
+    assert warning == "foot out of reach, leg held in place: right middle, left rear"
 
 
 def test_goals_in_reach_pass_unchanged() -> None:
-    goal, warning = GoalLimits(PROFILE).safe(REST + 0.01, REST, DT)
+    goal, warning = JointRateLimits(PROFILE).safe(REST + 0.01, REST, DT)
     np.testing.assert_allclose(goal, REST + 0.01)
     assert warning == ""
 
 
 def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
-    limits, last, far = GoalLimits(PROFILE), REST, np.clip(REST + 0.5, LIMITS[..., 0], LIMITS[..., 1])
+    limits, last, far = JointRateLimits(PROFILE), REST, np.clip(REST + 0.5, LIMITS[..., 0], LIMITS[..., 1])
     steps = list[float]()
     for _ in range(4):
         goal, _ = limits.safe(far, last, DT)
@@ -76,8 +76,8 @@ def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
 
 
 def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> None:
-    limits, wanted = GoalLimits(PROFILE), REST + 0.1
-    limits.ease(3, 1)
+    limits, wanted = JointRateLimits(PROFILE), REST + 0.1
+    limits.limit_joint(3, 1)
     last, slow, others = REST, 0, True
     for _ in range(40):
         goal, _ = limits.safe(wanted, last, DT)
@@ -92,11 +92,11 @@ def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> No
 
 
 def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_from_it() -> None:
-    limits, last = GoalLimits(PROFILE), REST
+    limits, last = JointRateLimits(PROFILE), REST
     wanted = REST.copy()
     wanted[3, 1] += 0.2
     wanted[2, 0] += 0.2
-    limits.ease(3, 1)
+    limits.limit_joint(3, 1)
     for _ in range(40):
         last, _ = limits.safe(wanted, last, DT)
         far = wanted[3, 1] - last[3, 1] > np.radians(5.0)
@@ -105,9 +105,9 @@ def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_
 
 
 def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_nothing_to_catch_up() -> None:
-    limits, wanted, last = GoalLimits(PROFILE), REST.copy(), REST
+    limits, wanted, last = JointRateLimits(PROFILE), REST.copy(), REST
     wanted[3, 1] += 0.3
-    limits.ease(3, 1)
+    limits.limit_joint(3, 1)
     while limits.behind.any():
         last, _ = limits.safe(wanted, last, DT)
         wanted[3, 2] = last[3, 2] + (0.1 if limits.behind.any() else 0.0)  # a leg that hung begins to stand
@@ -117,21 +117,21 @@ def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_n
 
 
 def test_it_says_that_joints_are_gentle_until_the_last_is_where_it_is_wanted() -> None:
-    limits, wanted, last = GoalLimits(PROFILE), REST + 0.05, REST
-    assert not limits.easing
-    limits.ease(3, 1)
-    while limits.easing:
+    limits, wanted, last = JointRateLimits(PROFILE), REST + 0.05, REST
+    assert not limits.is_limiting
+    limits.limit_joint(3, 1)
+    while limits.is_limiting:
         last, _ = limits.safe(wanted, last, DT)
-        assert limits.easing == (np.abs(wanted - last)[3].max() > 1e-9)
+        assert limits.is_limiting == (np.abs(wanted - last)[3].max() > 1e-9)
     np.testing.assert_allclose(last[3], wanted[3])
-    limits.ease(0, 0)
+    limits.limit_joint(0, 0)
     limits.forget()
-    assert not limits.easing
+    assert not limits.is_limiting
 
 
 def test_nobody_takes_up_work_where_torque_is_off() -> None:
-    limits = GoalLimits(PROFILE)
-    limits.ease(3, 1)
+    limits = JointRateLimits(PROFILE)
+    limits.limit_joint(3, 1)
     assert limits.behind.any()
     limits.forget()
     assert not limits.behind.any()
@@ -140,7 +140,7 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
 
 
 def test_a_goal_that_turns_back_gathers_speed_from_rest() -> None:
-    limits, fastest = GoalLimits(PROFILE), PROFILE.servo.no_load_speed
+    limits, fastest = JointRateLimits(PROFILE), PROFILE.servo.no_load_speed
     last, rates = REST.copy(), []
     for way in (1.0,) * 5 + (-1.0,) * 5:
         goal, _ = limits.safe(last + way * np.radians(30.0), last, DT / 2)
@@ -155,21 +155,21 @@ def test_gentle_speeds_are_those_that_the_docs_promise() -> None:
 
 @pytest.mark.parametrize(("short_deg", "pace"), [(0.0, 1.0), (1.5, 0.5), (3.0, 0.0), (9.0, 0.0)])
 def test_the_pace_falls_to_nothing_three_degrees_short_of_what_is_wanted(short_deg: float, pace: float) -> None:
-    limits, wanted = GoalLimits(PROFILE), REST.copy()
+    limits, wanted = JointRateLimits(PROFILE), REST.copy()
     wanted[3, 1] += GENTLE * DT + np.radians(short_deg)
-    limits.ease(3, 1)
+    limits.limit_joint(3, 1)
     limits.safe(wanted, REST, DT)
     assert limits.pace == pytest.approx(pace)
 
 
 def test_a_leg_may_be_gentle_at_another_speed() -> None:
-    limits = GoalLimits(PROFILE)
-    limits.ease(2, 0)
-    limits.ease(3, 1, LOWERED)
+    limits = JointRateLimits(PROFILE)
+    limits.limit_joint(2, 0)
+    limits.limit_joint(3, 1, LOWERED)
     steps = np.abs(limits.safe(REST + 0.1, REST, DT)[0] - REST)
     np.testing.assert_allclose(steps[2], GENTLE * DT)
     np.testing.assert_allclose(steps[3], LOWERED * DT)
-    limits.ease(3, 1)
+    limits.limit_joint(3, 1)
     last, _ = limits.safe(REST + 0.1, REST, DT)
     np.testing.assert_allclose(np.abs(last - REST)[3], GENTLE * DT)
 
@@ -179,11 +179,11 @@ def test_a_motion_that_waits_for_gentle_joints_is_followed_closely_and_at_their_
 
     The motion may ask for any speed.
     """
-    limits, last, share, cycles = GoalLimits(PROFILE), REST, 0.0, 0
+    limits, last, share, cycles = JointRateLimits(PROFILE), REST, 0.0, 0
     assert limits.pace == 1.0
     while share < 1.0 and cycles < 1000:
         share = min(share + limits.pace * DT, 1.0)  # one radian per second
-        limits.ease(3, 1)
+        limits.limit_joint(3, 1)
         wanted = REST.copy()
         wanted[3, 1] += share
         last, _ = limits.safe(wanted, last, DT)
@@ -194,4 +194,4 @@ def test_a_motion_that_waits_for_gentle_joints_is_followed_closely_and_at_their_
     limits.forget()
     assert limits.pace == 1.0
     limits.safe(REST - 0.2, last, DT)
-    assert limits.pace == 1.0, "joints that are not gentle keep nobody waiting"
+    assert limits.pace == 1.0, "joints without a limit keep no step waiting"

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENTLE
-from sextant.services.actuator.locomotion.leg_recovery import HungLegs
+from sextant.services.actuator.locomotion.leg_recovery import LegRecovery
 
 NONE = np.zeros(6, dtype=np.bool_)
 ONE = np.array([True, False, False])
@@ -24,7 +24,7 @@ def joints(*which: int) -> NDArray[np.bool_]:
 
 
 def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
-    hung = HungLegs()
+    hung = LegRecovery()
     assert not hung.update(joints(2), joints(2), NONE).any()
     assert not hung.dangling.any(), "it stood"
     assert not hung.update(FREE, joints(2), NONE).any(), "it is not yet where it was sent"
@@ -40,7 +40,7 @@ def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
 
 
 def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster() -> None:
-    hung = HungLegs()
+    hung = LegRecovery()
     assert not hung.update(FREE, joints(1, 4), legs(0, 2, 4)).any()
     np.testing.assert_array_equal(hung.hung, legs(4))
     np.testing.assert_array_equal(hung.dangling, legs(4))
@@ -51,7 +51,7 @@ def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster()
 
 
 def test_of_two_legs_one_that_is_still_limp_waits() -> None:
-    hung = HungLegs()
+    hung = LegRecovery()
     hung.update(joints(0, 3), joints(0, 3), legs(0, 2, 4))
     np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
     assert hung.put_back() == GENTLE
@@ -62,7 +62,7 @@ def test_of_two_legs_one_that_is_still_limp_waits() -> None:
 
 
 def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_others() -> None:
-    hung = HungLegs()
+    hung = LegRecovery()
     hung.update(joints(3), joints(0, 3), legs(0, 2, 4))
     np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
     np.testing.assert_array_equal(hung.waiting, joints(0), "of 3 no joint pulls")
@@ -77,11 +77,11 @@ def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_oth
 def test_no_leg_comes_back_that_cannot_be_led_and_none_is_forgotten(
     story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
 ) -> None:
-    hung, owed = HungLegs(), NONE.copy()
-    for limp, silent, flying, may in story:
-        back = hung.update(limp[:, None] & ONE, (limp | silent)[:, None] & ONE, flying)
-        owed |= limp
-        assert not (back & limp).any()
+    hung, owed = LegRecovery(), NONE.copy()
+    for torque_disabled, silent, flying, may in story:
+        back = hung.update(torque_disabled[:, None] & ONE, (torque_disabled | silent)[:, None] & ONE, flying)
+        owed |= torque_disabled
+        assert not (back & torque_disabled).any()
         assert not (hung.dangling & ~hung.hung).any()
         assert not (owed & ~hung.hung).any()
         if may and back.any():

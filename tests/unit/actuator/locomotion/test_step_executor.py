@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.estimation.touchdown_detector import Felt
-from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.estimation.touchdown_detector import FootContact
+from sextant.services.actuator.locomotion.step_executor import StepExecutor, Targets
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.profile import LEGS
 from tests.support.walker_steps import (
@@ -190,7 +190,7 @@ def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> N
     walker.set_down(reaches)
     while not walker.resting:
         high = walker.feet_odom[:, 2] - stood[:, 2] > 0.0155
-        walker.update(DT, walker.body_ref, Felt(TRIPOD & high, ALL, walker.feet_odom))
+        walker.update(DT, walker.body_ref, FootContact(TRIPOD & high, ALL, walker.feet_odom))
     np.testing.assert_allclose(walker.feet_odom[TRIPOD], stood[TRIPOD], atol=1e-3)
 
 
@@ -225,7 +225,7 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
     lies = belongs + np.where(legs[:, None], off, 0.0)
     walker.put_back(legs, lies)
     np.testing.assert_allclose(walker.feet_odom, lies, atol=1e-9)
-    unsure = Felt(legs & False, legs & False, lies)  # no foot reports contact, which does not cancel the motion
+    unsure = FootContact(legs & False, legs & False, lies)  # no foot reports contact, which does not cancel the motion
     highest, elapsed = -np.inf, 0.0
     while not walker.resting:
         assert walker.gentle
@@ -244,7 +244,7 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
     walker.accept(plan_to(1, body_at(0.03)))
     for _ in range(5):
         walker.update(DT, walker.body_ref, pace=0.0)
-    assert walker.phase > 0.0, "a step of a plan waits for nobody"
+    assert walker.phase > 0.0, "a step of a plan does not wait"
 
 
 @pytest.mark.parametrize("late", [0.0, 0.03])
@@ -258,23 +258,23 @@ def test_what_a_foot_feels_that_turns_round_in_the_air_is_ground_only_where_the_
     for _ in range(8):
         cycle(walker)
     walker.set_down(reaches)
-    assert walker.trouble == "the step is taken back"
-    walker.drain_findings()
+    assert walker.trouble == "the step is reversed"
+    walker.take_findings()
     while not walker.resting:
         feet = walker.feet_odom + late * TRIPOD[:, None] * [0.0, 0.0, 1.0]
-        walker.update(DT, walker.body_ref, Felt(TRIPOD, ~TRIPOD, feet))
-    assert bool(walker.drain_findings()) == (late == 0.0)
+        walker.update(DT, walker.body_ref, FootContact(TRIPOD, ~TRIPOD, feet))
+    assert bool(walker.take_findings()) == (late == 0.0)
 
 
 def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
     walker = new_walker()
     walk(walker, [plan_to(1, body_at(0.03))])
-    walker.drain_findings()
-    limp = np.arange(6) == 2
-    walker.update(DT, walker.body_ref, Felt(TRIPOD & False, TRIPOD, walker.feet_odom, known=~limp))
-    assert {found.leg for found in walker.drain_findings()} == {0, 4}
-    walker.update(DT, walker.body_ref, Felt(TRIPOD & False, TRIPOD, walker.feet_odom))
-    assert not walker.drain_findings()
+    walker.take_findings()
+    torque_disabled = np.arange(6) == 2
+    walker.update(DT, walker.body_ref, FootContact(TRIPOD & False, TRIPOD, walker.feet_odom, known=~torque_disabled))
+    assert {found.leg for found in walker.take_findings()} == {0, 4}
+    walker.update(DT, walker.body_ref, FootContact(TRIPOD & False, TRIPOD, walker.feet_odom))
+    assert not walker.take_findings()
 
 
 def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:
@@ -352,7 +352,7 @@ def test_a_revision_moves_the_touchdowns_and_nothing_else(
 def test_feet_land_by_the_arc_that_is_chosen() -> None:
     ways = {}
     for arc in ("flow", "sixth_order"):
-        walker = Walker(replace(SETTINGS, arc=arc), REST.copy(), START)
+        walker = StepExecutor(replace(SETTINGS, arc=arc), REST.copy(), START)
         targets, _ = walk(walker, [plan_to(1, body_at(0.05))])
         np.testing.assert_allclose(walker.feet_odom[TRIPOD], landed(1, body_at(0.05)), atol=1e-9)
         assert largest_jump(targets) < 0.02
@@ -466,7 +466,7 @@ def test_a_foot_lands_without_what_it_was_pressed_by_in_its_last_stance() -> Non
 
 def test_yaw_takes_the_short_way_across_half_a_turn() -> None:
     start = from_xyz_rpy(START[:3, 3], (0.0, 0.0, np.pi - 0.02))
-    walker = Walker(SETTINGS, REST.copy(), start)
+    walker = StepExecutor(SETTINGS, REST.copy(), start)
     goal = from_xyz_rpy(START[:3, 3], (0.0, 0.0, -np.pi + 0.03))
     walker.accept(plan_to(1, goal))
     previous = start
@@ -505,14 +505,14 @@ def test_a_foot_that_something_holds_has_the_step_taken_back(leg: int) -> None:
         feet = walker.feet_odom
         if not taken_back_at and walker.flying[leg]:
             feet[leg] = held
-        felt = Felt(~ALL, ALL, feet)
+        felt = FootContact(~ALL, ALL, feet)
         walker.update(DT, walker.body_ref, felt)
-        if walker.taking_back and not taken_back_at:
+        if walker.is_returning and not taken_back_at:
             taken_back_at = walker.body_ref[0, 3]
             assert walker.plan_ns < 0
             assert np.linalg.norm(walker.feet_odom[leg] - held) < 0.01, "its target is no longer behind what holds it"
     assert 0.0 < taken_back_at < 0.05
-    assert walker.trouble == f"something holds the {LEGS[leg]} foot on its way; the step is taken back"
+    assert walker.trouble == f"an obstacle blocks the {LEGS[leg]} foot; the step is reversed"
     np.testing.assert_allclose(walker.feet_odom, stood, atol=2e-3)
     assert walker.body_ref[0, 3] == pytest.approx(0.0, abs=2e-3)
     assert walker.step == 1
@@ -529,8 +529,8 @@ def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: floa
         flown += DT * walker.flying[0]
         if flown < for_s and walker.flying[0]:
             feet[0] -= [behind, 0.0, 0.0]
-        walker.update(DT, walker.body_ref, Felt(~ALL, ALL, feet))
-        assert not walker.taking_back
+        walker.update(DT, walker.body_ref, FootContact(~ALL, ALL, feet))
+        assert not walker.is_returning
     assert flown > 0.5
     assert not walker.trouble
 
@@ -545,8 +545,8 @@ def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
         flown += DT * walker.flying[0]
         feet = walker.feet_odom
         feet[0] -= [0.0, 0.0, 0.08 if walker.flying[0] else 0.0]
-        walker.update(DT, walker.body_ref, Felt(~ALL, ALL, feet, goals=feet))
-        assert not walker.taking_back
+        walker.update(DT, walker.body_ref, FootContact(~ALL, ALL, feet, goals=feet))
+        assert not walker.is_returning
     assert flown > 0.5
     assert not walker.trouble
 
@@ -558,7 +558,7 @@ def test_legs_in_doubt_prove_that_they_stand_before_others_are_lifted() -> None:
     walker.doubt(hangs)
     walker.accept(plan_to(1, body_at(0.03)))
     for _ in range(60):
-        walker.update(DT, walker.body_ref, Felt(~ALL, ~hangs, walker.feet_odom))
+        walker.update(DT, walker.body_ref, FootContact(~ALL, ~hangs, walker.feet_odom))
         if walker.searching.any():
             break
     np.testing.assert_array_equal(walker.searching, hangs)

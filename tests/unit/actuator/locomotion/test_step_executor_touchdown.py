@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.estimation.touchdown_detector import Felt
-from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.estimation.touchdown_detector import FootContact
+from sextant.services.actuator.locomotion.step_executor import StepExecutor, Targets
 from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.wire.messages import StepPlan
 from tests.support.walker_steps import (
@@ -26,7 +26,7 @@ from tests.support.walker_steps import (
 )
 
 
-def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
+def stepping(walker: StepExecutor, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
     """Execute one step and return its targets.
 
     Feet follow their commands, except where they meet ground at a height [m] {odom} and report contact.
@@ -38,7 +38,7 @@ def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[T
         for leg, height in ground.items():
             touches[leg] = walker.awaiting[leg] and feet[leg, 2] <= height
             feet[leg, 2] = max(feet[leg, 2], height)
-        targets.append(walker.update(DT, walker.body_ref, Felt(touches, ALL, feet)))
+        targets.append(walker.update(DT, walker.body_ref, FootContact(touches, ALL, feet)))
     return targets
 
 
@@ -75,7 +75,7 @@ def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
     while not walker.resting:
         feet = walker.feet_odom
         touches = (np.arange(6) == 2) & walker.awaiting & (feet[:, 2] < low + 0.025)
-        walker.update(DT, walker.body_ref, Felt(touches, ALL, feet))
+        walker.update(DT, walker.body_ref, FootContact(touches, ALL, feet))
         if touches.any():
             expected = feet[2]
         if expected is not None and not walker.resting:
@@ -95,7 +95,7 @@ def test_at_rest_the_height_of_a_new_foothold_is_measured_and_a_foot_that_goes_o
         for _ in range(100):
             feet = walker.feet_odom
             feet[leg, 2] = stands - sinks
-            walker.update(DT, walker.body_ref, Felt(NOTHING, ALL, feet, known=sure))
+            walker.update(DT, walker.body_ref, FootContact(NOTHING, ALL, feet, known=sure))
         assert walker.feet_odom[leg, 2] == pytest.approx(stands - follows * known, abs=5e-4)
         assert walker.ground[leg] == pytest.approx(stands - follows * known, abs=5e-4)
     assert walker.feet_odom[1, 2] == pytest.approx(other, abs=1e-6)
@@ -110,7 +110,7 @@ def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
         feet = walker.feet_odom
         near = feet[:, 2] < plan.touchdown[:, 2] + 0.004
         rising = np.full(6, walker.phase < 0.4)
-        walker.update(DT, walker.body_ref, Felt(TRIPOD & (near | rising), ALL, feet))
+        walker.update(DT, walker.body_ref, FootContact(TRIPOD & (near | rising), ALL, feet))
     np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
 
 
@@ -130,7 +130,7 @@ def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
     assert not np.array(awaited)[landed:].any()
 
 
-def over_holes(walker: Walker, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
+def over_holes(walker: StepExecutor, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
     """Execute steps and half a second of rest; return targets and reported troubles.
 
     Feet bear load where they stand, except those whose ground lies lower than planned by the given depth [m].
@@ -147,7 +147,7 @@ def over_holes(walker: Walker, holes: dict[int, float], plans: list[StepPlan]) -
             stands = feet[leg, 2] <= foothold[leg] - depth
             bears[leg] &= stands or feet[leg, 0] < plans[0].touchdown[leg, 0] - 0.02  # back where it came from
             touches[leg] &= stands
-        targets.append(walker.update(DT, walker.body_ref, Felt(touches, bears, feet)))
+        targets.append(walker.update(DT, walker.body_ref, FootContact(touches, bears, feet)))
         said.append([walker.trouble])
     return targets, said
 
@@ -174,7 +174,7 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     assert walker.feet_odom[leg, 2] == pytest.approx(low - depth, abs=2e-3)
     assert any("lower than expected" in words for (words,) in said)
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
-    assert [f for f in walker.drain_findings() if f.leg == leg][-1].carries
+    assert [f for f in walker.take_findings() if f.leg == leg][-1].carries
     np.testing.assert_array_equal(targets[-1].share, np.ones(6))
     assert walker.resting
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # no other leg was lifted
@@ -192,7 +192,9 @@ def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -
         waited += bool(walker.step == 2 and walker.awaiting[leg])
         bears, feels = ~walker.swing, np.zeros(6, dtype=bool)
         bears[leg], feels[leg] = waited >= bears_from, leans
-        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, leans=feels, heard=ALL & (waited > unheard)))
+        walker.update(
+            DT, walker.body_ref, FootContact(~ALL, bears, walker.feet_odom, leans=feels, heard=ALL & (waited > unheard))
+        )
         if walker.searching.any():
             return waited
     return None
@@ -238,7 +240,7 @@ def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_a
             walker.accept(waiting.pop(0))
         bears = ~walker.swing & (np.arange(6) != leg)
         pushes = walker.feet_odom[:, 2] < low - 0.001
-        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, pushes))
+        walker.update(DT, walker.body_ref, FootContact(~ALL, bears, walker.feet_odom, pushes))
         if walker.trouble.startswith("ground found"):
             break
     assert low - 0.008 < walker.feet_odom[leg, 2] < low - 0.004
@@ -262,13 +264,13 @@ def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: fl
         touches = walker.searching & stands
         if walker.step == 1 and walker.phase > at and not stopped:
             touches[leg] = stopped = True
-        walker.update(DT, walker.body_ref, Felt(touches, ~walker.swing & stands, walker.feet_odom))
+        walker.update(DT, walker.body_ref, FootContact(touches, ~walker.swing & stands, walker.feet_odom))
         said.add(walker.trouble)
         if walker.step == 2 and walker.swing.any() and walker.feet_odom[~TRIPOD, 2].max() > low + 0.01:
             break
     assert walker.step == 2
     assert walker.feet_odom[leg, 2] == pytest.approx(low, abs=2e-3)
-    assert not any("taken back" in words for words in said), "nothing was wrong with the step"
+    assert not any("reversed" in words for words in said), "nothing was wrong with the step"
 
 
 @given(st.sampled_from([0, 2, 4]))
@@ -281,8 +283,8 @@ def test_without_ground_the_step_is_taken_back(leg: int) -> None:
     np.testing.assert_allclose(walker.feet_odom[:, :2], stood[:, :2], atol=1e-6)
     np.testing.assert_allclose(walker.body_ref[:2, 3], START[:2, 3], atol=1e-6)
     assert "no ground under" in said[-1][0]
-    assert "taken back" in said[-1][0]
-    (lost,) = [f for f in walker.drain_findings() if not f.carries]
+    assert "reversed" in said[-1][0]
+    (lost,) = [f for f in walker.take_findings() if not f.carries]
     assert lost.leg == leg
     assert STEPS_2[0].touchdown[leg, 2] - 0.045 < lost.p_odom[2] < STEPS_2[0].touchdown[leg, 2] - 0.03
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
@@ -321,15 +323,15 @@ def test_a_foot_that_heaves_stays_where_it_is_and_has_to_prove_that_it_stands() 
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.03)))
     while walker.resting or walker.phase < 0.7:
-        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), ALL, walker.feet_odom))
+        walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), ALL, walker.feet_odom))
     at = walker.feet_odom
     heaves, bears = np.arange(6) == 2, np.arange(6) != 2
     for _ in range(60):
-        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, at, heaves=heaves))
+        walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), bears, at, heaves=heaves))
     np.testing.assert_allclose(walker.feet_odom[2], at[2], atol=2e-3)
     assert walker.feet_odom[0, 2] < at[0, 2]
     walker.accept(plan_to(2, body_at(0.06)))
     while not walker.searching.any():
         assert not walker.resting or walker.step == 1
-        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, walker.feet_odom))
+        walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), bears, walker.feet_odom))
     assert walker.searching.tolist() == heaves.tolist()

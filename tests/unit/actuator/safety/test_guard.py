@@ -35,7 +35,7 @@ class Everything(RuleBasedStateMachine):
         self.begun, self.off_at = self.robot.now, -1  # [ns] times when the guard began, and when torque was last ordered off
         self.ordered_to_walk = False  # by the lease holder, and nothing has ended the walk since
         self.last: ModeCommand | None = None  # last order obeyed by this or an earlier guard; None if something else ended it
-        self.woke = -1  # [ns] last time that the computer woke from sleep
+        self.woke_ns = -1  # [ns] last time that the computer woke from sleep
         self.stamps = [-1]  # of accepted plans
         self.considered: list[StepPlan] = []
         self.accepted = -1  # [ns]
@@ -59,9 +59,9 @@ class Everything(RuleBasedStateMachine):
         """Give an order that is too old or ahead: it stops at most, without later effects."""
         order = ModeCommand(self.robot.now + off_ns, mode, number, holder, take)  # type: ignore[arg-type]
         was, lease = self.robot.mode, self.leader
-        acts = self.robot.hear(order)
+        acts = self.robot.handle_order(order)
         assert self.robot.guard.lease(self.robot.now) == lease
-        assert set(acts) <= {Act.LET_GO, Act.SET_DOWN, Act.FREEZE}
+        assert set(acts) <= {Act.TORQUE_OFF, Act.SET_DOWN, Act.FREEZE}
         if mode not in ("off", "stop"):
             assert (acts, self.robot.mode) == ((), was)
             assert "at most 2 s allowed" in self.robot.guard.objection
@@ -104,7 +104,7 @@ class Everything(RuleBasedStateMachine):
         self.newest[holder] = given_ns
         was, leads, last = self.robot.mode, self.leader, self.last
         may = mode in ("off", "stop") or not leads or leads == holder or take
-        acts = self.robot.hear(order)
+        acts = self.robot.handle_order(order)
         if not may:
             assert acts == ()
             assert self.robot.mode is was
@@ -113,7 +113,7 @@ class Everything(RuleBasedStateMachine):
         age_ns = self.robot.now - given_ns
         if "by its sequence" in self.robot.guard.objection and mode not in ("off", "stop"):
             assert (acts, self.robot.mode) == ((), was)
-            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at or given_ns < self.begun or given_ns <= self.woke
+            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at or given_ns < self.begun or given_ns <= self.woke_ns
             return
         self.obeyed(order, was, acts)
         if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
@@ -123,8 +123,8 @@ class Everything(RuleBasedStateMachine):
             assert self.robot.now - self.begun <= AWAY_NS
             assert last is not None, "of before this guard no order but the last is obeyed"
             assert (last.holder, last.sequence) == (holder, given_ns)
-        assert mode in ("off", "stop") or given_ns > self.woke
-        if was is Mode.OFF and Act.GRIP in acts:
+        assert mode in ("off", "stop") or given_ns > self.woke_ns
+        if was is Mode.OFF and Act.TORQUE_ON in acts:
             assert given_ns >= self.off_at
         if mode == "off":
             self.off_at = max(self.off_at, min(given_ns, self.robot.now))
@@ -138,13 +138,13 @@ class Everything(RuleBasedStateMachine):
             self.heard = self.robot.now
         wrong = self.robot.verdict.broken or self.robot.verdict.sit
         if mode == "off":
-            assert acts == (Act.LET_GO,)
+            assert acts == (Act.TORQUE_OFF,)
             assert guard.mode is Mode.OFF
-        if Act.GRIP in acts:
+        if Act.TORQUE_ON in acts:
             assert mode in ("ready", "stand")
             assert was in (Mode.OFF, Mode.READY, Mode.FAULT)
             assert was is not Mode.OFF or not wrong
-        assert (Act.LET_GO in acts) == (mode == "off")
+        assert (Act.TORQUE_OFF in acts) == (mode == "off")
         assert Act.RISE not in acts or mode == "stand"
         assert not guard.objection or (acts == () and guard.mode is was), "what is refused does nothing"
         if was is Mode.OFF and mode not in ("ready", "stand"):
@@ -165,7 +165,7 @@ class Everything(RuleBasedStateMachine):
             self.give(order)  # the guard has restarted
             return
         guard, was, reason = self.robot.guard, self.robot.mode, self.robot.guard.reason
-        assert self.robot.hear(order) == ()
+        assert self.robot.handle_order(order) == ()
         assert (guard.mode, guard.reason) == (was, reason)
         if order.sequence == self.newest[order.holder]:
             if order.holder == self.holder:
@@ -189,16 +189,16 @@ class Everything(RuleBasedStateMachine):
         robot.still, robot.posing, robot.next = False, "", None
         robot.step, robot.swing = 0, np.zeros(6, dtype=bool)
         robot.guard.watch(robot.now, robot.legs, robot.verdict)
-        self.newest, self.holder, self.heard, self.begun, self.woke = {}, "", -1, robot.now, -1
+        self.newest, self.holder, self.heard, self.begun, self.woke_ns = {}, "", -1, robot.now, -1
         self.ordered_to_walk = self.late = self.halted = self.seats = False
 
     @rule()
     def the_computer_wakes(self) -> None:
         robot, was = self.robot, self.robot.mode
-        acts = robot.perform(robot.guard.woke(60.0, robot.now))
+        acts = robot.perform(robot.guard.resume_from_suspend(60.0, robot.now))
         assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(was, ())
         assert robot.guard.walk_order(robot.now) is None
-        self.holder, self.heard, self.last, self.woke = "", -1, None, robot.now
+        self.holder, self.heard, self.last, self.woke_ns = "", -1, None, robot.now
         self.ordered_to_walk, self.halted = False, self.halted or was is Mode.WALK
         self.seats &= bool(robot.verdict.sit)
 
@@ -214,21 +214,21 @@ class Everything(RuleBasedStateMachine):
         robot.now += 1
         match kind:
             case "next":
-                self.consider(robot.plan(), good=True)
+                self.accept_plan(robot.plan(), good=True)
             case "renewal":
-                self.consider(robot.renewal(), good=robot.legs.planned)
+                self.accept_plan(robot.renewal(), good=robot.legs.planned)
             case _:
-                self.consider(BAD[kind][0](robot), good=False)
+                self.accept_plan(BAD[kind][0](robot), good=False)
 
     @precondition(lambda self: self.considered)
     @rule(data=st.data())
     def a_plan_again(self, data: st.DataObject) -> None:
-        self.consider(data.draw(st.sampled_from(self.considered)), good=False)
+        self.accept_plan(data.draw(st.sampled_from(self.considered)), good=False)
 
-    def consider(self, plan: StepPlan, good: bool) -> None:
+    def accept_plan(self, plan: StepPlan, good: bool) -> None:
         robot = self.robot
         was, reason = robot.mode, robot.guard.reason
-        taken = robot.consider(plan)
+        taken = robot.accept_plan(plan)
         if not taken:
             assert robot.guard.refused
             assert (robot.mode, robot.guard.reason) == (was, reason)
@@ -263,10 +263,12 @@ class Everything(RuleBasedStateMachine):
         robot = self.robot
         was, walked = robot.mode, robot.mode is Mode.WALK
         acts = robot.cycle(after, ends)
-        assert Act.GRIP not in acts
+        assert Act.TORQUE_ON not in acts
         assert Act.RISE not in acts
         assert was is not Mode.OFF or (acts == () and robot.mode is Mode.OFF)
-        assert Act.LET_GO not in acts or (was is Mode.SIT and ends), "nothing lets go of a robot that is up, but an order"
+        assert Act.TORQUE_OFF not in acts or (was is Mode.SIT and ends), (
+            "only an order turns the torque of a standing robot off"
+        )
         overdue = robot.legs.planned and robot.now - self.accepted > DEADLINE_NS
         if walked and overdue and not self.late and not self.halted:
             assert Act.SET_DOWN in acts
@@ -331,9 +333,9 @@ class Everything(RuleBasedStateMachine):
         robot.cycle(ends=True)
         assert robot.mode is Mode.HOLD, robot.guard.objection
         robot.order("walk", "d")
-        assert robot.consider(robot.plan()), robot.guard.refused
+        assert robot.accept_plan(robot.plan()), robot.guard.refused
         robot.cycle()
-        assert robot.order("off", "e") == (Act.LET_GO,)
+        assert robot.order("off", "e") == (Act.TORQUE_OFF,)
         assert not robot.torque
 
 

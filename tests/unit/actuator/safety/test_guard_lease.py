@@ -23,7 +23,7 @@ def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> Non
     assert robot.guard.lease(begin + LEASE_NS) == "a"
     assert robot.guard.lease(begin + LEASE_NS + 1) == ""
     robot.now = begin + 2_000_000_000
-    robot.hear(again)
+    robot.handle_order(again)
     assert robot.guard.lease(robot.now + LEASE_NS) == "a"
     robot.now = begin + 4_000_000_000
     robot.order("stop")
@@ -35,10 +35,10 @@ def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> Non
 def test_one_leads_and_others_are_told_who(mode: str) -> None:
     robot = in_mode(Mode.WALK)
     assert robot.order(mode, "b") == ()
-    assert robot.guard.objection == f"`{mode}` of b refused: a holds the lease; take it over, or wait for its end"
+    assert robot.guard.objection == f"`{mode}` of b refused: a holds the lease; take it over, or wait until it expires"
     assert robot.guard.lease(robot.now) == "a"
     assert robot.mode is Mode.WALK
-    assert robot.consider(robot.renewal())
+    assert robot.accept_plan(robot.renewal())
     assert robot.cycle() == ()
 
 
@@ -48,11 +48,11 @@ def test_who_takes_over_leads_and_the_other_one_does_not_by_repeating() -> None:
     robot.order("walk", "b", take=True)
     assert robot.guard.objection == ""
     robot.now += CYCLE
-    robot.hear(before)
+    robot.handle_order(before)
     assert robot.guard.lease(robot.now - CYCLE + LEASE_NS) == "b"
     assert robot.guard.lease(robot.now + LEASE_NS) == ""
     robot.now += LEASE_NS
-    robot.hear(replace(before, stamp_ns=robot.now))
+    robot.handle_order(replace(before, stamp_ns=robot.now))
     assert robot.guard.lease(robot.now) == ""
     robot.order("stop", "a")
     assert robot.guard.lease(robot.now) == ""
@@ -71,7 +71,7 @@ def test_the_walk_does_not_pass_on_with_the_lease(take: bool) -> None:
     assert robot.guard.lease(robot.now) == "b"
     robot.verdict = Verdict()
     robot.cycle()
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert "not ordered to walk" in robot.guard.refused
 
 
@@ -83,7 +83,7 @@ def test_who_leads_goes_on_leading_by_new_orders() -> None:
     robot.order("walk")
     robot.verdict = Verdict()
     robot.cycle()
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 @pytest.mark.parametrize("mode", ORDERS)
@@ -95,34 +95,34 @@ def test_an_order_counts_once_and_an_older_one_that_moves_the_legs_not_at_all(mo
     robot.order("stand", "a", take=True)
     if mode == "off":
         assert robot.torque
-    assert robot.hear(again) == robot.hear(older) == ()
-    assert robot.guard.objection == "`sit` of a refused: it is older than their newest order"
+    assert robot.handle_order(again) == robot.handle_order(older) == ()
+    assert robot.guard.objection == "`sit` of a refused: it is older than the newest order of this client"
     assert robot.mode is Mode.STAND
-    assert robot.hear(ModeCommand(robot.now, "off", robot.number, "a")) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "off", robot.number, "a")) == ()
 
 
 def test_an_order_to_stop_that_comes_after_a_newer_one_to_walk_is_obeyed_once() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     late = [ModeCommand(robot.now, "off", robot.number - k, "a") for k in (1, 2, 3)]
-    assert robot.hear(late[1]) == (Act.LET_GO,)
-    assert robot.hear(replace(late[1], stamp_ns=robot.now - ORDER_AGE_NS - 1)) == ()
+    assert robot.handle_order(late[1]) == (Act.TORQUE_OFF,)
+    assert robot.handle_order(replace(late[1], stamp_ns=robot.now - ORDER_AGE_NS - 1)) == ()
     robot.order("stand")
     for again in (late[1], late[2]):
-        assert robot.hear(again) == ()
-        assert robot.guard.objection == "`off` of a refused: it is older than their newest order"
-    assert robot.guard.hear_stop(StopOrder(robot.now, "off", late[1].sequence, "a"), robot.now) == (), "heard already"
+        assert robot.handle_order(again) == ()
+        assert robot.guard.objection == "`off` of a refused: it is older than the newest order of this client"
+    assert robot.guard.handle_stop(StopOrder(robot.now, "off", late[1].sequence, "a"), robot.now) == (), "heard already"
     assert robot.torque
-    assert robot.hear(late[0]) == (Act.LET_GO,), "nobody knows a newer stop"
+    assert robot.handle_order(late[0]) == (Act.TORQUE_OFF,), "no newer stop is known"
 
 
 @pytest.mark.parametrize("mode", ["off", "stop"])
 def test_an_older_stop_that_was_recorded_and_is_put_again_is_refused(mode: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
-    assert robot.consider(robot.plan())
-    assert robot.hear(ModeCommand(robot.now - ORDER_AGE_NS - 1, mode, robot.number - 1, "a")) == ()  # type: ignore[arg-type]
-    assert robot.guard.objection == f"`{mode}` of a refused: it is older than their newest order"
+    assert robot.accept_plan(robot.plan())
+    assert robot.handle_order(ModeCommand(robot.now - ORDER_AGE_NS - 1, mode, robot.number - 1, "a")) == ()  # type: ignore[arg-type]
+    assert robot.guard.objection == f"`{mode}` of a refused: it is older than the newest order of this client"
     assert robot.mode is Mode.WALK
 
 
@@ -130,7 +130,7 @@ def test_of_a_repetition_that_is_not_of_now_it_says_so_where_it_would_move_the_l
     for mode, objection in (("stop", ""), ("walk", "`walk` of a refused: it is 3.0 s old, at most 2 s allowed")):
         robot = in_mode(Mode.HOLD)
         robot.order(mode)
-        assert robot.hear(ModeCommand(robot.now - 3_000_000_000, mode, robot.number, "a")) == ()  # type: ignore[arg-type]
+        assert robot.handle_order(ModeCommand(robot.now - 3_000_000_000, mode, robot.number, "a")) == ()  # type: ignore[arg-type]
         assert robot.guard.objection.split(";")[0] == objection
 
 
@@ -138,9 +138,9 @@ def test_a_stop_of_now_that_is_older_gives_nobody_the_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk", "b")
     robot.order("walk", "a", take=True)
-    assert robot.hear(ModeCommand(robot.now, "stop", 1, "b", take=True)) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "stop", 1, "b", take=True)) == ()
     assert robot.guard.lease(robot.now) == "a"
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert "not ordered to walk" in robot.guard.refused
 
 
@@ -149,7 +149,7 @@ def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_obj
     robot.order("walk")
     words = robot.guard.objection
     assert words == "`walk` refused: the mode is off, order `stand` first"
-    robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
+    robot.handle_order(ModeCommand(robot.now, "walk", robot.number, "a"))
     assert robot.guard.objection == words
     robot.order("stop", "b")
     assert robot.guard.objection == ""
@@ -162,7 +162,7 @@ def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
         robot.order("stop", f"holder {k}")
     for _ in range(2):
         assert robot.order("stand", "holder 16", take=True) == ()
-        assert robot.guard.objection == "`stand` of holder 16 refused: 16 others have given orders within 30 s"
+        assert robot.guard.objection == "`stand` of holder 16 refused: 16 other clients gave orders within 30 s"
     assert robot.order("stand", "holder 15") == (Act.RISE,)
     assert robot.guard.objection == ""
     robot.order("walk", "holder 16")
@@ -177,27 +177,27 @@ def test_who_has_ordered_nothing_for_long_makes_room_for_others_and_moves_nothin
     forgotten = robot.number - 15
     robot.now = forgotten + AWAY_NS
     robot.order("walk", "holder 16", take=True)
-    assert "16 others have given orders within 30 s" in robot.guard.objection
+    assert "16 other clients gave orders within 30 s" in robot.guard.objection
     robot.now += 1
     robot.order("walk", "holder 16", take=True)
     assert robot.guard.objection == ""
     assert robot.guard.lease(robot.now) == "holder 16"
     for mode in ("ready", "stand", "walk", "sit"):
-        assert robot.hear(ModeCommand(robot.now, mode, forgotten, "holder 0", take=True)) == ()  # type: ignore[arg-type]
+        assert robot.handle_order(ModeCommand(robot.now, mode, forgotten, "holder 0", take=True)) == ()  # type: ignore[arg-type]
         assert robot.guard.lease(robot.now) == "holder 16"
     assert robot.order("stop", "holder 0") == ()
-    assert robot.order("off", "holder 16") == (Act.LET_GO,)
+    assert robot.order("off", "holder 16") == (Act.TORQUE_OFF,)
 
 
 def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -> None:
     robot = in_mode(Mode.HOLD)
     words = [StopOrder(robot.now, "off", 1, f"onlooker {k}") for k in range(17)]
     for order in words[:16]:
-        assert robot.guard.hear_stop(order, robot.now) == (Act.LET_GO,)
-    assert robot.guard.hear_stop(words[0], robot.now) == (), "a repetition is nothing new"
-    assert robot.guard.hear_stop(words[16], robot.now) == (Act.LET_GO,)
-    assert robot.guard.hear_stop(words[0], robot.now) == (), "it was heard since"
-    assert robot.guard.hear_stop(words[1], robot.now) == (Act.LET_GO,), "forgotten: in doubt it is obeyed"
+        assert robot.guard.handle_stop(order, robot.now) == (Act.TORQUE_OFF,)
+    assert robot.guard.handle_stop(words[0], robot.now) == (), "a repetition is nothing new"
+    assert robot.guard.handle_stop(words[16], robot.now) == (Act.TORQUE_OFF,)
+    assert robot.guard.handle_stop(words[0], robot.now) == (), "it was heard since"
+    assert robot.guard.handle_stop(words[1], robot.now) == (Act.TORQUE_OFF,), "forgotten: in doubt it is obeyed"
 
 
 # ---------------------------------------------------------------------------------------------- clients that may only stop
@@ -208,24 +208,24 @@ def test_who_may_only_stop_does_so_from_anywhere_and_takes_nothing(mode: Mode) -
     robot = in_mode(mode)
     lease, leading = robot.guard.lease(robot.now), in_mode(mode)
     leading.order("stop", "viewer")
-    robot.guard.hear_stop(StopOrder(0, "stop", 5, "viewer"), robot.now)
+    robot.guard.handle_stop(StopOrder(0, "stop", 5, "viewer"), robot.now)
     assert robot.guard.lease(robot.now) == lease
     assert robot.mode is leading.mode, "as anybody's stop"
-    assert robot.guard.hear_stop(StopOrder(0, "off", 6, "viewer"), robot.now) == (Act.LET_GO,)
+    assert robot.guard.handle_stop(StopOrder(0, "off", 6, "viewer"), robot.now) == (Act.TORQUE_OFF,)
     assert robot.mode is Mode.OFF
 
 
 def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
     robot = in_mode(Mode.WALK)
     for k in range(1000):
-        robot.guard.hear_stop(StopOrder(0, "stop", k, f"stranger {k}"), robot.now)
+        robot.guard.handle_stop(StopOrder(0, "stop", k, f"stranger {k}"), robot.now)
     old = StopOrder(0, "stop", 999, "stranger 999")
     robot = in_mode(Mode.HOLD)
-    robot.guard.hear_stop(old, robot.now)
+    robot.guard.handle_stop(old, robot.now)
     robot.order("walk")
-    assert robot.guard.hear_stop(old, robot.now) == ()
+    assert robot.guard.handle_stop(old, robot.now) == ()
     assert robot.guard.objection == ""
-    assert robot.consider(robot.plan()), robot.guard.refused
-    assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999"), robot.now) == (Act.SET_DOWN,), (
-        "whose machine began anew"
+    assert robot.accept_plan(robot.plan()), robot.guard.refused
+    assert robot.guard.handle_stop(StopOrder(0, "stop", 1, "stranger 999"), robot.now) == (Act.SET_DOWN,), (
+        "whose machine has restarted"
     )

@@ -25,7 +25,7 @@ def test_it_begins_as_the_servos_stand_and_says_so(torque: bool) -> None:
 @pytest.mark.parametrize("torque", [True, False])
 def test_it_walks_by_nobodys_order(torque: bool) -> None:
     robot = in_mode(Mode.HOLD if torque else Mode.OFF)
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused == f"plan of step 1 refused: the mode is {robot.mode}, not ordered to walk"
 
 
@@ -33,11 +33,11 @@ def test_it_walks_by_nobodys_order(torque: bool) -> None:
 @pytest.mark.parametrize("holder", ["a", "b"])
 def test_anybody_lets_go_from_anywhere_in_one_order(mode: Mode, holder: str) -> None:
     robot = in_mode(mode)
-    assert robot.order("off", holder) == (Act.LET_GO,)
+    assert robot.order("off", holder) == (Act.TORQUE_OFF,)
     assert robot.mode is Mode.OFF
     assert robot.guard.reason == "ordered off"
     assert not robot.torque
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused.endswith("refused: the mode is off, not ordered to walk")
 
 
@@ -51,7 +51,7 @@ def test_off_is_latched() -> None:
     robot.guard.risen()
     assert robot.guard.seated(robot.now) == ()
     assert robot.guard.tip("it leans") == ()
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     robot.verdict = SPENT
     assert robot.cycle() == ()
     assert robot.mode is Mode.OFF
@@ -59,13 +59,13 @@ def test_off_is_latched() -> None:
 
 def test_an_order_turns_torque_on_and_leads_out() -> None:
     robot = in_mode(Mode.OFF)
-    assert robot.order("ready") == (Act.GRIP,)
+    assert robot.order("ready") == (Act.TORQUE_ON,)
     assert robot.mode is Mode.READY
     assert robot.guard.reason == "torque is on; order `stand` to rise"
     assert robot.order("stand") == (Act.RISE,)
     assert robot.mode is Mode.STAND
     robot.order("off")
-    assert robot.order("stand") == (Act.GRIP, Act.RISE)
+    assert robot.order("stand") == (Act.TORQUE_ON, Act.RISE)
     assert robot.guard.reason == "standing up"
 
 
@@ -80,14 +80,14 @@ def test_torque_stays_off_while_something_is_wrong_and_the_order_is_not_kept_for
     assert robot.guard.objection == (f"torque stays off: {why}" if mode == "ready" else f"`stand` refused: {why}")
     robot.verdict = Verdict()
     again = ModeCommand(robot.now, mode, robot.number, "a")  # type: ignore[arg-type]
-    assert robot.cycle() == robot.hear(again) == ()
+    assert robot.cycle() == robot.handle_order(again) == ()
     assert robot.mode is Mode.OFF
 
 
 @pytest.mark.parametrize("mode", [Mode.READY, Mode.FAULT])
 def test_ready_takes_up_servos_that_have_lost_their_torque(mode: Mode) -> None:
     robot = in_mode(mode)
-    assert robot.order("ready") == (Act.GRIP,)
+    assert robot.order("ready") == (Act.TORQUE_ON,)
     assert robot.mode is Mode.READY
     robot.verdict = Verdict()
     robot.cycle()
@@ -138,7 +138,7 @@ def test_what_an_order_does_in_each_mode(mode: Mode, order: str, acts: tuple[Act
     assert robot.mode is then
     done = acts or (then is mode and order in ("stop", "ready")) or (mode, order) == (Mode.SIT, "sit")
     walks = order == "walk" and mode in (Mode.HOLD, Mode.STAND, Mode.WALK)
-    assert (robot.guard.objection == "") == bool(done or walks), "whatever is refused is refused in words"
+    assert (robot.guard.objection == "") == bool(done or walks), "every refusal has a reason"
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_it_stands_and_sits_when_that_is_done() -> None:
     assert robot.torque
     robot.order("stand")
     robot.order("stop")
-    assert robot.guard.reason == "stopped on its way; order `stand` or `sit`"
+    assert robot.guard.reason == "stopped while rising or sitting down; order `stand` or `sit`"
     robot.guard.risen()
     assert robot.guard.seated(robot.now) == ()
     assert robot.mode is Mode.READY
@@ -177,7 +177,7 @@ def test_it_stands_and_sits_when_that_is_done() -> None:
 def test_it_sits_down_from_a_walk_when_its_feet_are_down() -> None:
     robot = in_mode(Mode.WALK)
     assert robot.order("sit") == (Act.SET_DOWN,)
-    assert not robot.consider(robot.renewal())
+    assert not robot.accept_plan(robot.renewal())
     assert robot.guard.refused == "plan of step 1 refused: ordered to sit"
     assert robot.cycle() == ()
     assert robot.cycle(ends=True) == (Act.LIE_DOWN,)
@@ -189,7 +189,7 @@ def test_the_newest_order_counts_while_the_feet_come_down(order: str, then: Mode
     robot = in_mode(Mode.WALK)
     robot.order("sit")
     robot.order(order)
-    assert robot.consider(robot.renewal()) == (order == "walk")
+    assert robot.accept_plan(robot.renewal()) == (order == "walk")
     robot.cycle()
     assert Act.LIE_DOWN not in robot.cycle(ends=order != "walk")
     assert robot.mode is then
@@ -206,17 +206,17 @@ def test_every_other_order_ends_the_walk(mode: Mode, order: str) -> None:
         robot.order("stand")
         rested(robot)
     assert robot.mode is Mode.HOLD
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused.endswith("refused: the mode is hold, not ordered to walk")
 
 
 def test_a_robot_that_was_ordered_to_walk_while_it_rises_walks_when_it_stands() -> None:
     robot = in_mode(Mode.STAND)
     robot.order("walk")
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused == "plan of step 1 refused: the mode is stand, not ordered to walk"
     robot.cycle(ends=True)
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 # ----------------------------------------------------------------------------------------------------------- tipping
@@ -225,18 +225,18 @@ def test_a_robot_that_was_ordered_to_walk_while_it_rises_walks_when_it_stands() 
 def test_a_body_that_tips_stops_until_a_new_order() -> None:
     robot = in_mode(Mode.WALK)
     assert robot.guard.tip("it leans") == (Act.SET_DOWN,)
-    assert not robot.consider(robot.renewal())
-    assert robot.guard.refused == "plan of step 1 refused: it leans; order `walk` anew"
+    assert not robot.accept_plan(robot.renewal())
+    assert robot.guard.refused == "plan of step 1 refused: it leans; order `walk` again"
     robot.cycle()
     assert robot.guard.reason == "it leans"
     robot.cycle(ends=True)
     assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "it leans")
     assert robot.guard.tip("it leans") == ()
-    robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
-    assert not robot.consider(robot.plan())
+    robot.handle_order(ModeCommand(robot.now, "walk", robot.number, "a"))
+    assert not robot.accept_plan(robot.plan())
     robot.order("walk")
     assert robot.guard.tipped == ""
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 @pytest.mark.parametrize("way", [("stand",), ("off", "stand")])
@@ -247,9 +247,9 @@ def test_who_stands_up_has_not_tipped(way: tuple[str, ...]) -> None:
         robot.order(order)
     assert robot.guard.tipped == ""
     robot.cycle(ends=True)
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     robot.order("walk")
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 def test_off_forgets_that_it_tipped() -> None:
@@ -264,7 +264,7 @@ def test_a_stop_that_takes_over_leads_and_moves_nothing(mode: Mode) -> None:
     robot = in_mode(mode)
     robot.order("stop", "b")
     before = robot.guard.lease(robot.now)
-    assert before != "b", "a stop alone leads nobody"
+    assert before != "b", "a stop alone takes no lease"
     acts = robot.order("stop", "b", take=True)
     assert set(acts) <= {Act.SET_DOWN, Act.FREEZE}
     assert robot.guard.lease(robot.now) == "b"
@@ -277,8 +277,8 @@ def test_a_plan_for_a_walk_that_is_being_stopped_is_refused_as_such() -> None:
     robot = in_mode(Mode.WALK)
     robot.order("stop")
     assert robot.mode is Mode.WALK
-    assert not robot.consider(robot.plan())
-    assert robot.guard.refused.endswith("refused: the walk is ordered to stop, and comes to its end")
+    assert not robot.accept_plan(robot.plan())
+    assert robot.guard.refused.endswith("refused: the walk was ordered to stop; its last step is being finished")
 
 
 def test_a_walk_that_is_ordered_to_stop_says_so_when_it_stands() -> None:

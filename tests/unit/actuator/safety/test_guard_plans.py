@@ -19,12 +19,12 @@ POWERED = [mode for mode in Mode if mode is not Mode.OFF]
 def test_a_plan_is_walked_to_its_end_and_then_it_holds() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
     assert (robot.mode, robot.guard.reason, robot.guard.refused) == (Mode.WALK, "walking", "")
     robot.cycle()
     robot.cycle(ends=True)
     assert robot.mode is Mode.HOLD
-    assert robot.guard.reason == "the last accepted step is finished and no new plan came"
+    assert robot.guard.reason == "the last accepted step is finished; no new plan received"
 
 
 @pytest.mark.parametrize("bad", BAD)
@@ -32,7 +32,7 @@ def test_a_bad_plan_is_refused_in_words_and_changes_nothing(bad: str) -> None:
     robot = in_mode(Mode.WALK)
     make, words = BAD[bad]
     plan = make(robot)
-    assert not robot.consider(plan)
+    assert not robot.accept_plan(plan)
     assert words in robot.guard.refused
     judged = bad in ("out of reach", "without end", "no pose")
     assert robot.guard.refused_ns == (plan.stamp_ns if judged else -1)
@@ -57,35 +57,35 @@ def test_a_revision_is_judged_from_where_the_robot_is_and_the_next_step_from_whe
     ends_there, is_there = replace(robot.legs, body=away, feet=there), replace(robot.legs, body_now=away, feet_now=there)
     next_step = robot.plan(body_goal=away, touchdown=there)
     revision = robot.renewal(stamp_ns=robot.now + 1, body_goal=away, touchdown=there)
-    assert not robot.guard.consider(next_step, robot.now, is_there)
-    assert not robot.guard.consider(revision, robot.now, ends_there)
-    assert robot.guard.consider(next_step, robot.now, ends_there)
-    assert robot.guard.consider(revision, robot.now, is_there)
+    assert not robot.guard.accept_plan(next_step, robot.now, is_there)
+    assert not robot.guard.accept_plan(revision, robot.now, ends_there)
+    assert robot.guard.accept_plan(next_step, robot.now, ends_there)
+    assert robot.guard.accept_plan(revision, robot.now, is_there)
 
 
 def test_a_revision_for_higher_feet_is_refused_once_they_are_in_the_air() -> None:
     robot = in_mode(Mode.WALK)
     higher = robot.renewal(clearance=np.full(6, 0.06))
     robot.lifted = robot.renewal().clearance
-    assert not robot.consider(higher)
-    assert robot.guard.refused.endswith("asks for more clearance than its feet were lifted with")
+    assert not robot.accept_plan(higher)
+    assert robot.guard.refused.endswith("needs more clearance than its feet were lifted with")
     assert robot.guard.refused_ns == -1, "the step itself is not refused: it is not tried in other ways"
     robot.lifted = np.full(6, np.inf)
-    assert robot.consider(higher)
+    assert robot.accept_plan(higher)
 
 
 def test_a_step_of_its_own_is_not_revised() -> None:
     """Check that no plan revises a step that the actuator takes back."""
     robot = in_mode(Mode.WALK)
     robot.own = True
-    assert not robot.consider(robot.renewal())
+    assert not robot.accept_plan(robot.renewal())
     assert "does not follow step 1" in robot.guard.refused
 
 
 def test_while_a_foot_looks_for_ground_no_plan_is_taken() -> None:
     robot = in_mode(Mode.WALK)
     robot.searching, robot.trouble = True, "no ground under a foot"
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused == "plan of step 2 refused: no ground under a foot"
     robot.cycle()
     assert robot.guard.reason == "no ground under a foot"
@@ -97,20 +97,20 @@ def test_a_new_odometry_has_plans_of_its_own() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     plan = robot.plan()
-    robot.guard.begin_anew(EPOCH + 1)
+    robot.guard.set_epoch(EPOCH + 1)
     assert robot.guard.epoch == EPOCH + 1
-    assert not robot.consider(plan)
-    assert robot.consider(replace(plan, epoch=EPOCH + 1))
+    assert not robot.accept_plan(plan)
+    assert robot.accept_plan(replace(plan, epoch=EPOCH + 1))
 
 
 def test_without_a_living_lease_no_plan_is_taken() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     robot.now += LEASE_NS + 1
-    assert not robot.consider(robot.plan())
-    assert robot.guard.refused == "plan of step 1 refused: no order of a for 3 s, nobody leads"
-    robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
-    assert robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
+    assert robot.guard.refused == "plan of step 1 refused: no order from a for 3 s, the lease has expired"
+    robot.handle_order(ModeCommand(robot.now, "walk", robot.number, "a"))
+    assert robot.accept_plan(robot.plan())
 
 
 # -------------------------------------------------------------------------------------------------------- the deadline
@@ -124,15 +124,15 @@ def test_a_walk_without_a_new_plan_ends_after_the_deadline_and_goes_on_when_the_
     assert robot.guard.reason == "walking"
     assert robot.cycle(1) == (Act.SET_DOWN,)
     assert robot.cycle() == (), "once"
-    assert robot.guard.reason == "no new plan came for 0.18 s"
-    assert not robot.consider(robot.renewal())
-    assert robot.guard.refused == "plan of step 1 refused: no new plan came for 0.18 s, feet are set down first"
-    robot.trouble = "the step is taken back"
+    assert robot.guard.reason == "no new plan received for 0.18 s"
+    assert not robot.accept_plan(robot.renewal())
+    assert robot.guard.refused == "plan of step 1 refused: no new plan received for 0.18 s, the feet are set down first"
+    robot.trouble = "the step is reversed"
     robot.cycle(ends=True)
-    assert robot.guard.reason == "no new plan came for 0.18 s; the step is taken back"
+    assert robot.guard.reason == "no new plan received for 0.18 s; the step is reversed"
     assert robot.mode is Mode.HOLD
     robot.trouble = ""
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
     assert robot.cycle() == ()
     assert robot.guard.reason == "walking"
 
@@ -141,7 +141,7 @@ def test_a_new_plan_puts_the_deadline_off() -> None:
     robot = in_mode(Mode.WALK)
     for _ in range(20):
         assert robot.cycle() == robot.cycle() == ()
-        assert robot.consider(robot.renewal())
+        assert robot.accept_plan(robot.renewal())
     robot.now += DEADLINE_NS - CYCLE
     assert robot.cycle() == ()
     assert robot.cycle(1) == (Act.SET_DOWN,)
@@ -175,7 +175,7 @@ def test_a_deadline_that_was_missed_is_forgotten_with_the_walk(way: str) -> None
         robot.verdict = Verdict()
     rested(robot)
     robot.order("walk")
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 # -------------------------------------------------------------------------------------------------------------- faults
@@ -202,12 +202,12 @@ def test_what_is_broken_stops_it_until_it_is_whole(mode: Mode, acts: tuple[Act, 
     robot.verdict = Verdict(broken="another one is")
     assert robot.cycle(ends=True) == ()
     assert robot.guard.reason == "another one is"
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused.endswith("refused: another one is")
     robot.verdict = Verdict()
     assert robot.cycle() == ()
     if mode in (Mode.STAND, Mode.SIT):
-        assert (robot.mode, robot.guard.reason) == (Mode.READY, "what was broken is whole again; order `stand` or `sit`")
+        assert (robot.mode, robot.guard.reason) == (Mode.READY, "the fault has cleared; order `stand` or `sit`")
         robot.order("stand")
         robot.verdict = BROKEN
         robot.cycle()
@@ -220,7 +220,7 @@ def test_what_is_broken_stops_it_until_it_is_whole(mode: Mode, acts: tuple[Act, 
         robot.cycle()
         robot.verdict = Verdict()
         robot.cycle()
-    assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "what was broken is whole again")
+    assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "the fault has cleared")
 
 
 def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() -> None:
@@ -234,7 +234,7 @@ def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() 
     assert robot.guard.objection == "`stand` refused: feet are being set down"
     robot.cycle(ends=True)
     assert robot.mode is Mode.HOLD
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 @pytest.mark.parametrize("way", ["ready", "sit", "a fault while it rises"])
@@ -287,7 +287,7 @@ def test_ordered_to_sit_in_a_fault_it_lies_down_whatever_is_broken_and_lets_go()
     assert robot.cycle() == (Act.LIE_DOWN,)
     assert robot.cycle() == ()
     assert robot.mode is Mode.SIT
-    assert robot.cycle(ends=True) == (Act.LET_GO,)
+    assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
     assert (robot.mode, robot.guard.reason) == (Mode.OFF, "ordered to sit")
 
 
@@ -319,7 +319,7 @@ def test_what_cannot_be_borne_lays_it_down_and_lets_go(mode: Mode, broken: bool)
     acts = robot.cycle()
     if mode is Mode.WALK:
         assert acts == (Act.SET_DOWN,)
-        assert not robot.consider(robot.renewal())
+        assert not robot.accept_plan(robot.renewal())
         acts = robot.cycle(ends=True)
     frozen = (Act.FREEZE,) * (broken and mode in (Mode.STAND, Mode.SIT))
     lies = (Act.LIE_DOWN,) * (broken or mode is not Mode.SIT)
@@ -327,7 +327,7 @@ def test_what_cannot_be_borne_lays_it_down_and_lets_go(mode: Mode, broken: bool)
     assert robot.mode is Mode.SIT
     assert robot.guard.reason == "the battery is low"
     assert robot.cycle() == ()
-    assert robot.cycle(ends=True) == (Act.LET_GO,)
+    assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
     assert (robot.mode, robot.guard.reason) == (Mode.OFF, "the battery is low")
 
 
@@ -341,7 +341,7 @@ def test_once_decided_it_is_done() -> None:
     robot.verdict = Verdict()
     assert robot.cycle() == ()
     assert robot.cycle(ends=True) == (Act.LIE_DOWN,)
-    assert robot.cycle(ends=True) == (Act.LET_GO,)
+    assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
 
 
 def test_what_breaks_while_its_feet_come_down_is_named_first() -> None:
@@ -368,9 +368,9 @@ def test_servos_that_are_taken_up_again_do_not_save_it_from_lying_down() -> None
     robot = in_mode(Mode.WALK)
     robot.verdict = replace(SPENT, broken="a servo is silent")
     robot.cycle()
-    assert robot.order("ready") == (Act.GRIP,)
+    assert robot.order("ready") == (Act.TORQUE_ON,)
     assert robot.cycle() == (Act.LIE_DOWN,)
-    assert robot.cycle(ends=True) == (Act.LET_GO,)
+    assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
 
 
 def test_an_order_counts_again_when_the_cause_is_gone() -> None:
@@ -380,7 +380,7 @@ def test_an_order_counts_again_when_the_cause_is_gone() -> None:
     robot.verdict = Verdict()
     robot.cycle()
     robot.order("walk")
-    assert robot.consider(robot.renewal())
+    assert robot.accept_plan(robot.renewal())
     robot.verdict = SPENT
     assert robot.cycle() == (Act.SET_DOWN,)
 
@@ -396,7 +396,7 @@ def test_anybody_stops_it_even_then_and_it_is_not_taken_up_by_itself() -> None:
     assert robot.guard.objection == "`stand` refused: the battery is low"
     robot.order("sit")
     assert robot.cycle() == (Act.LIE_DOWN,)
-    assert robot.cycle(ends=True) == (Act.LET_GO,)
+    assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
 
 
 @pytest.mark.parametrize("order", ["stand", "ready"])

@@ -11,24 +11,24 @@ from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
 
 MOVES = [mode for mode in ORDERS if mode not in ("off", "stop")]
-ALLOWED = "at most 2 s allowed; orders are stamped by the robot's clock"
+ALLOWED = "at most 2 s allowed; stamp orders by the robot's clock"
 
 
 @pytest.mark.parametrize("mode", MOVES)
 @pytest.mark.parametrize("take", [True, False])
 @pytest.mark.parametrize(
     ("off_ns", "words"),
-    [(-ORDER_AGE_NS - 1, "2.0 s old"), (-60_000_000_000, "60.0 s old"), (ORDER_AGE_NS + 1, "stamped 2.0 s ahead of now")],
+    [(-ORDER_AGE_NS - 1, "2.0 s old"), (-60_000_000_000, "60.0 s old"), (ORDER_AGE_NS + 1, "stamped 2.0 s in the future")],
 )
 def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take: bool, off_ns: int, words: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.now += LEASE_NS + 1  # no client holds the lease
     put_again = ModeCommand(robot.now + off_ns, mode, robot.now, "b", take)  # type: ignore[arg-type]
-    assert robot.hear(put_again) == ()
+    assert robot.handle_order(put_again) == ()
     assert robot.guard.objection == f"`{mode}` of b refused: it is {words}, {ALLOWED}"
     assert robot.mode is Mode.HOLD
     assert robot.guard.lease(robot.now) == ""
-    robot.hear(replace(put_again, stamp_ns=robot.now))  # its sequence number is still unused
+    robot.handle_order(replace(put_again, stamp_ns=robot.now))  # its sequence number is still unused
     assert robot.guard.objection == ""
     assert robot.guard.lease(robot.now) == "b"
 
@@ -43,16 +43,14 @@ def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_noth
     robot = in_mode(mode)
     robot.now += LEASE_NS + 1
     given = ModeCommand(robot.now, order, robot.now - ORDER_AGE_NS - 1, "b")  # type: ignore[arg-type]
-    assert robot.hear(given) == ()
-    words = (
-        f"`{order}` of b refused: by its sequence, the time [ns] of the robot's clock, it was given 2.0 s ago; order it anew"
-    )
+    assert robot.handle_order(given) == ()
+    words = f"`{order}` of b refused: by its sequence number, the robot's time [ns], it was given 2.0 s ago; order it again"
     assert robot.guard.objection == words
     assert robot.guard.lease(robot.now) == ""
     assert robot.cycle() == ()
     assert robot.mode is mode
     again = replace(given, stamp_ns=robot.now, sequence=robot.now - ORDER_AGE_NS)
-    robot.hear(again)
+    robot.handle_order(again)
     assert robot.guard.objection == ("`sit` refused: torque is off" if (mode, order) == (Mode.OFF, "sit") else "")
 
 
@@ -75,9 +73,9 @@ def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else
     robot.now = EPOCH + begun_s * 1_000_000_000
     given_ns = robot.now - given_s * 1_000_000_000
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=True, walk=WalkOrder("b", given_ns) if in_force else None)
-    robot.hear(ModeCommand(robot.now, "walk", given_ns, "b"))
+    robot.handle_order(ModeCommand(robot.now, "walk", given_ns, "b"))
     assert robot.guard.lease(robot.now) == ("b" if walks else "")
-    assert robot.consider(robot.plan(epoch=EPOCH)) == walks
+    assert robot.accept_plan(robot.plan(epoch=EPOCH)) == walks
     assert (robot.guard.objection == "") == walks
     assert (robot.guard.walk_order(robot.now) == WalkOrder("b", given_ns)) == walks
 
@@ -96,7 +94,7 @@ def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_ane
             robot.now += 1
             assert robot.guard.walk_order(robot.now) == order
         if ending == "viewer stops":
-            robot.perform(robot.guard.hear_stop(StopOrder(robot.now, "stop", 1, "viewer"), robot.now))
+            robot.perform(robot.guard.handle_stop(StopOrder(robot.now, "stop", 1, "viewer"), robot.now))
         elif ending == "tips":
             robot.perform(robot.guard.tip("it leans"))
         elif ending == "spent":
@@ -111,18 +109,18 @@ def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_ane
         assert robot.guard.walk_order(robot.now) is None
         robot.now += CYCLE
         robot.guard = Guard(PROFILE, 0.6, robot.now, robot.torque, walk=robot.guard.walk_order(robot.now))
-        robot.hear(ModeCommand(robot.now, "walk", order.sequence, order.holder))
-        words = "it was given before this actuator began, and was not in force then; order it anew"
-        assert robot.guard.objection == f"`walk` of a refused: by its sequence, the time [ns] of the robot's clock, {words}"
+        robot.handle_order(ModeCommand(robot.now, "walk", order.sequence, order.holder))
+        words = "it was given before this actuator started, and was not in force at that time; order it again"
+        assert robot.guard.objection == f"`walk` of a refused: by its sequence number, the robot's time [ns], {words}"
         assert robot.guard.lease(robot.now) == ""
-        assert not robot.consider(robot.plan(epoch=robot.now))
+        assert not robot.accept_plan(robot.plan(epoch=robot.now))
 
 
 def test_who_ordered_to_stand_just_before_the_guard_began_is_obeyed() -> None:
     robot = in_mode(Mode.HOLD)
     robot.guard = Guard(PROFILE, 0.6, robot.now, torque=True)
     robot.now += CYCLE
-    assert robot.hear(ModeCommand(robot.now, "stand", robot.now - ORDER_AGE_NS, "b")) == (Act.RISE,)
+    assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - ORDER_AGE_NS, "b")) == (Act.RISE,)
 
 
 def test_a_walk_that_broke_off_is_over_with_ready() -> None:
@@ -139,16 +137,16 @@ def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
     robot = in_mode(Mode.HOLD)
     off_ns = robot.now + 500_000_000
     robot.now = off_ns + 100_000_000
-    robot.hear(ModeCommand(robot.now, "off", off_ns, "a"))
-    assert robot.hear(ModeCommand(robot.now, "stand", off_ns - 1, "b", take=True)) == ()
-    assert robot.guard.objection.endswith("it was given before torque was ordered off; order it anew")
+    robot.handle_order(ModeCommand(robot.now, "off", off_ns, "a"))
+    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns - 1, "b", take=True)) == ()
+    assert robot.guard.objection.endswith("it was given before torque was ordered off; order it again")
     assert not robot.torque
-    assert robot.hear(ModeCommand(robot.now, "stand", off_ns, "b", take=True)) == (Act.GRIP, Act.RISE)
+    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns, "b", take=True)) == (Act.TORQUE_ON, Act.RISE)
     assert robot.guard.given_ns == off_ns
     robot.now += CYCLE
-    robot.perform(robot.guard.hear_stop(StopOrder(0, "off", 1, "viewer"), robot.now))
-    assert robot.hear(ModeCommand(robot.now, "ready", robot.now - 1, "b", take=True)) == ()
-    assert robot.hear(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.GRIP,)
+    robot.perform(robot.guard.handle_stop(StopOrder(0, "off", 1, "viewer"), robot.now))
+    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now - 1, "b", take=True)) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.TORQUE_ON,)
 
 
 def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
@@ -156,16 +154,16 @@ def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
         robot = in_mode(Mode.OFF)
         robot.now += LEASE_NS
         if stops_only:
-            robot.guard.hear_stop(StopOrder(0, "stop", 1, "b"), robot.now)
+            robot.guard.handle_stop(StopOrder(0, "stop", 1, "b"), robot.now)
         else:
             robot.order("stop", "b")
-        assert robot.hear(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == (Act.GRIP, Act.RISE)
+        assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == (Act.TORQUE_ON, Act.RISE)
 
 
 def test_a_stop_whose_number_is_no_time_is_obeyed_and_bars_no_later_ones_way() -> None:
     robot = in_mode(Mode.HOLD)
     for number in (10**18, robot.now, robot.now + AHEAD_NS + 1):
-        assert robot.hear(ModeCommand(robot.now, "off", number, "b")) == (Act.LET_GO,)
+        assert robot.handle_order(ModeCommand(robot.now, "off", number, "b")) == (Act.TORQUE_OFF,)
 
 
 def test_a_robot_that_has_let_go_by_itself_rises_for_no_order_of_before() -> None:
@@ -175,9 +173,9 @@ def test_a_robot_that_has_let_go_by_itself_rises_for_no_order_of_before() -> Non
         robot.cycle(ends=True)
     robot.verdict = Verdict()
     robot.cycle()
-    robot.hear(ModeCommand(robot.now, "stand", robot.guard.off_ns - 1, "b"))
+    robot.handle_order(ModeCommand(robot.now, "stand", robot.guard.off_ns - 1, "b"))
     assert not robot.torque
-    robot.hear(ModeCommand(robot.now, "stand", robot.guard.off_ns, "b"))
+    robot.handle_order(ModeCommand(robot.now, "stand", robot.guard.off_ns, "b"))
     assert robot.torque
 
 
@@ -185,7 +183,7 @@ def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothi
     robot = in_mode(Mode.HOLD)
     robot.order("stop", take=True)
     robot.now += AWAY_NS + 1
-    robot.hear(ModeCommand(robot.now, "stop", robot.number, "a"))
+    robot.handle_order(ModeCommand(robot.now, "stop", robot.number, "a"))
     assert robot.guard.lease(robot.now) == "a"
     assert robot.guard.objection == ""
 
@@ -195,18 +193,18 @@ def test_an_order_to_let_go_that_comes_by_a_late_clock_takes_back_what_was_order
     robot.order("stand")
     given_ns = robot.number
     robot.now += 200_000_000
-    robot.hear(ModeCommand(robot.now, "off", given_ns - 50_000_000, "b"))
+    robot.handle_order(ModeCommand(robot.now, "off", given_ns - 50_000_000, "b"))
     assert robot.guard.off_ns > given_ns
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.guard.off_ns)
-    robot.hear(ModeCommand(robot.now, "stand", given_ns, "a"))
+    robot.handle_order(ModeCommand(robot.now, "stand", given_ns, "a"))
     assert not robot.torque
 
 
 def test_a_latch_that_was_closed_counts_for_a_guard_that_begins_anew() -> None:
     robot = in_mode(Mode.OFF)
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.now)
-    assert robot.hear(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == ()
-    assert robot.hear(ModeCommand(robot.now, "stand", robot.now, "a")) == (Act.GRIP, Act.RISE)
+    assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now, "a")) == (Act.TORQUE_ON, Act.RISE)
 
 
 def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() -> None:
@@ -214,29 +212,27 @@ def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() ->
         robot = in_mode(Mode.HOLD)
         robot.order("walk")
         robot.now += away_ns
-        robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
+        robot.handle_order(ModeCommand(robot.now, "walk", robot.number, "a"))
         assert robot.guard.lease(robot.now) == "a"
-        assert robot.consider(robot.plan()) == walks
-        assert robot.guard.objection == (
-            "" if walks else "`walk` of a refused: nothing was heard of it for 30 s; order it anew"
-        )
+        assert robot.accept_plan(robot.plan()) == walks
+        assert robot.guard.objection == ("" if walks else "`walk` of a refused: no order was received for 30 s; order it again")
     assert robot.order("walk") == ()
-    assert robot.consider(robot.plan())
+    assert robot.accept_plan(robot.plan())
 
 
 def test_an_order_given_ahead_of_now_is_refused() -> None:
     robot = in_mode(Mode.HOLD)
     ahead = robot.now + AHEAD_NS
-    robot.hear(ModeCommand(robot.now, "sit", ahead + 1, "b"))
-    assert robot.guard.objection == "`sit` of b refused: its sequence, when it was given [ns], is ahead of now"
-    robot.hear(ModeCommand(robot.now, "sit", ahead, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now, "sit", ahead + 1, "b"))
+    assert robot.guard.objection == "`sit` of b refused: its sequence number, the time of the order [ns], lies in the future"
+    robot.handle_order(ModeCommand(robot.now, "sit", ahead, "b", take=True))
     assert robot.guard.objection == ""
 
 
 @pytest.mark.parametrize("off_ns", [-ORDER_AGE_NS, ORDER_AGE_NS])
 def test_an_order_may_be_two_seconds_under_way(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.hear(ModeCommand(robot.now + off_ns, "sit", robot.now + min(off_ns, 0), "b"))
+    robot.handle_order(ModeCommand(robot.now + off_ns, "sit", robot.now + min(off_ns, 0), "b"))
     assert robot.guard.objection == ""
     assert robot.cycle() == (Act.LIE_DOWN,)
 
@@ -247,7 +243,7 @@ def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
     recorded = ModeCommand(robot.now, "walk", robot.number, "a")
     given_ns = robot.now
     robot.now += ORDER_AGE_NS + 1
-    robot.hear(recorded)
+    robot.handle_order(recorded)
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
 
@@ -257,7 +253,7 @@ def test_a_stop_that_was_recorded_and_is_put_again_keeps_no_lease() -> None:
     robot.order("stop")
     recorded, given_ns = ModeCommand(robot.now, "stop", robot.number, "a"), robot.now
     robot.now += ORDER_AGE_NS + 1
-    assert robot.hear(recorded) == ()
+    assert robot.handle_order(recorded) == ()
     assert robot.guard.lease(given_ns + LEASE_NS) == "a"
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
@@ -269,11 +265,11 @@ def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: 
     given_ns, later = robot.now, robot.now + 1
     robot.now += ORDER_AGE_NS + 1
     old_ns = robot.now - ORDER_AGE_NS - 1
-    acts = robot.hear(ModeCommand(old_ns, mode, 1, "b", take=True))  # type: ignore[arg-type]
-    assert acts == ((Act.LET_GO,) if mode == "off" else (Act.SET_DOWN,))
+    acts = robot.handle_order(ModeCommand(old_ns, mode, 1, "b", take=True))  # type: ignore[arg-type]
+    assert acts == ((Act.TORQUE_OFF,) if mode == "off" else (Act.SET_DOWN,))
     assert robot.guard.lease(robot.now) == "a"
-    robot.hear(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
-    robot.hear(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
+    robot.handle_order(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
+    robot.handle_order(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
     assert robot.guard.lease(given_ns + LEASE_NS) == "a"
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
@@ -281,15 +277,15 @@ def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: 
 @pytest.mark.parametrize("off_ns", [-10 * ORDER_AGE_NS, 10 * ORDER_AGE_NS])
 def test_a_stop_that_is_not_of_now_locks_nobody_out(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.hear(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take=True))
     assert robot.guard.lease(robot.now) == ""
-    robot.hear(ModeCommand(robot.now, "stop", 7, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now, "stop", 7, "b", take=True))
     assert (robot.guard.objection, robot.guard.lease(robot.now)) == ("", "b"), "its numbers count from those of now"
-    robot.hear(ModeCommand(robot.now, "walk", 8, "b"))
+    robot.handle_order(ModeCommand(robot.now, "walk", 8, "b"))
     assert robot.guard.objection == ""
-    assert robot.consider(robot.plan())
-    robot.hear(ModeCommand(robot.now + off_ns, "stop", 5, "b"))
-    assert robot.guard.objection == "`stop` of b refused: it is older than their newest order"
+    assert robot.accept_plan(robot.plan())
+    robot.handle_order(ModeCommand(robot.now + off_ns, "stop", 5, "b"))
+    assert robot.guard.objection == "`stop` of b refused: it is older than the newest order of this client"
     assert robot.mode is Mode.WALK
 
 
@@ -300,7 +296,7 @@ def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> N
     for mode in ("stand", "walk", "sit", "stand", "walk", "off"):
         robot.number += 1
         said.append(ModeCommand(robot.now, mode, robot.number, "a"))  # type: ignore[arg-type]
-        robot.hear(said[-1])
+        robot.handle_order(said[-1])
         robot.cycle()
     assert robot.mode is Mode.OFF
     robot.now += 10 * LEASE_NS  # no client holds the lease any more
@@ -308,7 +304,7 @@ def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> N
         robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False)
     refused = 0
     for again in said[:-1] * 200:
-        assert robot.hear(again) == ()
+        assert robot.handle_order(again) == ()
         refused += robot.guard.objection.endswith(ALLOWED)
     assert refused == 1000
     assert robot.mode is Mode.OFF
@@ -322,7 +318,7 @@ def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
     robot.order("walk")
     refused = 0
     for plan in old:
-        assert not robot.consider(plan)
+        assert not robot.accept_plan(plan)
         refused += "old" in robot.guard.refused
     assert refused == 200
 
@@ -331,24 +327,24 @@ def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
 def test_whatever_was_ordered_before_the_computer_slept_is_over(mode: Mode) -> None:
     robot = in_mode(mode)
     before = robot.number
-    acts = robot.guard.woke(3600.0, robot.now)
+    acts = robot.guard.resume_from_suspend(3600.0, robot.now)
     assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(mode, ())
     robot.perform(acts)
-    assert robot.guard.objection == "what was ordered is over: the computer was asleep for 3600 s; order it anew"
+    assert robot.guard.objection == "all orders are cancelled: the computer was suspended for 3600 s; order again"
     assert robot.guard.lease(robot.now) == ""
     assert robot.guard.walk_order(robot.now) is None
     assert robot.mode is {Mode.STAND: Mode.READY, Mode.SIT: Mode.READY}.get(mode, mode)
-    assert not robot.consider(robot.plan())
+    assert not robot.accept_plan(robot.plan())
     for order in MOVES:
         for sequence in (before, robot.now):
-            assert robot.hear(ModeCommand(robot.now, order, sequence, "b")) == ()  # type: ignore[arg-type]
+            assert robot.handle_order(ModeCommand(robot.now, order, sequence, "b")) == ()  # type: ignore[arg-type]
     if mode is Mode.HOLD:
-        words = "it was given before the computer slept; order it anew"
+        words = "it was given before the computer was suspended; order it again"
         put = ModeCommand(robot.now, "sit", robot.now, "c")
-        robot.hear(put)
-        assert robot.guard.objection == f"`sit` of c refused: by its sequence, the time [ns] of the robot's clock, {words}"
+        robot.handle_order(put)
+        assert robot.guard.objection == f"`sit` of c refused: by its sequence number, the robot's time [ns], {words}"
     assert robot.guard.lease(robot.now) == ""
     robot.cycle(ends=True)
     assert robot.mode is {Mode.STAND: Mode.READY, Mode.SIT: Mode.READY, Mode.WALK: Mode.HOLD}.get(mode, mode)
-    robot.hear(ModeCommand(robot.now, "ready", robot.now + 1, "b"))
+    robot.handle_order(ModeCommand(robot.now, "ready", robot.now + 1, "b"))
     assert robot.guard.lease(robot.now) == "b"

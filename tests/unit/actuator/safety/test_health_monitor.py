@@ -26,7 +26,7 @@ WELL = Vitals(
     temperature=np.full(18, 30.0),
     errors=np.zeros(18, dtype=np.uint8),
     strength=np.ones(18),
-    limp=np.zeros(18, dtype=np.bool_),
+    torque_disabled=np.zeros(18, dtype=np.bool_),
     behind=np.zeros(18, dtype=np.bool_),
     loss=0.0,
     trouble="",
@@ -81,11 +81,11 @@ def test_before_the_first_readings_nothing_is_known_and_nothing_is_said() -> Non
 
 @pytest.mark.parametrize("servo", range(18))
 def test_a_weak_servo_is_named_and_stops_a_robot_that_stands_on_it(servo: int) -> None:
-    words = f"{name(servo)} was left with 30% of its torque; order `ready` to turn it up where it is"
+    words = f"{name(servo)} has only 30% of its torque; order `ready` to restore it"
     verdict = Patient().cycle(one(servo, strength=0.3))
     assert (verdict.broken, verdict.warnings) == (words, (words,))
-    limp = Patient().cycle(one(servo, strength=0.3), torque=False)
-    assert (limp.broken, limp.warnings) == ("", (words,))
+    torque_disabled = Patient().cycle(one(servo, strength=0.3), torque=False)
+    assert (torque_disabled.broken, torque_disabled.warnings) == ("", (words,))
 
 
 # ------------------------------------------------------------------------------------------------------------- silence
@@ -96,7 +96,7 @@ def test_a_silent_servo_is_named_by_leg_joint_and_id(servo: int) -> None:
     patient = Patient()
     assert patient.cycle(one(servo, missed=SILENT - 1)).broken == ""
     broken = patient.cycle(one(servo, missed=SILENT)).broken
-    assert broken == f"{name(servo)} does not answer; check its cable and those before it"
+    assert broken == f"{name(servo)} does not answer; check its cable and the cables before it"
     assert patient.cycle().broken == ""
 
 
@@ -140,20 +140,20 @@ def test_five_late_cycles_in_a_row_and_no_fewer_stop_it_as_long_as_they_last(run
 def test_a_robot_that_nobody_has_led_for_a_while_stops(gap_s: float) -> None:
     assert Patient().cycle(dt=0.2).broken == ""
     patient = Patient()
-    assert patient.cycle(dt=gap_s).broken == f"the computer has kept the actuator waiting for {gap_s:.1f} s"
+    assert patient.cycle(dt=gap_s).broken == f"the actuator process did not run for {gap_s:.1f} s"
     assert patient.cycle().broken == ""
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
 def test_a_servo_that_has_missed_goals_is_waited_for(servo: int) -> None:
-    assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} takes up its work again, slowly"
+    assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} is catching up with its goal, slowly"
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
 def test_a_servo_without_torque_is_broken_only_where_torque_is_meant_to_be(servo: int) -> None:
-    limp = one(servo, limp=True)
-    assert Patient().cycle(limp).broken == f"{name(servo)} has lost its torque; order `ready` to turn it on where it is"
-    assert Patient().cycle(limp, torque=False).broken == ""
+    torque_disabled = one(servo, torque_disabled=True)
+    assert Patient().cycle(torque_disabled).broken == f"{name(servo)} has lost its torque; order `ready` to turn it on again"
+    assert Patient().cycle(torque_disabled, torque=False).broken == ""
 
 
 def test_other_errors_are_named_but_the_voltage_tells_of_itself() -> None:
@@ -177,9 +177,9 @@ class Overloaded(Patient):
         until = self.now + seconds
         while self.now < until:
             verdict = self.cycle(one(self.servo, errors=int(ServoError.OVERLOAD)))
-            assert verdict.broken == f"{name(self.servo)} has shut down for its load"
-            if verdict.revive:
-                assert verdict.revive == (self.servo,)
+            assert verdict.broken == f"{name(self.servo)} has shut down because of overload"
+            if verdict.restore_torque:
+                assert verdict.restore_torque == (self.servo,)
                 self.resets.append(self.now)
                 break
         return verdict
@@ -195,13 +195,13 @@ def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_th
     for pause in pauses:
         before = patient.now
         verdict = patient.shut_down()
-        if verdict.revive:
+        if verdict.restore_torque:
             assert patient.now - before == pytest.approx(1.0, abs=2.5 * PERIOD), "it rests first"
             assert verdict.sit == ""
         else:
             rested = before + 1.0 + 2.5 * PERIOD
             assert sum(rested - then < 300.0 + 5.0 * PERIOD for then in patient.resets) >= 3
-            assert verdict.sit == f"{name(servo)} has shut down for its load 4 times in 5 minutes"
+            assert verdict.sit == f"{name(servo)} has shut down because of overload 4 times in 5 minutes"
         assert patient.cycle().broken == ""
         assert patient.verdict.sit == ""
         patient.now += pause
@@ -216,7 +216,7 @@ def test_a_reset_counts_for_five_minutes(after: float, counts: bool) -> None:
         patient.shut_down()
         patient.cycle()
     patient.now = patient.resets[0] + after - 1.0  # the servo rests for a second before its reset
-    assert bool(patient.shut_down(1.1).revive) != counts
+    assert bool(patient.shut_down(1.1).restore_torque) != counts
 
 
 def test_of_two_servos_that_cannot_be_reset_any_more_the_first_is_the_reason() -> None:
@@ -225,16 +225,16 @@ def test_of_two_servos_that_cannot_be_reset_any_more_the_first_is_the_reason() -
     patient = Patient()
     while not patient.cycle(replace(WELL, errors=errors)).sit:
         pass
-    assert patient.verdict.sit == f"{name(2)} has shut down for its load 4 times in 5 minutes"
+    assert patient.verdict.sit == f"{name(2)} has shut down because of overload 4 times in 5 minutes"
 
 
 def test_every_servo_has_resets_of_its_own() -> None:
     errors = WELL.errors.copy()
     errors[[2, 9]] = int(ServoError.OVERLOAD)
     patient = Patient()
-    revived = [verdict.revive for verdict in patient.live(1.1, replace(WELL, errors=errors)) if verdict.revive]
+    revived = [verdict.restore_torque for verdict in patient.live(1.1, replace(WELL, errors=errors)) if verdict.restore_torque]
     assert revived == [(2, 9)]
-    assert patient.verdict.broken == f"{name(2)} has shut down for its load"
+    assert patient.verdict.broken == f"{name(2)} has shut down because of overload"
 
 
 def test_without_torque_nobody_is_reset() -> None:
@@ -246,10 +246,10 @@ def test_without_torque_nobody_is_reset() -> None:
 def test_a_servo_that_shut_down_for_its_heat_is_never_reset(torque: bool) -> None:
     patient = Patient()
     hot = one(2, errors=int(ServoError.OVERHEATING | ServoError.OVERLOAD))
-    words = f"{name(2)} has shut down for its heat"
-    assert {(v.broken, v.sit, v.revive) for v in patient.live(0.4, hot, torque)} == {(words, "", ())}
+    words = f"{name(2)} has shut down because of overheating"
+    assert {(v.broken, v.sit, v.restore_torque) for v in patient.live(0.4, hot, torque)} == {(words, "", ())}
     patient.live(0.2, hot, torque)
-    assert {(v.broken, v.sit, v.revive) for v in patient.live(3.0, hot, torque)} == {(words, words, ())}
+    assert {(v.broken, v.sit, v.restore_torque) for v in patient.live(3.0, hot, torque)} == {(words, words, ())}
     assert {v.sit for v in patient.live(0.4)} == {""}
     assert {v.sit for v in patient.live(0.4, hot, torque)} == {""}, "it is counted from its beginning"
 
@@ -271,7 +271,7 @@ def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: in
     assert (cool.sit != "") == (below <= 5.0)
     assert (cool.warnings != ()) == (below < 12.0)
     for words in (*cool.warnings, cool.sit):
-        assert words == "" or words.startswith(f"{name(servo)} is {temperature:.0f} deg C warm") or temperature < 30.0
+        assert words == "" or words.startswith(f"{name(servo)} is {temperature:.0f} deg C hot") or temperature < 30.0
     assert cool.broken == ""
 
 
@@ -279,11 +279,11 @@ def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: in
 def test_between_twelve_and_five_kelvin_below_its_limit_the_walk_is_slower_in_proportion(
     below: float, pace: float, sits: bool
 ) -> None:
-    words = f"{name(7)} is {LIMIT - below:.0f} deg C warm"
+    words = f"{name(7)} is {LIMIT - below:.0f} deg C hot"
     verdict = Patient().live(_SETTLES_S, one(7, temperature=LIMIT - below))[-1]
     assert verdict.pace == pytest.approx(pace)
     assert verdict.sit == (words if sits else "")
-    assert verdict.warnings == ((f"{words}: the walk is slower",) if below < 12.0 else ())
+    assert verdict.warnings == ((f"{words}; walking slower",) if below < 12.0 else ())
 
 
 def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
@@ -404,7 +404,7 @@ def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
     assert name(4) in verdict.broken
     assert "battery" in verdict.sit
     hot = one(4, errors=int(ServoError.OVERHEATING), temperature=LIMIT)
-    assert "shut down for its heat" in Patient().live(1.0, hot)[-1].sit, "the worst comes first"
+    assert "shut down because of overheating" in Patient().live(1.0, hot)[-1].sit, "the worst comes first"
 
 
 def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
@@ -441,15 +441,15 @@ def test_a_servo_that_cannot_be_heard_is_not_reset_and_that_counts_for_nothing(q
     patient.live(0.5, shut)
     away = replace(silenced(shut, slice(7, 8)), newest=quiet)
     for verdict in patient.live(10.0, away):
-        assert not verdict.revive
+        assert not verdict.restore_torque
         assert not verdict.sit
-    assert any(verdict.revive == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it is heard again"
+    assert any(verdict.restore_torque == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it is heard again"
 
 
 def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down() -> None:
     shut, patient = one(7, errors=int(ServoError.OVERLOAD)), Patient()
     for _ in range(3):
-        assert any(verdict.revive for verdict in patient.live(1.2, shut))
+        assert any(verdict.restore_torque for verdict in patient.live(1.2, shut))
         patient.live(0.5)
     assert patient.live(1.2, shut)[-1].sit
     patient.live(2.0, shut, torque=False)
@@ -457,7 +457,7 @@ def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down
     for _ in range(320):
         patient.cycle(shut, torque=False, dt=1.0)
     found = patient.live(1.2, shut)
-    assert any(verdict.revive == (7,) for verdict in found)
+    assert any(verdict.restore_torque == (7,) for verdict in found)
     assert not any(verdict.sit for verdict in found)
 
 

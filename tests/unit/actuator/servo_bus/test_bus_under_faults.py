@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusGone, Lost, ServoBus
-from sextant.services.actuator.servo_bus.reading_validation import Doubt
+from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusDisconnectedError, Lost, ServoBus
+from sextant.services.actuator.servo_bus.reading_validation import Implausibility
 from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.servos import ServoBank
@@ -99,7 +99,7 @@ def test_every_fault_leaves_calls_in_time_and_readings_right_and_is_over_when_it
     rig = Rig(of(*cell, at_s=0.2, for_s=1.0, **extra), echo=echo)
     rig.run(9)
     if cell == ("bus", "gone"):
-        with pytest.raises(BusGone, match="the servo port is gone"):
+        with pytest.raises(BusDisconnectedError, match="the servo port is gone"):
             rig.run(10)
         return
     rig.run(60)
@@ -134,7 +134,7 @@ def test_whatever_happens_calls_end_in_time_and_raise_nothing_but_that_the_bus_i
     for _ in range(40):
         try:
             rig.cycle()
-        except BusGone:
+        except BusDisconnectedError:
             assert gone
             break
         assert 0.0 <= rig.driver.loss <= 1.0
@@ -144,11 +144,11 @@ def test_answers_that_are_wrong_though_their_checksum_is_right_are_refused_by_re
     rig = Rig(of("packets", "wrong", share=0.1, for_s=60.0))
     assert rig.run(1500) > 3000
     assert set(rig.off) == {0}
-    assert rig.driver.lost[Doubt.RANGE] > 300
+    assert rig.driver.lost[Implausibility.RANGE] > 300
     rig = Rig(of("packets", "wrong", share=0.1, for_s=60.0, part="error"))
     rig.run(500)
     assert set(rig.off) == {0}
-    assert rig.driver.lost[Doubt.ERROR] > 40
+    assert rig.driver.lost[Implausibility.ERROR] > 40
     assert not rig.driver.errors.any()
 
 

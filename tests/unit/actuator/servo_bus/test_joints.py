@@ -34,7 +34,7 @@ def test_it_knows_of_each_servo_whether_it_pulls() -> None:
     rig.put(SERVO, dxl.TORQUE_ENABLE, 0)
     rig.start()
     assert np.flatnonzero(~rig.joints.torque).tolist() == [SERVO]
-    assert rig.joints.vitals.limp.tolist() == (~rig.joints.torque).tolist()
+    assert rig.joints.vitals.torque_disabled.tolist() == (~rig.joints.torque).tolist()
 
 
 @pytest.mark.parametrize("way", ["at the start", "on its return"])
@@ -61,7 +61,7 @@ def test_a_beginning_locks_what_servos_keep_without_power_if_the_robot_says_so(l
     rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
     said = len(rig.bus.said)
     rig.start()
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle(1)
     assert (f"{dxl.LOCK.name} of {IDS[0]}" in rig.orders(said)) == (not lock), "once is enough"
     assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18, "what moves a joint is not locked"
@@ -76,7 +76,7 @@ def test_a_servo_that_was_left_weak_is_known_and_stays_so_until_an_order_takes_i
     np.testing.assert_allclose(rig.joints.vitals.strength, np.where(np.arange(18) == SERVO, 300 / 1023, 1.0))
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 300
     said, where = len(rig.bus.said), rig.measured[LEG, JOINT]
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle(1)
     assert rig.orders(said)[-2:] == [f"{dxl.GOAL_POSITION.name} of {IDS[SERVO]}", f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}"]
     assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18
@@ -99,7 +99,7 @@ def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
     rig.bank.tables[SERVO, dxl.TORQUE_LIMIT.address :][:2] = 0
     rig.start()
     rig.cycle(8)
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle(1)
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
 
@@ -109,7 +109,7 @@ def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly
     rig.cycle(8, write=True)
     low = PROFILE.joint_limits[LEG, JOINT, 0]
     rig.joints.q[LEG, JOINT] = low - np.radians(5.0)
-    rig.joints.revive(SERVO)
+    rig.joints.restore_torque(SERVO)
     assert rig.joints.goals[LEG, JOINT] == low
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
 
@@ -119,7 +119,7 @@ def test_a_joint_beyond_its_limit_gets_the_limit_for_its_goal_when_torque_is_ord
     rig.cycle(8)
     low = PROFILE.joint_limits[LEG, JOINT, 0]
     rig.joints.q[LEG, JOINT] = low - np.radians(12.0)
-    rig.joints.grip()
+    rig.joints.torque_on()
     assert rig.joints.goals[LEG, JOINT] == low
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
 
@@ -130,7 +130,7 @@ def test_a_servo_that_was_set_up_weaker_is_woken_with_no_more_than_that() -> Non
     rig.put(SERVO, dxl.TORQUE_LIMIT, 700)
     rig.start()
     rig.cycle(8)
-    rig.joints.revive(SERVO)
+    rig.joints.restore_torque(SERVO)
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 700
 
 
@@ -193,7 +193,7 @@ def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatc
         rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
 
     monkeypatch.setattr(Joints, "_set_up", set_up)
-    with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while it was asked how it stands"):
+    with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while its state was read"):
         rig.start()
 
 
@@ -236,7 +236,7 @@ def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_mea
     rig.until(lambda: rig.joints.vitals.missed[SERVO] >= SILENT, write=True)
     rig.cycle(write=True)
     assert rig.said_speeds == [SLOWLY if row == SERVO else 0 for row in range(18)]
-    rig.joints.lose_touch()
+    rig.joints.mark_stale()
     rig.joints.write(rig.joints.goals)
     assert rig.said_speeds == [GENTLY] * 18
 
@@ -244,10 +244,10 @@ def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_mea
 def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_and_all_go_slowly_meanwhile() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
-    assert not rig.joints.deaf
+    assert not rig.joints.not_responding
     rig.suffer("bus", "silent", 0.5)
     begin = rig.now_ns
-    rig.until(lambda: rig.joints.deaf, write=True)
+    rig.until(lambda: rig.joints.not_responding, write=True)
     assert not rig.joints.out_of_touch
     rig.until(lambda: rig.joints.out_of_touch, write=True)
     assert rig.now_ns - begin < 0.25e9
@@ -256,7 +256,7 @@ def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_
         rig.cycle(write=True)
     assert rig.joints.out_of_touch
     rig.until(lambda: not rig.joints.out_of_touch, write=True)
-    assert not rig.joints.deaf
+    assert not rig.joints.not_responding
     assert not rig.joints.vitals.missed.any()
     rig.cycle(2, write=True)
     assert rig.registers(dxl.MOVING_SPEED) == [0] * 18

@@ -8,7 +8,7 @@ import pytest
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import servos
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import MemoryPort
@@ -50,11 +50,11 @@ def test_whatever_is_said_to_a_port_that_has_just_gone_is_no_error(act: str) -> 
             case "write":
                 rig.joints.write(rig.joints.goals)
             case "let go":
-                rig.joints.let_go()
+                rig.joints.torque_off()
             case "grip":
-                rig.joints.grip()
+                rig.joints.torque_on()
             case _:
-                rig.joints.revive(SERVO)
+                rig.joints.restore_torque(SERVO)
     assert rig.joints.gone
     assert rig.joints.torque.all() == (act in ("write", "revive"))
 
@@ -82,7 +82,7 @@ def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_r
     rig.suffer("bus", "gone", 0.5)
     rig.until(lambda: rig.joints.gone != "", write=True)
     heard = len(rig.bus.said)
-    rig.joints.let_go()
+    rig.joints.torque_off()
     assert not rig.joints.torque.any()
     assert len(rig.bus.said) == heard
     rig.until(lambda: rig.joints.gone == "")
@@ -98,12 +98,12 @@ def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_r
 def test_torque_off_is_said_until_it_is_ordered_on_since_nobody_answers() -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "silent", 0.3)
-    rig.joints.let_go()
+    rig.joints.torque_off()
     rig.cycle()
     assert rig.registers(dxl.TORQUE_ENABLE) == [1] * 18, "nobody has heard"
     rig.cycle(20)
     assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
-    rig.joints.grip()
+    rig.joints.torque_on()
     heard = len(rig.bus.said)
     rig.cycle(20)
     assert TORQUE not in rig.orders(heard)
@@ -117,7 +117,9 @@ def test_a_port_that_is_back_with_a_servo_missing_is_not_taken_for_the_whole() -
     rig.until(lambda: rig.joints.gone != "")
     begin = rig.now_ns
     rig.cycle(30)
-    assert rig.joints.gone.endswith(f"it is back, but {PROFILE.servo_names[IDS[SERVO]]} (id {IDS[SERVO]}) does not answer")
+    assert rig.joints.gone.endswith(
+        f"the port is back, but {PROFILE.servo_names[IDS[SERVO]]} (id {IDS[SERVO]}) does not answer"
+    )
     rig.until(lambda: rig.joints.gone == "")
     assert rig.now_ns - begin > 1.5e9
 
@@ -137,7 +139,7 @@ def test_a_port_that_is_back_under_another_name_is_found_there(monkeypatch: pyte
         try:
             return rig.plug_in(int(url.removeprefix("port")))
         except OSError as error:
-            raise BusGone(str(error)) from error
+            raise BusDisconnectedError(str(error)) from error
 
     monkeypatch.setattr(servos, "open_port", open_port)
     rig = JointsRig(opener=servos.Outlet(Settings(port="port0, port1")).open)
@@ -166,7 +168,7 @@ def test_a_servo_that_comes_back_limp_is_said_so_and_one_that_was_silent_only_pu
     assert rig.joints.torque.all(), "nobody knows"
     rig.cycle(60)
     assert np.flatnonzero(rig.joints.vitals.missed).tolist() == []
-    assert np.flatnonzero(rig.joints.vitals.limp).tolist() == [SERVO] * cable
+    assert np.flatnonzero(rig.joints.vitals.torque_disabled).tolist() == [SERVO] * cable
 
 
 def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,7 +185,7 @@ def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyP
         return read(servo_id, register)
 
     monkeypatch.setattr(rig.joints._bus, "read", lossy)
-    rig.until(lambda: bool(rig.joints.vitals.limp.any()))
+    rig.until(lambda: bool(rig.joints.vitals.torque_disabled.any()))
     assert lost == [IDS[SERVO]] * 3
 
 
@@ -191,11 +193,11 @@ def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> 
     rig = JointsRig().start()
     rig.cycle(8)
     rig.suffer("servo", "silent", 0.5, servo=IDS[SERVO], cable=True)
-    rig.until(lambda: bool(rig.joints.vitals.limp.any()))
+    rig.until(lambda: bool(rig.joints.vitals.torque_disabled.any()))
     rig.q[SERVO] += 0.3  # the joint has sunk
     rig.cycle(8)
     before, heard = rig.joints.goals.copy(), len(rig.bus.said)
-    rig.joints.grip()
+    rig.joints.torque_on()
     assert rig.joints.torque.all()
     words = rig.orders(heard)
     assert set(words) == {GOALS, TORQUE}
@@ -224,7 +226,7 @@ def overloaded() -> JointsRig:
 def test_a_servo_is_woken_where_it_is_and_knows_that_before_it_pulls() -> None:
     rig = overloaded()
     goals, heard = rig.joints.goals.copy(), len(rig.bus.said)
-    rig.joints.revive(SERVO)
+    rig.joints.restore_torque(SERVO)
     words = rig.orders(heard)
     assert words[-1] == f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}"
     assert words.index(GOALS) < len(words) - 1
@@ -242,7 +244,7 @@ def test_a_servo_that_does_not_say_that_it_has_its_goal_is_not_woken() -> None:
     rig = overloaded()
     rig.suffer("packets", "silent", 0.1, share=1.0)
     heard = len(rig.bus.said)
-    rig.joints.revive(SERVO)
+    rig.joints.restore_torque(SERVO)
     assert f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}" not in rig.orders(heard)
     rig.cycle(16)
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
@@ -289,12 +291,12 @@ def test_servos_that_did_not_hear_that_they_shall_pull_are_known_to_be_limp(serv
     rig.cycle(8)
     target = {"servo": IDS[servo]} if servo is not None else {}
     rig.suffer("bus" if servo is None else "servo", "silent", 0.03, **target)
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle(60, write=True)
     truly = np.array(rig.registers(dxl.TORQUE_ENABLE)) > 0
     np.testing.assert_array_equal(rig.joints.torque, truly)
     assert truly.sum() == (0 if servo is None else 17)
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle(60, write=True)
     assert rig.joints.torque.all()
     assert all(rig.registers(dxl.TORQUE_ENABLE))
@@ -315,7 +317,7 @@ def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held
     rig.cycle(5, write=True)
     rig.suffer("bus", "gone", 0.5)
     rig.until(lambda: rig.joints.gone != "")
-    rig.joints.let_go()
+    rig.joints.torque_off()
     hears, deaf_for = rig.bus.receive, [2]
 
     def spoil(data: bytes, now_ns: int) -> list[Reply]:
@@ -333,6 +335,6 @@ def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held
     assert not rig.joints.torque.any()
     rig.q = STAND + 0.7  # the legs hang
     rig.cycle(30)
-    rig.joints.grip()
+    rig.joints.torque_on()
     rig.cycle()
     np.testing.assert_allclose(np.array(rig.registers(dxl.GOAL_POSITION)), rig.registers(dxl.PRESENT_POSITION), atol=1.0)

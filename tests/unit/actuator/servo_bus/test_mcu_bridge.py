@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Lost
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Lost
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bridge_firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
@@ -213,7 +213,7 @@ def test_torque_is_not_turned_on_with_a_goal_far_from_its_servo() -> None:
     rig.driver.set_torque(True)
     rig.cycle(15, goals)
     assert not rig.torque.any()
-    assert "a goal that is far from where its servo is" in rig.driver.trouble
+    assert "a goal far from its servo's position" in rig.driver.trouble
     goals[5] -= 1
     rig.driver.sync_write_goals(goals)
     rig.driver.set_torque(True)
@@ -261,7 +261,7 @@ def test_without_fresh_goals_it_holds_and_says_so_and_torque_stays() -> None:
     assert rig.driver.trouble == "", "nobody sends any"
     rig.port.write = len  # type: ignore[method-assign,assignment]
     rig.cycle(250, HERE + 3)
-    assert rig.driver.trouble == "the bridge holds: no fresh goals reach it"
+    assert rig.driver.trouble == "the bridge holds the last goals: no fresh goals reach it"
     assert rig.driver.state.goals_age_ms > 5000  # type: ignore[union-attr]
     assert rig.torque.all()
     assert (rig.goals == 512).all()
@@ -289,9 +289,9 @@ def test_the_cable_is_pulled_and_comes_back() -> None:
     rig = walking()
     port = rig.port
     port.close()
-    with pytest.raises(BusGone, match="port is gone"):
+    with pytest.raises(BusDisconnectedError, match="port is gone"):
         rig.driver.poll(BUDGET)
-    with pytest.raises(BusGone, match="port is gone"):
+    with pytest.raises(BusDisconnectedError, match="port is gone"):
         rig.driver.sync_write_goals(HERE)
     rig.pass_time(100)  # 2 s in which the host reads nothing from the board
     assert rig.torque.all()
@@ -341,7 +341,7 @@ def test_off_that_is_ordered_while_the_firmware_is_down_is_done_when_it_is_up() 
     rig.cycle(2, HERE)
     rig.driver.set_torque(False)
     rig.cycle(5)
-    assert rig.torque.all(), "nobody could do it"
+    assert rig.torque.all(), "it is impossible"
     for _ in range(30):
         rig.cycle()
         if not rig.torque.any():
@@ -388,7 +388,7 @@ def test_another_version_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> 
     said = [m for r in rig.board.speak(rig.now_ns) for m in bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(r.data)]
     assert {m.version for m in said if isinstance(m, bridge_protocol.Welcome)} == {1}, "it says its own"
     rig.plug_in(lambda data: welcome)
-    words = "the bridge speaks version 2 of the wire, version 1 expected; flash it"
+    words = "the bridge uses protocol version 2, version 1 expected; flash"
     with pytest.raises(BusSetupError, match=words):
         rig.driver.setup()
 
@@ -398,7 +398,7 @@ def test_nobody_or_a_bare_servo_bus_is_named() -> None:
     bus = ServoBusEmulator(rig.bank)
     port = MemoryPort(bus, lambda: rig.now_ns, READ_NS * 1e-9)
     driver = Bridge(port, IDS, port.now_ns)
-    with pytest.raises(BusSetupError, match=r"no bridge answers on the port.*a servo adapter needs it off"):
+    with pytest.raises(BusSetupError, match=r"no bridge answers on the port.*turn the setting `bridge` off"):
         driver.setup()
 
 

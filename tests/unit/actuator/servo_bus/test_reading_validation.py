@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
-from sextant.services.actuator.servo_bus.reading_validation import Doubt, Plausibility, State
+from sextant.services.actuator.servo_bus.reading_validation import Implausibility, ReadingValidator, State
 from sextant.shared.servo import dynamixel as dxl
 
 WILD = settings(deadline=None, derandomize=True)
@@ -26,28 +26,28 @@ class Judge:
     noisy: bool = False
 
     def __post_init__(self) -> None:
-        self.of = Plausibility(1)
+        self.of = ReadingValidator(1)
         self.now_ns = 0
-        assert self.of.believes(0, USUAL, False)
+        assert self.of.accepts(0, USUAL, False)
         self.goal(500)
 
     def goal(self, ticks: int) -> None:
         self.of.sent(np.array([ticks]))
 
-    def believes(self, after_ms: float = 80.0, **said: int) -> bool:
+    def accepts(self, after_ms: float = 80.0, **said: int) -> bool:
         self.now_ns += round(after_ms * MS)
-        return self.of.believes(0, USUAL._replace(stamp_ns=self.now_ns, **said), self.noisy)
+        return self.of.accepts(0, USUAL._replace(stamp_ns=self.now_ns, **said), self.noisy)
 
 
 LEAPS = [
-    ({"position": 511}, Doubt.POSITION),
-    ({"position": 489}, Doubt.POSITION),
-    ({"speed": 700}, Doubt.SPEED),
-    ({"voltage": 129}, Doubt.VOLTAGE),
-    ({"voltage": 111}, Doubt.VOLTAGE),
-    ({"temperature": 43}, Doubt.TEMPERATURE),
-    ({"temperature": 37}, Doubt.TEMPERATURE),
-    ({"error": 32}, Doubt.ERROR),
+    ({"position": 511}, Implausibility.POSITION),
+    ({"position": 489}, Implausibility.POSITION),
+    ({"speed": 700}, Implausibility.SPEED),
+    ({"voltage": 129}, Implausibility.VOLTAGE),
+    ({"voltage": 111}, Implausibility.VOLTAGE),
+    ({"temperature": 43}, Implausibility.TEMPERATURE),
+    ({"temperature": 37}, Implausibility.TEMPERATURE),
+    ({"error": 32}, Implausibility.ERROR),
 ]
 IMPOSSIBLE = [{"position": 1024}, {"speed": 2048}, {"load": 2048}, {"error": 128}]
 
@@ -55,106 +55,106 @@ IMPOSSIBLE = [{"position": 1024}, {"speed": 2048}, {"load": 2048}, {"error": 128
 @pytest.mark.parametrize("said", [{"position": 510}, {"position": 490}, {"voltage": 128}, {"temperature": 42}, {"load": 1023}])
 def test_what_changes_a_little_is_believed(said: dict[str, int]) -> None:
     judge = Judge()
-    assert judge.believes(**said)
+    assert judge.accepts(**said)
     assert not judge.of.refused
 
 
 @pytest.mark.parametrize(("said", "doubt"), LEAPS)
-def test_a_leap_is_believed_when_it_is_said_twice(said: dict[str, int], doubt: Doubt) -> None:
+def test_a_leap_is_believed_when_it_is_said_twice(said: dict[str, int], doubt: Implausibility) -> None:
     judge = Judge()
-    assert not judge.believes(**said)
-    assert judge.believes(after_ms=1.2, **said)
+    assert not judge.accepts(**said)
+    assert judge.accepts(after_ms=1.2, **said)
     assert not judge.of.refused
-    assert judge.believes(after_ms=1.2, **said)  # and it is the usual value from now on
+    assert judge.accepts(after_ms=1.2, **said)  # and it is the usual value from now on
 
 
 @pytest.mark.parametrize(("said", "doubt"), LEAPS)
-def test_a_leap_that_is_not_borne_out_is_refused_by_its_reason(said: dict[str, int], doubt: Doubt) -> None:
+def test_a_leap_that_is_not_borne_out_is_refused_by_its_reason(said: dict[str, int], doubt: Implausibility) -> None:
     judge = Judge()
-    assert not judge.believes(**said)
-    assert judge.believes(after_ms=1.2)
+    assert not judge.accepts(**said)
+    assert judge.accepts(after_ms=1.2)
     assert judge.of.refused == {doubt: 1}
 
 
 @pytest.mark.parametrize("said", IMPOSSIBLE)
 def test_what_no_servo_has_is_never_believed(said: dict[str, int]) -> None:
     judge = Judge()
-    assert not any(judge.believes(after_ms=1.2, **said) for _ in range(5))
-    assert judge.of.refused == {Doubt.RANGE: 5}
-    assert judge.believes()
+    assert not any(judge.accepts(after_ms=1.2, **said) for _ in range(5))
+    assert judge.of.refused == {Implausibility.RANGE: 5}
+    assert judge.accepts()
 
 
 def test_two_different_leaps_do_not_bear_each_other_out() -> None:
     judge = Judge()
-    assert not judge.believes(position=900)
-    assert not judge.believes(after_ms=1.2, position=200)
-    assert not judge.believes(after_ms=1.2, position=900, error=4)
-    assert judge.of.refused == {Doubt.POSITION: 2}
+    assert not judge.accepts(position=900)
+    assert not judge.accepts(after_ms=1.2, position=200)
+    assert not judge.accepts(after_ms=1.2, position=900, error=4)
+    assert judge.of.refused == {Implausibility.POSITION: 2}
 
 
 def test_a_servo_is_expected_at_its_last_three_goals_and_as_fast_as_it_turns() -> None:
     judge = Judge()
     judge.goal(600)
-    assert judge.believes(position=590)
+    assert judge.accepts(position=590)
     judge.goal(500)
-    assert judge.believes(position=545)
+    assert judge.accepts(position=545)
     judge.goal(500)
     judge.goal(500)
-    assert judge.believes(position=500)
-    assert not judge.believes(position=560)  # no recent goal is near this position
+    assert judge.accepts(position=500)
+    assert not judge.accepts(position=560)  # no recent goal is near this position
     fast = Judge()
     fast.goal(1000)
-    assert not fast.believes(after_ms=20.0, position=900)  # 2 rad in 20 ms
+    assert not fast.accepts(after_ms=20.0, position=900)  # 2 rad in 20 ms
 
 
 def test_a_joint_that_hangs_beside_its_goal_may_go_on_hanging() -> None:
     judge = Judge()
     for ticks in (480, 480, 480):
         judge.goal(ticks)
-    assert not judge.believes(position=495)
-    assert judge.believes(after_ms=1.2, position=495)  # confirmed: the joint is blocked
+    assert not judge.accepts(position=495)
+    assert judge.accepts(after_ms=1.2, position=495)  # confirmed: the joint is blocked
     for ticks in (470, 460, 450):
         judge.goal(ticks)
-    assert judge.believes(position=485)  # 15 ticks off its goal, as before
-    assert not judge.believes(position=500)
+    assert judge.accepts(position=485)  # 15 ticks off its goal, as before
+    assert not judge.accepts(position=500)
 
 
 def test_while_answers_break_leaps_of_load_and_speed_are_doubted_too() -> None:
-    for said, doubt in (({"load": 510}, Doubt.LOAD), ({"speed": 300}, Doubt.SPEED)):
-        assert Judge().believes(**said)
+    for said, doubt in (({"load": 510}, Implausibility.LOAD), ({"speed": 300}, Implausibility.SPEED)):
+        assert Judge().accepts(**said)
         judge = Judge(noisy=True)
-        assert not judge.believes(**said)
-        assert judge.believes(after_ms=1.2)
+        assert not judge.accepts(**said)
+        assert judge.accepts(after_ms=1.2)
         assert judge.of.refused == {doubt: 1}
 
 
 def test_the_first_reading_of_a_bus_that_breaks_answers_is_asked_for_twice() -> None:
-    judge = Plausibility(1)
-    assert not judge.believes(0, USUAL, True)
-    assert not judge.believes(0, USUAL._replace(position=100), True)
-    assert judge.believes(0, USUAL._replace(position=101), True)
-    assert judge.refused == {Doubt.FIRST: 1}
+    judge = ReadingValidator(1)
+    assert not judge.accepts(0, USUAL, True)
+    assert not judge.accepts(0, USUAL._replace(position=100), True)
+    assert judge.accepts(0, USUAL._replace(position=101), True)
+    assert judge.refused == {Implausibility.FIRST: 1}
 
 
 def test_the_same_again_of_a_joint_that_moves_is_strange_and_of_one_that_stands_is_not() -> None:
     judge = Judge()
-    assert all(judge.believes() for _ in range(3))
-    assert judge.believes(position=505, speed=300)  # 3.5 rad/s
-    assert not judge.believes(position=505, speed=300)
+    assert all(judge.accepts() for _ in range(3))
+    assert judge.accepts(position=505, speed=300)  # 3.5 rad/s
+    assert not judge.accepts(position=505, speed=300)
     judge.goal(540)
-    assert judge.believes(after_ms=1.2, position=530, speed=290)
-    assert judge.of.refused == {Doubt.AGAIN: 1}
-    assert judge.believes(after_ms=1.2, position=530, speed=290)  # too soon for the joint to have moved
+    assert judge.accepts(after_ms=1.2, position=530, speed=290)
+    assert judge.of.refused == {Implausibility.AGAIN: 1}
+    assert judge.accepts(after_ms=1.2, position=530, speed=290)  # too soon for the joint to have moved
 
 
 def test_all_servos_share_one_supply() -> None:
-    judge = Plausibility(2)
-    assert judge.believes(0, USUAL, False)
-    assert judge.believes(1, USUAL, False)
+    judge = ReadingValidator(2)
+    assert judge.accepts(0, USUAL, False)
+    assert judge.accepts(1, USUAL, False)
     sagged = USUAL._replace(stamp_ns=80 * MS, voltage=100)
-    assert not judge.believes(0, sagged, False)
-    assert judge.believes(0, sagged, False)
-    assert judge.believes(1, sagged, False)  # already known from the other servo
+    assert not judge.accepts(0, sagged, False)
+    assert judge.accepts(0, sagged, False)
+    assert judge.accepts(1, sagged, False)  # already known from the other servo
 
 
 SAID = st.builds(
@@ -172,7 +172,7 @@ SAID = st.builds(
 @WILD
 @given(st.lists(st.tuples(SAID, st.integers(1, 200), st.booleans(), st.integers(0, 1023)), max_size=30))
 def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[tuple[State, int, bool, int]]) -> None:
-    judge, now_ns = Plausibility(1), 0
+    judge, now_ns = ReadingValidator(1), 0
     believed: State | None = None
     unborne: State | None = None  # last reading that is possible but was not accepted
     goals: list[int] = []
@@ -180,7 +180,7 @@ def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[
     for state, after_ms, noisy, goal in said:
         now_ns += after_ms * MS
         one = state._replace(stamp_ns=now_ns)
-        if judge.believes(0, one, noisy):
+        if judge.accepts(0, one, noisy):
             assert one.position <= dxl.TICK_MAX
             assert one.error < 128
             twice = unborne is not None and abs(unborne.position - one.position) <= 25 and unborne.error == one.error

@@ -38,13 +38,13 @@ def link(tmp_path: Path) -> str:
 
 def test_the_driver_takes_the_flag_from_anybody(timer: Path, link: str) -> None:
     assert usb_adapter.latency_ms(link, timer.parents[1]) == 16
-    assert usb_adapter.quicken(link, Port(timer), timer.parents[1]) == ""
+    assert usb_adapter.lower_latency(link, Port(timer), timer.parents[1]) == ""
     assert timer.read_text() == "1\n"
 
 
 @pytest.mark.parametrize("error", [OSError("no ioctl"), ValueError("Failed to update ASYNC_LOW_LATENCY flag")])
 def test_root_may_write_the_file(error: Exception, timer: Path, link: str) -> None:
-    assert usb_adapter.quicken(link, Port(timer, error), timer.parents[1]) == ""
+    assert usb_adapter.lower_latency(link, Port(timer, error), timer.parents[1]) == ""
     assert timer.read_text() == "1\n"
 
 
@@ -53,7 +53,7 @@ def test_who_may_neither_is_told_the_command_and_the_rule(timer: Path, link: str
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "write_text", refuse)
-    words = usb_adapter.quicken(link, Port(timer, OSError("refused")), timer.parents[1])
+    words = usb_adapter.lower_latency(link, Port(timer, OSError("refused")), timer.parents[1])
     assert "is 16 ms, 1 expected" in words
     assert f"`echo 1 | sudo tee {timer}`" in words
     assert 'DRIVER=="ftdi_sio", ATTR{latency_timer}="1"' in words
@@ -63,6 +63,6 @@ def test_who_may_neither_is_told_the_command_and_the_rule(timer: Path, link: str
 def test_a_quick_one_and_a_port_without_are_left_alone(timer: Path, link: str) -> None:
     timer.write_text("1\n")
     touched = Port(timer, AssertionError("not to be touched"))
-    assert usb_adapter.quicken(link, touched, timer.parents[1]) == ""
-    assert usb_adapter.quicken("socket://127.0.0.1:5000", touched, timer.parents[1]) == ""
+    assert usb_adapter.lower_latency(link, touched, timer.parents[1]) == ""
+    assert usb_adapter.lower_latency("socket://127.0.0.1:5000", touched, timer.parents[1]) == ""
     assert usb_adapter.latency_ms("/dev/ttyACM0", timer.parents[1]) is None

@@ -171,7 +171,7 @@ def test_a_console_that_is_not_there_is_named(site: Site) -> None:
 @pytest.mark.parametrize(
     ("path", "status", "words"),
     [
-        ("/gamma/", 404, b"there are alpha, beta, away"),
+        ("/gamma/", 404, b"the robots are alpha, beta, away"),
         ("/alpha/nothing", 404, b"no such file"),
         ("/../alpha/", 404, b"no such"),
     ],

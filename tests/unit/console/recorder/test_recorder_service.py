@@ -86,7 +86,7 @@ def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> No
         for _ in range(3):
             state = desk.beat(True, 1)
             assert state.recording
-        assert state.seconds == 1.0, "it did not begin anew"
+        assert state.seconds == 1.0, "it did not restart"
         desk.beat(False, 2)
         assert not desk.beat(True, 2).recording
         assert not desk.beat(True, 1).recording, "one that was overtaken"
@@ -109,13 +109,13 @@ def test_a_disk_without_room_is_said_at_once(tmp_path: Path) -> None:
     state = desk.beat(True, 1)
     assert not state.recording
     assert state.sequence == 1
-    assert "are to stay so" in state.reason
+    assert "must stay free" in state.reason
     assert state.reason == desk.recorder.doing() == desk.beat().reason, "until the next order"
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    assert "nothing can be recorded to" in Desk(tmp_path / "file").beat(True, 1).reason
+    assert "cannot record to" in Desk(tmp_path / "file").beat(True, 1).reason
 
 
 def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,7 +203,7 @@ def test_a_frame_that_does_not_decode_is_a_line_in_the_log() -> None:
     assert name == "/log"
     assert "perception/pose" in line.message
     assert line.level == 3
-    assert follows.translate(topics.IMU, b"nonsense", S) == (), "nobody looks at it"
+    assert follows.translate(topics.IMU, b"nonsense", S) == (), "no viewer subscribes to it"
 
 
 def test_a_recording_declares_what_it_holds_so_that_any_reader_can_decode_it(tmp_path: Path) -> None:

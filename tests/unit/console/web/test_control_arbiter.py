@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, Desk
-from sextant.services.console.web.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, TakeOver, Walk
+from sextant.services.console.web.requests import CancelGoal, Command, Drive, GoTo, Heartbeat, Name, Release, TakeOver, Walk
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
 from tests.support.states import actuator_state
@@ -117,7 +117,7 @@ def test_a_page_that_falls_silent_has_let_go_and_its_press_counts_no_more(office
         out += office.beat(20 * MS)
     stopped = next(m for m in out if isinstance(m, ModeCommand) and m.mode == "stop")
     assert DEAD_MAN_NS - 50 * MS < stopped.stamp_ns - begun <= DEAD_MAN_NS + 20 * MS
-    assert "press it anew" in office.ask(1, drive(1)), "it was frozen, and goes on where it was"
+    assert "press it again" in office.ask(1, drive(1)), "it was frozen, and goes on where it was"
     for _ in range(10):
         assert office.ask(1, drive(1)) == "", "which is said once"
         assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
@@ -137,7 +137,7 @@ def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
     office.hold(1, press=1)
     office.desk.leave(1, office.now)
     assert orders(office.beat())[-1] == "stop"
-    assert "has gone" in " ".join(office.desk.drain_words())
+    assert "was closed" in " ".join(office.desk.drain_words())
     assert office.desk.seats == ()
 
 
@@ -145,8 +145,8 @@ def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> N
     office.desk.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.lease == "console 1 at here"
-    assert "page 1 leads the robot; take over first" in office.ask(2, Command("stand"))
-    assert "page 1 leads" in office.ask(2, drive(1))
+    assert "page 1 is in control of the robot; take over first" in office.ask(2, Command("stand"))
+    assert "page 1 is in control" in office.ask(2, drive(1))
     assert office.ask(2, GO) != ""
     before = len(office.out)
     assert office.ask(2, Command("stop")) == ""
@@ -167,7 +167,7 @@ def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
     assert (taken.mode, taken.take) == ("stop", True)
     assert office.lease == "console 2 at here"
     office.beat()  # the actuator has confirmed it
-    assert "page 2 leads" in office.ask(1, drive(2))
+    assert "page 2 is in control" in office.ask(1, drive(2))
     assert any(v.velocity.any() for v in velocities(office.hold(2, press=1)))
 
 
@@ -186,13 +186,13 @@ def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
     office.hold(1, press=1)
     assert office.lease == "console 1 at here"
     there.beat(office.now, office.state(), office.status())
-    assert there.ask(1, drive(1), office.now) == "console 1 at here leads the robot; take over first"
+    assert there.ask(1, drive(1), office.now) == "console 1 at here is in control of the robot; take over first"
     assert not [m for m in there.beat(office.now + 50 * MS, office.state(), office.status()) if isinstance(m, VelocityCommand)]
 
 
 def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> None:
     assert office.ask(1, GO) == ""
-    out = [m for _ in range(50) for m in (office.ask(1, Here()), *office.beat()) if m]
+    out = [m for _ in range(50) for m in (office.ask(1, Heartbeat()), *office.beat()) if m]
     goals = [m for m in out if isinstance(m, Goal)]
     assert 4 <= len(goals) <= 6, "five a second"
     np.testing.assert_array_equal(goals[0].waypoints, [[1.0, 0.5]])
@@ -207,7 +207,7 @@ def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> Non
 def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page_falls_silent(office: Office) -> None:
     office.ask(1, GO)
     office.beat()
-    office.ask(1, GiveUp())
+    office.ask(1, CancelGoal())
     office.beat()
     assert office.desk.goal is None
     office.ask(1, GO)
@@ -219,7 +219,7 @@ def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page
     for _ in range(300):
         office.beat()
     assert office.desk.goal is None
-    assert "nothing was heard" in " ".join(office.desk.drain_words())
+    assert "no message from" in " ".join(office.desk.drain_words())
     assert of(ModeCommand, office.beat(1000 * MS)) == [], "nor does it keep the lease"
 
 
@@ -234,8 +234,8 @@ def test_who_cannot_walk_is_told_why(office: Office, mode: Mode) -> None:
 
 def test_without_a_word_from_the_actuator_nobody_leads(office: Office) -> None:
     office.desk.beat(office.now, None, None)
-    assert "no word from the actuator" in office.ask(1, drive(1))
-    assert office.ask(1, Command("off")) == "", "but it may be let go"
+    assert "no message from the actuator" in office.ask(1, drive(1))
+    assert office.ask(1, Command("off")) == "", "but it may be released"
 
 
 def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Office) -> None:
@@ -244,13 +244,13 @@ def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Off
     assert 10 <= len(sent) <= 11
     assert len({m.sequence for m in sent}) == 1  # type: ignore[attr-defined]
     office.mode = Mode.OFF
-    office.ask(1, Here())
+    office.ask(1, Heartbeat())
     assert of(ModeCommand, [m for _ in range(40) for m in office.beat()]), "it may have been off before"
     for mode in (Mode.OFF, Mode.STAND):
         office.mode = mode
-        office.ask(1, Here())
+        office.ask(1, Heartbeat())
         heard = [m for _ in range(100) for m in office.beat()]
-        assert not of(ModeCommand, heard[5:]), "a stop path that begins anew would obey it anew"
+        assert not of(ModeCommand, heard[5:]), "a restarted stop path would obey it again"
 
 
 def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(office: Office) -> None:
@@ -263,7 +263,7 @@ def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(offi
     for mode in (Mode.OFF, Mode.STAND):
         office.mode = mode
         office.beat(100 * MS)
-    office.ask(1, Here())
+    office.ask(1, Heartbeat())
     assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
 
 
@@ -279,7 +279,7 @@ def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, 
     office.beat(2100 * MS)
     for mode in (Mode.OFF, Mode.HOLD):
         office.mode = mode
-        office.ask(1, Here())
+        office.ask(1, Heartbeat())
         assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
 
 
@@ -293,7 +293,7 @@ def test_a_stop_of_who_does_not_lead_is_not_repeated_for_long(office: Office) ->
     office.lease = "another"
     office.ask(1, Command("stop"))
     assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
-    office.ask(1, Here())
+    office.ask(1, Heartbeat())
     office.beat(400 * MS)
     assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
 
@@ -302,7 +302,7 @@ def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Offi
     office.ask(1, Command("stand"))
     office.beat()
     office.now = 10 * MS
-    office.ask(1, Here())
+    office.ask(1, Heartbeat())
     office.ask(1, Command("sit"))
     sit = next(m for m in office.beat() if isinstance(m, ModeCommand) and m.mode == "sit")
     assert sit.sequence <= office.now + 2000 * MS
@@ -322,7 +322,7 @@ def test_there_are_so_many_seats_and_who_has_none_looks_on(office: Office) -> No
         assert office.desk.arrive(page, office.now) == page
     assert office.desk.arrive(99, office.now) == 0
     office.beat()
-    assert "looks on" in office.ask(99, drive(1))
+    assert "can only view" in office.ask(99, drive(1))
     assert office.ask(99, TakeOver()) != ""
     assert office.ask(99, Command("stop")) == ""
     office.desk.leave(3, office.now)
@@ -336,7 +336,7 @@ def test_a_page_has_a_name(office: Office) -> None:
     assert (seat.name, seat.leads) == ("Ann", True)
 
 
-ASKED = [Release(), Command("stop"), Command("off"), TakeOver(), GO, GiveUp(), Here()]
+ASKED = [Release(), Command("stop"), Command("off"), TakeOver(), GO, CancelGoal(), Heartbeat()]
 
 
 class Anything(RuleBasedStateMachine):

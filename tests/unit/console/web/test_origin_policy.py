@@ -6,14 +6,14 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.console.web.origin_policy import Porter
+from sextant.services.console.web.origin_policy import RejectionLog
 
 REFUSAL = "the token is wrong"
 
 
 @given(st.lists(st.integers(0, 24), max_size=60))
 def test_refusals_are_said_at_most_once_a_second_and_each_is_counted(waits: list[int]) -> None:
-    porter, now = Porter(), 0.0
+    porter, now = RejectionLog(), 0.0
     said: list[tuple[float, str]] = []
     for wait in [*waits, 8]:
         now += wait / 8  # [s]

@@ -1,8 +1,8 @@
 from dataclasses import replace
 from typing import Any
 
-from sextant.services.console.web.recorder_client import Clerk
-from sextant.shared.recording.event_log import Diary
+from sextant.services.console.web.recorder_client import RecorderClient
+from sextant.shared.recording.event_log import EventLog
 from sextant.shared.wire.messages import RecordCommand, RecorderState
 
 S = 1_000_000_000
@@ -13,8 +13,8 @@ class Recorder:
     """A recorder that follows its orders, as the clerk sees it."""
 
     def __init__(self) -> None:
-        self.diary = Diary()
-        self.clerk = Clerk(self.diary)
+        self.event_log = EventLog()
+        self.clerk = RecorderClient(self.event_log)
         self.state: RecorderState | None = RESTING
         self.now_ns = 0
         self.beat()
@@ -35,7 +35,7 @@ class Recorder:
 
     @property
     def words(self) -> list[str]:
-        return [entry.words for entry in self.diary.entries]
+        return [entry.words for entry in self.event_log.entries]
 
 
 def test_an_order_is_repeated_until_it_is_followed_and_no_longer() -> None:
@@ -57,7 +57,7 @@ def test_a_recorder_that_died_is_told_again_and_its_silence_is_said() -> None:
     recorder.follow(order)
     was, recorder.state = recorder.state, None
     assert recorder.beat() == []
-    assert recorder.words[-1] == "no word from the recorder: what is said now is not recorded"
+    assert recorder.words[-1] == "no message from the recorder; messages are not recorded now"
     assert recorder.clerk.view() is None
     assert was is not None
     recorder.state = RESTING  # another process
@@ -72,7 +72,7 @@ def test_a_recorder_that_died_and_is_back_at_once_is_said_too() -> None:
     recorder.follow(order)
     recorder.state = RESTING
     assert recorder.beat() == [order]
-    assert recorder.words[-1] == "the recorder died and is back: what was said meanwhile is not recorded"
+    assert recorder.words[-1] == "the recorder has restarted; messages in the meantime were not recorded"
 
 
 def test_one_that_cannot_is_not_asked_again_until_an_operator_does() -> None:
@@ -81,7 +81,7 @@ def test_one_that_cannot_is_not_asked_again_until_an_operator_does() -> None:
     recorder.follow(order)
     assert recorder.beat(recording=False, reason="the disk is full") == []
     assert recorder.words[-1] == "the disk is full"
-    assert recorder.diary.entries[-1].bad
+    assert recorder.event_log.entries[-1].bad
     assert all(recorder.beat() == [] for _ in range(5))
     assert recorder.want(True).sequence > order.sequence
 
@@ -95,7 +95,7 @@ def test_messages_that_were_lost_are_said_once_for_each_loss() -> None:
 
 
 def test_without_a_recorder_that_is_said() -> None:
-    clerk = Clerk(Diary())
+    clerk = RecorderClient(EventLog())
     assert "no recorder is running" in clerk.want(True, 0)
     assert clerk.view() is None
     assert list(clerk.beat(S, None)) == []

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from sextant.services.console.web.requests import (
     MAX_BYTES,
+    CancelGoal,
     Command,
     Drive,
-    GiveUp,
     GoTo,
-    Here,
+    Heartbeat,
     Name,
     Record,
     Release,
@@ -35,10 +35,10 @@ GOOD: list[tuple[dict[str, Any], object]] = [
     ({"type": "order", "order": "off"}, Command("off")),
     ({"type": "take over"}, TakeOver()),
     (GO, GoTo(((1.0, -0.5), (2.0, 0.0)), 0.1, Walk(0.1, 0.04, "tripod"), False)),
-    ({"type": "give up"}, GiveUp()),
+    ({"type": "give up"}, CancelGoal()),
     ({"type": "watch", "layer": "variance", "picture": True}, Watch("variance", True)),
     ({"type": "seen", "what": "map"}, Seen("map")),
-    ({"type": "here"}, Here()),
+    ({"type": "here"}, Heartbeat()),
     ({"type": "record", "on": True}, Record(True)),
     ({"type": "name", "name": "Ann"}, Name("Ann")),
 ]
@@ -52,7 +52,7 @@ def test_every_request_is_understood(fields: dict[str, Any], request_: object) -
 @pytest.mark.parametrize(("fields", "_"), GOOD)
 def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _: object) -> None:
     for key in fields:
-        with pytest.raises(RequestError, match=f"{key} is missing|no request of type"):
+        with pytest.raises(RequestError, match=f"{key} is missing|unknown request type"):
             parse(json.dumps({k: v for k, v in fields.items() if k != key}))
     with pytest.raises(RequestError, match="extra not expected"):
         parse(json.dumps({**fields, "extra": 1}))
@@ -69,14 +69,14 @@ def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _:
         ({**DRIVE, "press": 1.0}, "press: a whole number"),
         ({**DRIVE, "gait": "gallop"}, "gait: one of tripod, ripple, wave expected, found gallop"),
         ({**DRIVE, "by_touch": 1}, "by_touch: true or false"),
-        ({**GO, "waypoints": []}, "waypoints: 1 to 16 places"),
-        ({**GO, "waypoints": [[1.0]]}, r"waypoints: places \[x, y\]"),
+        ({**GO, "waypoints": []}, "waypoints: 1 to 16 points"),
+        ({**GO, "waypoints": [[1.0]]}, r"waypoints: points \[x, y\]"),
         ({**GO, "waypoints": [[1.0, 1e9]]}, "x: a number from -100 to 100"),
         ({**GO, "speed": 0.0}, "speed: a number from 0.01"),
         ({"type": "order", "order": "walk"}, "order: one of off, stop, ready, stand, sit expected"),
         ({"type": "record", "on": 1}, "on: true or false"),
         ({"type": "name", "name": "a\nb"}, "name: 1 to 24 printable"),
-        ({"type": ["order"]}, "no request of type"),
+        ({"type": ["order"]}, "unknown request type"),
         ([1, 2], "a table expected, found a list"),
     ],
 )

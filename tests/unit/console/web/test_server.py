@@ -244,7 +244,7 @@ def test_a_page_for_everybody_wants_a_token() -> None:
 
 
 def test_a_port_that_is_taken_is_said_so(server: Served) -> None:
-    with pytest.raises(OSError, match=r"is another console running\? --set port=8081"):
+    with pytest.raises(OSError, match=r"is another console running\? choose another port with --set port=8081"):
         PageServer(Settings(port=server.port), time.monotonic_ns)
 
 

@@ -19,7 +19,7 @@ from sextant.deploy.launch.compose import (
     offboard_commands,
     offboard_yaml,
 )
-from sextant.deploy.process_table import TABLE
+from sextant.deploy.launch.process_table import TABLE
 from sextant.shared.files.config import ConfigError
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from tests.support.composed import commands_of, services_of
@@ -38,7 +38,7 @@ def file(request: pytest.FixtureRequest) -> str:
 
 def test_the_committed_file_is_the_generated_one(file: str) -> None:
     option = " --offboard" if "offboard" in file else ""
-    assert (DEPLOY / file).read_text() == MADE[file], f"run `sextant compose{option} > deploy/{file}`"
+    assert (DEPLOY / file).read_text() == MADE[file], f"run `sextant service compose{option} > deploy/{file}`"
 
 
 def test_it_starts_exactly_the_table(file: str) -> None:
@@ -81,7 +81,7 @@ def test_whoever_gives_signs_of_life_is_listened_to_for_as_long_as_the_table_all
             continue
         assert service["environment"]["NOTIFY_SOCKET"] == NOTIFY_SOCKET
         assert int(service["environment"]["WATCHDOG_USEC"]) == patience[name] * 1e6
-        assert service["healthcheck"]["test"][:4] == ["CMD", "python", "-m", "sextant.deploy.healthy"]
+        assert service["healthcheck"]["test"][:4] == ["CMD", "python", "-m", "sextant.deploy.launch.healthcheck"]
         assert float(service["healthcheck"]["timeout"].removesuffix("s")) > patience[name]
 
 
@@ -155,7 +155,7 @@ def test_what_the_dockerfile_copies_reaches_the_engine() -> None:
 
 
 def test_a_scenario_that_containers_cannot_see_is_refused() -> None:
-    with pytest.raises(ConfigError, match="containers do not see"):
+    with pytest.raises(ConfigError, match="containers cannot read"):
         compose_yaml("/tmp/mine.toml", 3)
     with pytest.raises(ConfigError, match="no scenario 'nope'"):
         compose_yaml("nope", 3)

@@ -70,12 +70,12 @@ def test_folders_and_profiles_are_seen_from_the_file(tmp_path: Path) -> None:
     ("text", "hints"),
     [
         ("", ("robots: missing",)),
-        ("[robots]", ("one table [robots.NAME] at least",)),
-        ("[robots.a]\n[robots.b]\nconnect = []", ("robots.a.connect: missing", "robots.b.connect: one endpoint at least")),
+        ("[robots]", ("at least one table [robots.NAME]",)),
+        ("[robots.a]\n[robots.b]\nconnect = []", ("robots.a.connect: missing", "robots.b.connect: at least one endpoint")),
         ('[robots."a b"]\nconnect = ["tcp/1:1"]', ("a name of at most 32 letters",)),
         ('[robots.a]\nconnect = ["alpha.local"]', ("robots.a.connect[0]: an endpoint",)),
         ('[robots.a]\nconnect = ["tcp/1:1"]\nkey = "x"', ("robots.a.key: unknown key; did you mean 'keys'?",)),
-        ('[robots.a]\nconnect = ["tcp/1:1"]\nrobot = "nobody"', ("robots.a.robot", "nobody")),
+        ('[robots.a]\nconnect = ["tcp/1:1"]\nrobot = "unknown"', ("robots.a.robot", "unknown")),
         ('[robots.a]\nconnect = ["tcp/1:1"]\n[page]\nhost = "0.0.0.0"', ("token",)),
     ],
 )
@@ -91,7 +91,7 @@ def test_what_is_wrong_is_listed_all_at_once(tmp_path: Path, text: str, hints: t
     [
         ('connect = ["tcp/192.0.2.1:7447"]', "another machine without certificates"),
         ('connect = ["tls/192.0.2.1:7448"]', "needs certificates"),
-        ('connect = ["tls/192.0.2.1:7448"]\nkeys = "nowhere"', "`sextant keys new DIR` makes keys"),
+        ('connect = ["tls/192.0.2.1:7448"]\nkeys = "nowhere"', "`sextant keys new DIR` creates keys"),
         ('connect = ["tcp/127.0.0.1:1"]\nwithout = ["maper"]', "did you mean 'mapper'?"),
         ('connect = ["tcp/127.0.0.1:1"]\nset = ["mapper"]', "SERVICE.KEY=VALUE expected"),
         ('connect = ["tcp/127.0.0.1:1"]\nset = ["camera.device=none"]', "no service 'camera' is started"),

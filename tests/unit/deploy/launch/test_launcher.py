@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy import process_table
 from sextant.deploy.launch import launcher as launcher_module
+from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
-from sextant.deploy.process_table import Command
+from sextant.deploy.launch.process_table import Command
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[3] / "support" / "stand_in.py")
@@ -84,7 +84,7 @@ def test_a_dead_child_is_named_with_its_last_words_and_started_again_as_often_as
             Ended("a", "exit status 1", "RuntimeError: no more ground", restarted=True),
             Ended("a", "exit status 1", "RuntimeError: no more ground", restarted=False),
         ]
-        assert str(endings[0]) == "a ended (exit status 1); its last words: RuntimeError: no more ground; started again"
+        assert str(endings[0]) == "a ended (exit status 1); last output: RuntimeError: no more ground; started again"
         assert launcher.poll() == [], "an ending is told once"
 
 
@@ -220,7 +220,7 @@ def test_a_child_that_hangs_tells_in_which_function_it_was(ear: Ear) -> None:
         ear.wait_for("a", "ready")
         (ended,) = launcher.wait(PATIENCE_S)
     assert ended.how.startswith("hung: no sign of life for")
-    where = r"it was in round_in_circles \(stand_in\.py:\d+\), called by hanging \(stand_in\.py:\d+\), called by main .*"
+    where = r"stopped in round_in_circles \(stand_in\.py:\d+\), called by hanging \(stand_in\.py:\d+\), called by main .*"
     assert re.fullmatch(where, ended.last_words)
 
 
@@ -260,9 +260,9 @@ def test_a_stop_in_between_leaves_what_waits_unstarted(ear: Ear) -> None:
 
 DRIVER = """
 import sys
-from sextant.deploy.interrupts import Interrupts
+from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.deploy.launch.launcher import Launcher
-from sextant.deploy.process_table import Command
+from sextant.deploy.launch.process_table import Command
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 def hear(name, line):

@@ -9,8 +9,8 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.launch import units
+from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
 from sextant.deploy.launch.units import TARGET, Manager, UnitError
-from sextant.deploy.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
 from sextant.services.actuator.safety.torque_off_latch import SHARED
 from sextant.shared.wire.transport import Endpoints
 from tests.support.unit_files import read_unit, words_of
@@ -100,7 +100,7 @@ def test_units_of_an_earlier_role_go(tmp_path: Path) -> None:
 def test_a_file_of_somebody_else_is_not_overwritten(tmp_path: Path) -> None:
     foreign = tmp_path / "sextant-stop.service"
     foreign.write_text("[Service]\nExecStart=/bin/true\n")
-    with pytest.raises(UnitError, match=r"sextant-stop\.service: not as .* move it away"):
+    with pytest.raises(UnitError, match=r"sextant-stop\.service: changed since .* move it away"):
         units.install(made(MINE), tmp_path)
     assert list(tmp_path.iterdir()) == [foreign]
 
@@ -138,7 +138,7 @@ def test_the_machines_own_manager_gives_the_groups_of_devices_that_there_are(cap
 def test_what_is_wrong_is_said_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = ["--folder", str(tmp_path)]
     assert cli.main(["service", "install", "onboard", "--keys", "/nowhere", *folder]) == 2
-    assert "`sextant keys new DIR` makes keys" in capsys.readouterr().err
+    assert "`sextant keys new DIR` creates keys" in capsys.readouterr().err
     assert cli.main(["service", "install", "onboard", "--listen", "tcp/0.0.0.0:7447", *folder]) == 2
     assert "give --keys DIR" in capsys.readouterr().err
     (tmp_path / TARGET).write_text("")

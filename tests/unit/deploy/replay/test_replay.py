@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.progress import Silent
 from sextant.deploy.replay import sequence as replay
 from sextant.deploy.replay.error import ReplayError
 from sextant.deploy.replay.sequence import HandHeld, Player
 from sextant.deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
-from sextant.deploy.runs.attendance import about
+from sextant.deploy.runs.run_observers import about
+from sextant.deploy.terminal.progress import Silent
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum
@@ -22,7 +22,7 @@ from sextant.shared.geometry import exp_se3, from_xyz_rpy, transform
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.runtime.service import AnyTopic, Inbox, Stages, Worker
+from sextant.shared.runtime.service import AnyTopic, Inbox, ServiceRunner, Stages
 from sextant.shared.scenario.scenario import MapOptions, load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
@@ -157,7 +157,7 @@ def recorded(tmp_path: Path) -> Path:
 def record(tmp_path: Path, about: dict[str, str], settings: Settings) -> Path:
     path, rng, now_ns = tmp_path / "recording.mcap", np.random.default_rng(1), [0]
     with Recorder(path, {"scenario": "made up", "robot": "phantomx_mk2", **about}) as recorder:
-        mapper = Worker(Mapper(load_profile("phantomx_mk2"), settings), recorder.write, lambda: now_ns[0])
+        mapper = ServiceRunner(Mapper(load_profile("phantomx_mk2"), settings), recorder.write, lambda: now_ns[0])
         for i in range(30):
             now_ns[0] = i * S // 5
             pose = BodyPose(now_ns[0], np.eye(4), np.eye(4), np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
@@ -244,7 +244,7 @@ def test_maps_of_other_cells_are_not_compared_in_silence(tmp_path: Path) -> None
     path = record(tmp_path, {}, Settings(120, 100, 0.02))
     with pytest.raises(ReplayError, match=r"120x100 cells of 0\.02 m.* recorded.*256x256 cells of 0\.01 m.* made"):
         replay_recording(path, tmp_path, Silent())
-    with pytest.raises(ReplayError, match="make no sense"):
+    with pytest.raises(ReplayError, match="are invalid"):
         replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
 
 
@@ -286,7 +286,7 @@ def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping(
         if i:
             assert np.allclose(T_world_odom @ said.T_odom_body, T @ step, atol=1e-8)
         T = T @ step
-    assert guess.doing().startswith("guessing")
+    assert guess.doing().startswith("predicting")
 
 
 def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:

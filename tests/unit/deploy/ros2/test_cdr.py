@@ -130,7 +130,7 @@ def test_a_message_that_is_cut_off_or_goes_on_is_refused(data: st.DataObject) ->
 def test_a_count_that_would_fill_the_memory_is_refused_at_once() -> None:
     many = b"\0\1\0\0" + b"\xff\xff\xff\xff"
     for name in ("tf2_msgs/msg/TFMessage", "std_msgs/msg/String"):
-        with pytest.raises(CdrError, match=r"do not fit|and more expected"):
+        with pytest.raises(CdrError, match=r"do not fit|at least \d+ bytes expected"):
             cdr.decode(name, many)
 
 

@@ -83,7 +83,7 @@ def test_what_goes_out_is_stamped_and_numbered_by_the_robots_clock_also_after_it
     assert orders[0].sequence > hour
     desk.ahead = 0
     desk.drive(102)  # two seconds in which the reset is only a claim, and some more
-    assert desk.words[-1].startswith("the robot's clock began anew"), "the Twists that come now move nothing"
+    assert desk.words[-1].startswith("the robot's clock has restarted"), "the Twists that come now move nothing"
     assert not desk.lead.leading
     desk.rest(30)
     desk.said.clear()
@@ -132,9 +132,9 @@ def test_a_twist_of_zeros_begins_nothing() -> None:
 @pytest.mark.parametrize(
     ("state", "words"),
     [
-        ({"lease": "console 1"}, "console 1 leads the robot"),
-        ({"mode": Mode.READY, "reason": "sitting"}, "its mode is ready: sitting; `sextant order stand`"),
-        ({"mode": Mode.OFF, "reason": "ordered off"}, "its mode is off"),
+        ({"lease": "console 1"}, "console 1 holds the lease"),
+        ({"mode": Mode.READY, "reason": "sitting"}, "in mode ready: sitting; run `sextant order stand`"),
+        ({"mode": Mode.OFF, "reason": "ordered off"}, "in mode off"),
     ],
 )
 def test_a_refusal_is_said_once_and_nothing_moves(state: dict[str, Any], words: str) -> None:
@@ -146,7 +146,7 @@ def test_a_refusal_is_said_once_and_nothing_moves(state: dict[str, Any], words: 
     assert desk.state is not None
     desk.state = replace(desk.state, lease="", mode=Mode.HOLD)
     desk.drive(50)
-    assert desk.said == [], "the stick is still held: it has to be let go first"
+    assert desk.said == [], "the stick is still held: it has to be released first"
     desk.rest(20)
     desk.drive(5)
     assert desk.orders() == ["walk"]
@@ -158,7 +158,7 @@ def test_without_a_word_of_the_actuator_nothing_is_led() -> None:
     desk.beat()
     desk.drive(10)
     assert desk.said == []
-    assert "is it up?" in desk.words[0]
+    assert "is it running?" in desk.words[0]
 
 
 @pytest.mark.parametrize("change", [{"lease": "console 2"}, {"mode": Mode.OFF, "reason": "torque off"}])
@@ -188,13 +188,13 @@ def test_velocities_wait_for_the_lease() -> None:
 def test_an_actuator_that_does_not_give_the_lease_is_named_with_its_reason() -> None:
     desk = Desk()
     assert desk.state is not None
-    refused = "`walk` of ros2 refused: it is older than their newest order"
+    refused = "`walk` of ros2 refused: it is older than the newest order of this client"
     for _ in range(60):
         desk.state = replace(desk.state, lease="", warnings=(refused,))
         desk.drive(1)
     assert desk.velocities() == []
     assert not desk.lead.leading
-    assert desk.words[-1] == f"the actuator does not give the lease; {refused}"
+    assert desk.words[-1] == f"the actuator does not grant the lease; {refused}"
 
 
 def test_the_end_of_the_bridge_stops_a_robot_that_it_leads() -> None:

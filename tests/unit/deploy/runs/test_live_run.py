@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.judging import report as reports
+from sextant.deploy.evaluation import report as reports
 from sextant.deploy.launch.launcher import host_router
-from sextant.deploy.runs.attendance import Attendance
 from sextant.deploy.runs.live_run import Attendants, Faults, ServiceLog, Speed
+from sextant.deploy.runs.run_observers import RunObservers
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.scenario.scenario import Fault, load_scenario
@@ -161,7 +161,7 @@ SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
     ],
 )
 def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: str, reason: str, too_slow: str | None) -> None:
-    attendance = Attendance(load_profile("phantomx_mk2"), load_scenario("flat"), 0, live=True)
+    attendance = RunObservers(load_profile("phantomx_mk2"), load_scenario("flat"), 0, live=True)
     attendance.monitor.lateness.late_s = late_s
     attendance.monitor.lateness.words = SLOW if late_s else ""
     report = attendance.judge(1.0, "time limit", slowed_down=slowed_down)

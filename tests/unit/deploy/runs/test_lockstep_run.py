@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.judging.report import without_timing
-from sextant.deploy.progress import Silent
-from sextant.deploy.runs.attendance import Attendance, clear
+from sextant.deploy.campaign.trials import run_trials
+from sextant.deploy.evaluation.report import without_timing
 from sextant.deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
-from sextant.deploy.trials.batch import run_trials
+from sextant.deploy.runs.run_observers import RunObservers, clear
+from sextant.deploy.terminal.progress import Silent
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
@@ -68,7 +68,7 @@ def test_all_services_are_heard_at_their_rates() -> None:
     assert heard[topics.BODY_POSE.key] > 2  # the rate is 15 Hz, after the robot has stood still for a while
     assert heard[topics.SCAN.key] > 2
     assert heard[topics.TERRAIN.key] >= 1
-    assert heard[topics.COLOR.key] == 0, "nobody asked for colour"
+    assert heard[topics.COLOR.key] == 0, "no service asked for colour"
 
 
 def test_a_service_that_is_killed_is_silent_and_comes_back() -> None:
@@ -178,9 +178,9 @@ def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path:
     assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["reason"] == report.reason
     assert (tmp_path / "summary.png").exists()
     depth, recording = told.said
-    assert depth == "warning: a recording ended early: depth.txt cannot be written: the disk is full; make room"
+    assert depth == "warning: a recording ended early: depth.txt cannot be written: the disk is full; free some space"
     assert f"{tmp_path / 'recording.mcap'} cannot be written: less than" in recording
-    assert "MB are whole" in recording
+    assert "MB are intact" in recording
     kept = Recording(tmp_path / "recording.mcap")
     assert list(kept.frames())
     assert kept.complete, "what was written before is a whole file"
@@ -195,6 +195,6 @@ def test_a_folder_never_pairs_a_run_with_the_verdict_of_an_earlier_one(tmp_path:
 
 def test_files_that_cannot_be_written_are_named_and_the_others_are_there(tmp_path: Path) -> None:
     (tmp_path / "report.json").mkdir()
-    attendance = Attendance(PROFILE, FLAT, 3)
+    attendance = RunObservers(PROFILE, FLAT, 3)
     (problem,) = attendance.leave_behind(attendance.judge(1.0, "ended"), tmp_path)
-    assert problem == f"{tmp_path / 'report.json'} cannot be written: a folder has its name; write to another one"
+    assert problem == f"{tmp_path / 'report.json'} cannot be written: a folder has this name; choose another name"

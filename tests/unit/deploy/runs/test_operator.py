@@ -112,7 +112,7 @@ def test_a_robot_that_something_stopped_while_it_rose_is_ordered_to_stand_anew()
     stands = sorted({order.sequence for _, order in robot.orders if order.mode == "stand"})
     assert len(stands) == 2
     robot.run()
-    assert robot.operator.reason == "at the goal by the estimated pose"
+    assert robot.operator.reason == "at the goal according to the estimated pose"
     walk = {order.sequence for _, order in robot.orders if order.mode == "walk"}
     assert min(walk) > max(stands)
 
@@ -128,7 +128,7 @@ def test_one_who_comes_as_the_robot_walks_and_stops_it_before_he_knows_where_it_
             robot.mode, robot.rising = Mode.STAND, 5
         robot.beat()
     assert len(stands) == 2
-    assert robot.run().operator.reason == "at the goal by the estimated pose"
+    assert robot.run().operator.reason == "at the goal according to the estimated pose"
     assert min(order.sequence for _, order in robot.orders if order.mode == "walk") > max(stands)
 
 
@@ -205,11 +205,11 @@ def test_it_gives_up_on_a_planner_that_does_not_hear_it():
     robot = Robot()
     for _ in range(60):
         robot.beat()
-    robot.deaf = "no fresh velocity command, and no goal"
+    robot.deaf = "no fresh velocity command and no goal"
     began = robot.now
     robot.run()
     assert robot.now - began == pytest.approx(10e9, abs=2 * PERIOD_NS)
-    assert "heard nothing of what is commanded here: no fresh velocity command" in robot.operator.reason
+    assert "received no command from here: no fresh velocity command" in robot.operator.reason
 
 
 def test_it_never_steers_blind_and_gives_up_without_a_pose():

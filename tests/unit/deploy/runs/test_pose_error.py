@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.deploy import process_table
-from sextant.deploy.erring_perception import Settings, make
+from sextant.deploy.launch import process_table
+from sextant.deploy.runs.noisy_perception import Settings, make
 from sextant.deploy.runs.pose_error import (
     MODELS,
     Correlation,
-    Erring,
+    NoisyPerception,
     PoseError,
     PoseErrorModel,
     autocorrelation,
@@ -122,7 +122,7 @@ def scan(n: int = 50, color: bool = True) -> Scan:
 def test_pose_and_scan_move_together() -> None:
     """Move the scan with the pose: points keep their place relative to the body."""
     before = scan()
-    erring = Erring(Still(before), MODEL, seed=2)  # type: ignore[arg-type]
+    erring = NoisyPerception(Still(before), MODEL, seed=2)  # type: ignore[arg-type]
     for stamp_ns in (0, 10**9, 3 * 10**9):
         pose, moved = erring.step(stamp_ns, Inbox((), Stages()))  # type: ignore[arg-type]
         assert isinstance(pose, BodyPose)
@@ -151,7 +151,7 @@ def test_points_that_leave_the_millimetres_are_left_out() -> None:
     far = replace(scan(2), points_mm=np.array([[32760, 0, 0], [0, 0, 0]], dtype=np.int16))
     shift = replace(MODEL, position_m=(1e-9, 1e-9, 1e-9), rotation_rad=(1e-9, 1e-9, 0.5))
     for seed in range(6):
-        _, moved = Erring(Still(far), shift, seed).step(0, Inbox((), Stages()))  # type: ignore[arg-type]
+        _, moved = NoisyPerception(Still(far), shift, seed).step(0, Inbox((), Stages()))  # type: ignore[arg-type]
         assert isinstance(moved, Scan)
         assert len(moved.points_mm) == len(moved.count) == len(moved.color) in (1, 2)
 
@@ -159,7 +159,7 @@ def test_points_that_leave_the_millimetres_are_left_out() -> None:
 def test_live_runs_start_another_process_for_it() -> None:
     plain = Scenario("plain", (Plane(),), Goal(1.0))
     erring = replace(plain, pose_error="orb_slam")
-    for scenario, module in ((plain, "sextant.services.perception"), (erring, "sextant.deploy.erring_perception")):
+    for scenario, module in ((plain, "sextant.services.perception"), (erring, "sextant.deploy.runs.noisy_perception")):
         chosen = process_table.choices(scenario, "plain", 7)
         row = [p for p in process_table.TABLE if p.name == "perception"]
         (command,) = process_table.commands(row, chosen, Endpoints(("tcp/127.0.0.1:1",), False, "x"))

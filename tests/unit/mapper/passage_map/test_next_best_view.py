@@ -250,7 +250,7 @@ def test_what_is_unseen_is_said_with_the_reason_and_the_place() -> None:
     why = sights(robot.grid, robot.expected, unseen, robot.T_camera, CAMERA, REACH)
     words = unseen_in_words(robot.grid, why)
     assert words.startswith(f"{unseen.sum()} of 27000 cells not seen: ")
-    for text in ("nearer than the camera measures", "too far", "outside the picture", "hidden behind"):
+    for text in ("closer than the camera's minimum range", "too far", "outside the image", "hidden behind"):
         assert text in words
     nowhere = replace(robot.grid, elevation=np.full_like(robot.grid.elevation, np.nan))
     np.testing.assert_array_equal(expected_heights(nowhere, robot.looked_from, CAMERA, REACH, 0.25), 0.25)

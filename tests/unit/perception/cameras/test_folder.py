@@ -62,7 +62,7 @@ def test_it_begins_anew_or_ends(folder: Path, kit) -> None:  # type: ignore[no-u
     once.read(False)
     kit.clock.pass_s(1.0)
     assert once.read(False) is not None
-    with pytest.raises(RecordingOverError, match="over"):
+    with pytest.raises(RecordingOverError, match="has ended"):
         once.read(False)
 
 
@@ -99,7 +99,7 @@ def test_pictures_that_cannot_be_read_are_passed_over_and_named(folder: Path, ki
     (folder / "depth" / f"{STAMPS[1] * 1e-9:.6f}.png").unlink()
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert [frame is None for frame in read_all(camera, kit)] == [False, True, False, False]
-    assert "1 times one could not be read" in camera.about
+    assert "1 images could not be read" in camera.about
     assert "no such file" in camera.about
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert [frame is None for frame in read_all(camera, kit, color=True)] == [True, True, True, False]

@@ -95,7 +95,7 @@ def test_an_unplugged_device_is_said_at_once_and_found_again(kit) -> None:  # ty
     assert not of(made, DepthImage)
     assert not any(state.ok for state in of(made, CameraState))
     assert of(made, CameraState)[-1].reason == "no device found; plug it in"
-    assert "no pictures: no device found" in service.doing()
+    assert "no images: no device found" in service.doing()
     device.plugged = True
     made = run(service, kit, 5.0)
     assert of(made, DepthImage)
@@ -124,7 +124,7 @@ def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type
     with CameraService(kit.profile, Settings(), hang, kit.clock) as service:
         assert called.wait(5.0)
         made = run(service, kit, 7.0)  # simulated time; the driver has not returned
-        with pytest.raises(RuntimeError, match="this process ends, so that a new one can open it"):
+        with pytest.raises(RuntimeError, match="this process ends, so that a new process can open the camera"):
             run(service, kit, 20.0)
         release.set()
     assert "has not answered for" in of(made, CameraState)[-1].reason

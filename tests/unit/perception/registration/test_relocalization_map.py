@@ -80,7 +80,7 @@ def test_level_ground_cannot_tell():
     assert anchor.misfit(points, moved).share == 0.0
     found = anchor.find(points, moved)
     assert found.T_world_camera is None
-    assert "no place nearby fits better" in found.reason
+    assert "no pose nearby fits better" in found.reason
 
 
 @settings(max_examples=10, deadline=None)
@@ -99,11 +99,11 @@ def test_ground_never_seen_is_said_to_be():
     anchor = AnchorMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     anchor.add(points, LEVEL)
-    assert "has been seen before" in anchor.find(points, from_xyz_rpy([3.0, 0.0, 0.5], [0.0, 0.0, 0.0])).reason
+    assert "no mapped ground within" in anchor.find(points, from_xyz_rpy([3.0, 0.0, 0.5], [0.0, 0.0, 0.0])).reason
     # The same holds where the grid reuses its cells further on.
     far = from_xyz_rpy([512 * 0.02, 0.0, 0.5], [0.0, 0.0, 0.0])
     anchor.add(points, far)
-    assert "has been seen before" in anchor.find(points, LEVEL).reason
+    assert "no mapped ground within" in anchor.find(points, LEVEL).reason
     assert anchor.misfit(points, far).share == 0.0
 
 

@@ -94,8 +94,8 @@ def test_where_nothing_is_to_be_crossed_the_refusal_says_both() -> None:
     rig, _ = led(GOAL, terrain.map)
     status = rig.status()
     assert status.state == "blocked"
-    assert status.reason.startswith("no way to (2.5, 0.0)")
-    assert "and no passage: the straight way to it ends at something high after 0.6 m" in status.reason
+    assert status.reason.startswith("no path to (2.5, 0.0)")
+    assert "no gap crossing: an obstacle blocks the straight line to the goal after 0.6 m" in status.reason
 
 
 def test_an_operator_who_steers_takes_over_from_a_passage() -> None:
@@ -144,7 +144,7 @@ def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> No
     rig = Rig()
     rig.command, rig.goal = None, replace(GOAL, passage=True)
     rig.plans(400)  # 8 s
-    assert rig.status().reason.startswith("no passage: no map of the passage comes from the mapper")
+    assert rig.status().reason.startswith("no gap crossing: no valid map of the gap received from the mapper")
     asked_s = [t * 0.02 for t in range(3000) if any(isinstance(m, PassageRequest) for m in rig.cycle())]
     begun_s = [b for a, b in pairwise([-10.0, *asked_s]) if b - a > 5.0]
     patience_s = 20.0  # [s] that a client waits for a blocked planner after the refusal
@@ -168,7 +168,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
             self.walked = walked
 
         def advance(self, *_: object) -> Over:
-            return Over("behind the gap")
+            return Over("no gap ahead of the robot")
 
     monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.Errand", Errand)
     rig, terrain = Rig(), Terrain(gap(0.8))
@@ -186,7 +186,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
                 return found
         raise AssertionError("no end")
 
-    assert ended() == Over("behind the gap")
+    assert ended() == Over("no gap ahead of the robot")
     assert not mode.ordered(goal)
-    assert ended() == (Over("behind the gap") if walked else Refused("a look from here has found nothing to cross"))
+    assert ended() == (Over("no gap ahead of the robot") if walked else Refused("no gap to cross was found from here"))
     assert len(errands) == (2 if walked else 1)

@@ -6,7 +6,7 @@ Clear cases have the expected answer, more ground never removes a way, and an un
 import numpy as np
 import pytest
 
-from sextant.deploy.bench.passage_fields import (
+from sextant.deploy.evaluation.passage_fields import (
     BEYOND,
     GAP,
     NEAR,
@@ -105,7 +105,7 @@ def test_where_there_is_no_room_to_tell_nothing_is_told() -> None:
 
 def test_feet_on_nothing_are_refused() -> None:
     feet = STANCE.feet + np.array([NEAR, 0.0, 0.0])
-    with pytest.raises(ValueError, match="feet on footholds"):
+    with pytest.raises(ValueError, match="every foot on a foothold"):
         has_way(PROFILE, SETTINGS, field_of(heights([], GAP), HEIGHT), Stance(STANCE.body, feet), GOAL_X)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.bench.passage_fields import field_of, stance_at
+from sextant.deploy.evaluation.passage_fields import field_of, stance_at
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.failure_reasons import NOBODY, WORDS, Why, fault_in_words, in_words
 from sextant.services.planner.gap_crossing.strip_map import Field
@@ -37,27 +37,33 @@ def test_whose_test_stops_it_most_often_is_said(leg: int) -> None:
     why = said([], roadmap_search.TORQUE, leg)
     assert why.leg == leg
     who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
-    assert why.words.startswith(f"at (0.44, 0.00) m {who}{WORDS[roadmap_search.TORQUE]} (7 of 9")
+    assert why.words.startswith(f"no step from (0.44, 0.00) m: {who}{WORDS[roadmap_search.TORQUE]} (7 of 9")
     assert not why.unseen
 
 
 @pytest.mark.parametrize("width", [0.0, 0.02, 0.09])
 def test_a_stretch_that_is_no_obstacle_is_not_told_of(width: float) -> None:
-    assert "carry" not in said([(EDGE, EDGE + width)]).words
+    assert "without a foothold" not in said([(EDGE, EDGE + width)]).words
 
 
 def test_a_stretch_of_the_reach_and_one_beyond_it_are_told_by_their_width() -> None:
-    assert "front foot 15 cm carry none of the 20 cm that its leg goes" in said([(EDGE, EDGE + 0.15)]).words
-    assert "front foot 80 cm carry none, 60 cm more than the 20 cm" in said([(EDGE, EDGE + 0.80)]).words
+    assert "front foot 15 cm of ground without a foothold, the leg reaches 20 cm" in said([(EDGE, EDGE + 0.15)]).words
+    assert (
+        "front foot 80 cm of ground without a foothold, 60 cm more than the leg's reach of 20 cm"
+        in said([(EDGE, EDGE + 0.80)]).words
+    )
 
 
 def test_of_two_stretches_the_wider_counts_and_one_out_of_its_reach_does_not() -> None:
-    assert "front foot 30 cm carry none, 10 cm more than" in said([(EDGE, EDGE + 0.02), (EDGE + 0.07, EDGE + 0.37)]).words
-    assert "carry" not in said([(EDGE + 0.4, EDGE + 0.9)]).words
+    assert (
+        "front foot 30 cm of ground without a foothold, 10 cm more"
+        in said([(EDGE, EDGE + 0.02), (EDGE + 0.07, EDGE + 0.37)]).words
+    )
+    assert "without a foothold" not in said([(EDGE + 0.4, EDGE + 0.9)]).words
 
 
 def test_a_stretch_up_to_the_end_of_the_strip_may_be_longer() -> None:
-    assert "front foot 40 cm or more carry none" in said([(EDGE, 9.0)], length=EDGE + 0.4).words
+    assert "front foot 40 cm or more of ground without a foothold" in said([(EDGE, 9.0)], length=EDGE + 0.4).words
 
 
 def test_a_foot_beside_the_strip_is_no_error() -> None:
@@ -65,7 +71,7 @@ def test_a_foot_beside_the_strip_is_no_error() -> None:
     field = Field(ground, np.full((60, 60), -5, dtype=np.int8), 0.01, np.eye(4))
     fails = np.ones((roadmap_search.TESTS, 7), dtype=np.int64)
     for off in ([0.0, -3.0, 0.0], [5.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.0, 3.0, 0.0]):
-        assert in_words(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("at (")
+        assert in_words(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("no step from (")
 
 
 def test_where_much_is_unknown_another_look_is_asked_for() -> None:
@@ -78,11 +84,11 @@ def test_nothing_that_failed_is_nobodys_fault() -> None:
     field = Field(np.zeros((9, 9), np.float32), np.full((9, 9), UNKNOWN, np.int8), 0.01, np.eye(4))
     fails = np.zeros((roadmap_search.TESTS, 7), dtype=np.int64)
     why = in_words(fails, STANCE.body, STANCE.feet, STROKES, field)
-    assert (why.words, why.unseen, why.leg) == ("nothing leads on at (0.44, 0.00) m", False, NOBODY)
+    assert (why.words, why.unseen, why.leg) == ("no step is possible at (0.44, 0.00) m", False, NOBODY)
 
 
 def test_a_stance_that_is_no_beginning_is_told_leg_by_leg() -> None:
     found = np.array([0, roadmap_search.REACH, 0, 0, 0, roadmap_search.UNDER, roadmap_search.MARGIN])
     words = fault_in_words(found, 0.03)
-    assert words.endswith(f"{LEGS[1]} leg: out of reach; {LEGS[5]} leg: foot under the body; support too small")
+    assert words.endswith(f"{LEGS[1]} leg: out of reach; {LEGS[5]} leg: foot under the body; support margin too small")
     assert "3 cm" in words

@@ -33,7 +33,9 @@ def test_a_gap_begins_where_the_ground_ends(make_terrain: Maker, begin: float, l
 
 
 def test_over_level_ground_there_is_none(make_terrain: Maker) -> None:
-    assert gap_ahead(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight way to it"
+    assert (
+        gap_ahead(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight line to the goal"
+    )
 
 
 def test_what_is_narrower_than_a_step_is_none(make_terrain: Maker) -> None:
@@ -46,7 +48,7 @@ def test_a_wall_before_it_is_said(make_terrain: Maker) -> None:
     )
     found = gap_ahead(terrain, HERE, GOAL, 0.0)
     assert isinstance(found, str)
-    assert "something high" in found
+    assert "an obstacle" in found
 
 
 def test_unseen_ground_is_no_gap_yet(make_terrain: Maker) -> None:
@@ -84,4 +86,4 @@ def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, sho
 
 def test_a_wall_right_before_the_goal_is_said(make_terrain: Maker) -> None:
     terrain = make_terrain(lambda x, y: np.where(x > 1.52, 0.3, 0.0) + 0.0 * y, score(1.5, 9.0), half=2.0)
-    assert gap_ahead(terrain, HERE, GOAL, 0.0) == "the straight way to it ends at something high after 1.5 m"
+    assert gap_ahead(terrain, HERE, GOAL, 0.0) == "an obstacle blocks the straight line to the goal after 1.5 m"

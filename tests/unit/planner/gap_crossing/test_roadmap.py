@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
-from sextant.deploy.judging.passage_checker import violations
+from sextant.deploy.evaluation.passage_checker import violations
+from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, Roadmap, Stance
 from sextant.services.planner.gap_crossing.roadmap_search import nearest_seen
@@ -91,7 +91,7 @@ def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
     field = field_of(heights([], GAP), HEIGHT)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
     assert isinstance(found, NoWay)
-    assert "carry none" in found.reason
+    assert "without a foothold" in found.reason
     assert not found.unseen
     assert found.furthest.body[0] < NEAR
     assert sum(found.fails.values()) > 0
@@ -269,5 +269,5 @@ def test_where_it_ends_is_said_in_the_world_and_by_how_much_the_gap_is_too_wide(
     field = Field(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.8 + BEYOND)
     assert isinstance(found, NoWay)
-    assert re.match(r"at \(5\.\d\d, (1\.9|2\.0)\d\) m ", found.reason), found.reason
-    assert re.search(r"carry none, \d+ cm more than the \d+ cm that its leg goes", found.reason), found.reason
+    assert re.match(r"no step from \(5\.\d\d, (1\.9|2\.0)\d\) m: ", found.reason), found.reason
+    assert re.search(r"without a foothold, \d+ cm more than the leg's reach of \d+ cm", found.reason), found.reason

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.deploy.bench.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
+from sextant.deploy.evaluation.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
 from sextant.services.planner.gap_crossing.sections import goal_behind, without
 from sextant.services.planner.gap_crossing.strip_map import Field
 from sextant.shared.wire.messages import UNKNOWN

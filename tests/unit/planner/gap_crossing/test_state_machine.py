@@ -140,7 +140,7 @@ def no_way(reason: str = "nothing carries") -> NoWay:
 
 def test_it_looks_plans_walks_and_ends_behind_the_gap() -> None:
     robot = Robot(Planned(section(0.0, 0.9), section(0.9, 1.85)), looks=2)
-    assert robot.until_end() == Over("behind the gap")
+    assert robot.until_end() == Over("no gap ahead of the robot")
     raised, higher, back, *steps = robot.moves
     assert [m.stride.swing.any() for m in (raised, higher, back)] == [False] * 3
     assert raised.stride.body_goal[2, 3] == pytest.approx(HEIGHT + 0.07)
@@ -177,7 +177,7 @@ def test_it_goes_closer_to_what_is_unknown_once_nothing_else_is_left() -> None:
     robot = Robot(Planned(*[none] * (ATTEMPTS + 1), section(0.2, 1.85)))
     robot.until(lambda: bool(robot.moves))
     assert len(robot.sections.begun) == ATTEMPTS, "not before other samples have found nothing either"
-    assert robot.until_end() == Over("behind the gap")
+    assert robot.until_end() == Over("no gap ahead of the robot")
     assert [m.stride.body_goal[0, 3] for m in robot.moves][5] == pytest.approx(0.2)
     found = Robot(Planned(none, section(0.0, 1.85)))
     found.until_end()
@@ -222,8 +222,8 @@ def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_e
 
 def test_where_no_way_was_found_it_plans_once_more_on_a_newer_map() -> None:
     robot = Robot(Planned(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
-    assert robot.until_end() == Over("behind the gap")
-    assert "looking at the passage again: all" in robot.heard
+    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert "surveying the gap again: all" in robot.heard
     maps = [field for field, *_ in robot.sections.begun]
     assert maps[ATTEMPTS] is not maps[ATTEMPTS - 1]
 
@@ -245,7 +245,7 @@ def test_a_step_that_was_not_taken_is_due_again() -> None:
 
 def test_over_ground_that_carries_anywhere_there_is_nothing_to_cross() -> None:
     robot = Robot(Planned(), gap=False)
-    assert robot.until_end() == Over("behind the gap")
+    assert robot.until_end() == Over("no gap ahead of the robot")
     assert robot.sections.begun == []
 
 
@@ -257,7 +257,7 @@ def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -
         robot.tick()
         asked += robot.errand.request(robot.now_ns) is not None
     assert 9 <= asked <= 11
-    assert robot.until_end() == Refused("no map of the passage comes from the mapper")
+    assert robot.until_end() == Refused("no valid map of the gap received from the mapper")
 
 
 def test_a_map_from_before_the_robot_stood_still_does_not_count() -> None:
@@ -273,7 +273,7 @@ def test_a_foot_that_is_not_where_it_was_to_stand_has_the_rest_planned_anew() ->
     robot.feet[0, 2] -= 0.05
     robot.until(lambda: len(robot.sections.begun) == 2)
     assert len(robot.moves) == 2
-    assert any("left front foot is 5 cm from where it was to stand" in words for words in robot.heard)
+    assert any("left front foot is 5 cm from its planned foothold" in words for words in robot.heard)
 
 
 def test_where_a_foot_found_nothing_no_foot_is_planned_again() -> None:
@@ -297,7 +297,7 @@ def test_refused_steps_lead_to_another_look_and_in_the_end_to_a_refusal() -> Non
     robot.refuse = "out of reach"
     end = robot.until_end()
     assert isinstance(end, Refused)
-    assert "does not get on" in end.reason
+    assert "made no progress" in end.reason
 
 
 def test_a_refused_look_is_done_without() -> None:
@@ -329,7 +329,7 @@ def test_an_actuator_that_begins_anew_has_the_robot_look_again() -> None:
     robot.until(lambda: len(robot.moves) == 3)
     robot.state = replace(robot.state, step=0)
     robot.until(lambda: len(robot.sections.begun) == 2)
-    assert any("the actuator has begun anew" in words for words in robot.heard)
+    assert any("the actuator has restarted" in words for words in robot.heard)
     robot.until(lambda: len(robot.moves) == 4)
     assert robot.moves[-1].number == 1
 
@@ -348,10 +348,10 @@ def test_an_actuator_that_restarts_during_planning_has_the_section_planned_from_
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"heading": 1.0}, "of another strip"),
-        ({"origin": np.array([3.0, 1.0])}, "of another strip"),
+        ({"heading": 1.0}, "another strip"),
+        ({"origin": np.array([3.0, 1.0])}, "another strip"),
         ({"resolution": 0.5}, "cells of 0.002 to 0.1 m expected"),
-        ({"T_world_look": np.zeros((4, 4))}, "no pose"),
+        ({"T_world_look": np.zeros((4, 4))}, "not a rigid transform"),
     ],
 )
 def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, object], words: str) -> None:
@@ -391,10 +391,10 @@ def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
 
 def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> None:
     robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
-    assert robot.until_end() == Over("behind the gap")
+    assert robot.until_end() == Over("no gap ahead of the robot")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
-    assert any("backing off by 2 steps to find another way: stuck" in words for words in robot.heard)
-    assert [m.words for m in robot.moves[6:8]] == [f"passage, backing off in section 2: step {k} of 2" for k in (1, 2)]
+    assert any("backtracking 2 steps to find another path: stuck" in words for words in robot.heard)
+    assert [m.words for m in robot.moves[6:8]] == [f"gap crossing, backtracking in section 2: step {k} of 2" for k in (1, 2)]
     first, again = robot.sections.begun[0][1], robot.sections.begun[ATTEMPTS + 1][1]
     assert again.body[0] == pytest.approx(first.body[0] + 0.4)
     np.testing.assert_allclose(again.feet[4:], first.feet[4:], atol=1e-9)
@@ -410,7 +410,7 @@ def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
     end = Robot(Planned(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
     assert isinstance(end, Refused)
-    assert end.reason.endswith("cells ahead are unknown, and no look is left that would show more")
+    assert end.reason.endswith("cells ahead are unknown; no better view is available")
 
 
 def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
@@ -447,11 +447,11 @@ def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
     robot.T = from_xyz_rpy((0.0, 0.5, HEIGHT), np.zeros(3))
     end = robot.until_end()
     assert isinstance(end, Refused)
-    assert "0.50 m beside the strip" in end.reason
+    assert "0.50 m and 0 deg off the centre line" in end.reason
 
 
 def test_a_map_from_the_future_is_not_planned_on() -> None:
     robot = Robot(Planned())
     look = robot.look
     robot.look = lambda: replace(look(), stamp_ns=robot.now_ns + 10**10)  # type: ignore[method-assign]
-    assert robot.until_end() == Refused("no map of the passage comes from the mapper")
+    assert robot.until_end() == Refused("no valid map of the gap received from the mapper")

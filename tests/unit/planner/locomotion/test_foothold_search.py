@@ -100,7 +100,7 @@ def test_the_words_count_every_cell_once(seed: int) -> None:
     others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 2))
     found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.05, nowhere)
     assert isinstance(found, NoFoothold)
-    total = int(re.search(r"of (\d+) cells", found.reason)[1])  # type: ignore[index]
+    total = int(re.search(r"(\d+) cells: ", found.reason)[1])  # type: ignore[index]
     tests = {what: int(n) for n, what in re.findall(r"(\d+) (not seen|too steep|too near another|out of)", found.reason)}
     assert total == len(OFFSETS) == sum(tests.values())
     scores = ground.scores(ground.centres(OFFSETS))
@@ -124,7 +124,7 @@ def test_each_test_has_its_words(
     ground = make_terrain(score=lambda x, y: np.full_like(x, score))
     found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.2, reachable)
     assert isinstance(found, NoFoothold)
-    assert f"of {len(OFFSETS)} cells {len(OFFSETS)} {words}" in found.reason
+    assert f"({len(OFFSETS)} cells: {len(OFFSETS)} {words}" in found.reason
 
 
 def test_outside_the_map_nothing_carries() -> None:

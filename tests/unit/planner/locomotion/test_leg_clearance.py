@@ -125,7 +125,7 @@ def test_a_foot_that_its_folded_leg_pushes_outwards_as_it_rises_needs_room_there
 
     assert room(0.0) == [True, True, True]
     assert room(0.05) == [False, False, True]
-    assert room(np.nan) == [True, True, True], "what has not been seen stands in nobody's way"
+    assert room(np.nan) == [True, True, True], "unseen ground obstructs no leg"
     assert room(-0.02) == [True, True, True]
 
 

@@ -135,8 +135,8 @@ def test_where_there_is_no_way_it_says_why_at_once_and_stands(make_terrain: Make
     for _ in range(5):
         found = robot.step(goal((2.0, 0.0)))
         assert isinstance(found, NoWay)
-        assert found.reason.startswith("no way to (2.0, 0.0): a step of more than 6 cm")
-        assert found.reason.endswith("there is no gap")
+        assert found.reason.startswith("no path to (2.0, 0.0): blocked by a step of more than 6 cm")
+        assert found.reason.endswith("there is no opening")
     np.testing.assert_array_equal(robot.T, from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3)))
     robot.terrain = make_terrain(half=1.28)
     robot.walk(goal((0.9, 0.0)))
@@ -163,7 +163,7 @@ def test_where_it_only_steps_to_and_fro_it_says_so_in_the_end(edge: float, make_
     to = replace(goal((1.4, 0.0)), speed=0.12)
     robot = Robot(make_terrain(half=1.9), stands=lambda T: bool(T[0, 3] < edge)).walk(to, steps=300)
     assert robot.ended
-    assert "it got stuck there: in " in robot.words[-1]
+    assert "the robot got stuck before: no " in robot.words[-1]
 
 
 def test_where_it_only_turns_to_and_fro_it_says_so_too(make_terrain: Maker) -> None:
@@ -175,7 +175,7 @@ def test_where_it_only_turns_to_and_fro_it_says_so_too(make_terrain: Maker) -> N
 
     robot = Robot(make_terrain(seen, seen, half=1.28), yaw=np.radians(-90.0), stands=stands).walk(goal((1.2, 0.0)), steps=300)
     assert robot.ended
-    assert "it got stuck there: in " in robot.words[-1]
+    assert "the robot got stuck before: no " in robot.words[-1]
 
 
 def test_what_it_says_of_where_it_got_stuck_is_of_there(make_terrain: Maker) -> None:
@@ -185,7 +185,7 @@ def test_what_it_says_of_where_it_got_stuck_is_of_there(make_terrain: Maker) -> 
     robot.walk(goal((1.2, 0.0)), steps=4)
     robot.held = True
     assert robot.walk(goal((1.2, 0.0)), steps=200).ended
-    assert robot.words[-1].endswith("it got stuck there: in 4 s it did not move")
+    assert robot.words[-1].endswith("the robot got stuck before: no motion for 4 s")
 
 
 def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) -> None:
@@ -271,8 +271,8 @@ def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6))
     found = robot.step(goal((0.8, -0.3)))
     assert isinstance(found, NoWay)
-    assert found.reason.startswith("no way to (0.8, -0.3): a step of more than 6 cm")
-    assert found.reason.endswith("is too near to it")
+    assert found.reason.startswith("no path to (0.8, -0.3): a step of more than 6 cm")
+    assert found.reason.endswith("is too close to the goal")
     assert isinstance(robot.step(goal((0.0, -0.3))), Heading), "another goal is another matter"
 
 
@@ -295,7 +295,7 @@ def test_a_pose_that_is_suddenly_far_from_the_way_costs_no_memory(make_terrain: 
     robot.step(goal((1.0, 0.0)))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert robot.words[-1].startswith("899999.0 m of way left")
+    assert robot.words[-1].startswith("899999.0 m of path left")
     assert most < 10e6
 
 

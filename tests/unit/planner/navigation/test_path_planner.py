@@ -142,7 +142,9 @@ def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int)
     cost[27:29] = np.inf
     stops = np.where(np.isinf(cost), kind, OPEN)
     found = find_way(crossing(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
-    assert found == NoWay(f"no way to (1.8, 0.5): {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no gap")
+    assert found == NoWay(
+        f"no path to (1.8, 0.5): blocked by {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no opening"
+    )
 
 
 @settings(max_examples=40, deadline=None)
@@ -182,7 +184,7 @@ def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -
     room = (open_cells // 2 + 1) * EDGE
     at = f"(1.4, {(first + open_cells / 2) * EDGE:.1f})"
     assert found.reason.endswith(
-        f"; the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {HALF:.2f} m"
+        f"; the widest opening, at {at}, has {room:.2f} m on either side of its middle, the robot needs {HALF:.2f} m"
     )
 
 
@@ -192,7 +194,7 @@ def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_d
     start, goal = np.array([0.5, 0.5]), np.array([1.43, 0.5])
     found = find_way(crossing(cost), start, goal, 0.03)
     assert isinstance(found, NoWay)
-    assert found.reason.startswith(f"no way to (1.4, 0.5): {WORDS[STEP]} at (1.4, 0.5)")
+    assert found.reason.startswith(f"no path to (1.4, 0.5): {WORDS[STEP]} at (1.4, 0.5)")
     way = find_way(crossing(cost), start, goal, 0.2)
     assert isinstance(way, Way)
     assert way.corners[-1][0] < 1.4

@@ -161,7 +161,7 @@ def test_what_is_not_seen_is_dearer_the_further_the_robot_must_turn_to_it(yaw: f
         costs = found.at(found.cost, np.column_stack([np.cos(side), np.sin(side)]))
         assert (np.diff(costs) > 0.2).all()
     at = found.cell(np.zeros(2))
-    assert found.cost[at] == pytest.approx(1.0), "what is seen costs the same whatever it faces"
+    assert found.cost[at] == pytest.approx(1.0), "seen ground costs the same in every heading"
 
 
 def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it(make_terrain: Maker) -> None:

@@ -144,7 +144,7 @@ def test_round_trip(made: Settings) -> None:
         ({"items": [1, "b"]}, "items[1]: a whole number expected, found 'b'"),
         ({"shapes": [{"kind": "rond", "radius": 1.0}]}, "shapes[0].kind: found 'rond'; did you mean 'round'?"),
         ({"shapes": [{"radius": 1.0}]}, "shapes[0].kind: found None; known kinds: round, square"),
-        ({"shapes": [{"kind": "round"}]}, "shapes[0].radius: missing; a value of a number is needed"),
+        ({"shapes": [{"kind": "round"}]}, "shapes[0].radius: missing; a number is needed"),
         ({"shapes": [3]}, "shapes[0].kind: found None"),
         ({"shapes": [{"kind": ["round"]}]}, "shapes[0].kind: found ['round']"),
         ({"shapes": [{"kind": {}}]}, "shapes[0].kind: found {}"),
@@ -158,7 +158,7 @@ def test_each_misfit_is_named_with_its_place(change: dict[str, Any], words: str)
 
 
 def test_a_missing_value_is_named() -> None:
-    assert problems({}) == ("count: missing; a value of a whole number is needed",)
+    assert problems({}) == ("count: missing; a whole number is needed",)
     wanted = r"(?s)terrain: missing; one table \[\[terrain\]\] or more is needed.*goal: missing; a table \[goal\] is needed"
     with pytest.raises(config.ConfigError, match=wanted):
         config.build({"name": "short"}, Scenario)

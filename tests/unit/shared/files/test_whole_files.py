@@ -154,27 +154,27 @@ def test_each_cause_says_what_to_do(number: int) -> None:
 def test_an_error_comes_back_from_another_process_as_it_was() -> None:
     error = WriteError(Path("a.txt"), OSError(errno.ENOSPC, "No space left on device"), "its first 2 MB are kept")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
-    assert str(error) == "a.txt cannot be written: the disk is full; make room; its first 2 MB are kept"
+    assert str(error) == "a.txt cannot be written: the disk is full; free some space; its first 2 MB are kept"
 
 
 def test_what_goes_on_without_a_file_warns() -> None:
     told: list[str] = []
     with whole_files.reported(told.append):
         whole_files.write_text(Path("/dev/null/a.txt"), NEW)
-    assert told == ["warning: /dev/null/a.txt cannot be written: its folder is a file; write to another one"]
+    assert told == ["warning: /dev/null/a.txt cannot be written: its folder is a file; write to another folder"]
 
 
 # Files that are not written with `sextant.shared.files.whole_files`, and the reasons.
 APART = {
-    "deploy/bed/namespace.py": "the kernel's own files",
-    "deploy/bench/link.py": "a folder that is removed at the end",
-    "deploy/bench/soak.py": "a folder that is removed at the end",
-    "deploy/fuzz/file_targets.py": "a folder that is removed at the end",
-    "deploy/fuzz/fuzzing.py": "the newest message, for when it ends the process",
-    "deploy/fuzz/recordings.py": "a folder that is removed at the end",
-    "deploy/output.py": "nowhere",
+    "benchmarks/net_testbed/namespace.py": "the kernel's own files",
+    "benchmarks/robot/link.py": "a folder that is removed at the end",
+    "benchmarks/robot/soak.py": "a folder that is removed at the end",
+    "benchmarks/fuzz/file_targets.py": "a folder that is removed at the end",
+    "benchmarks/fuzz/fuzzing.py": "the newest message, for when it ends the process",
+    "benchmarks/fuzz/recording_mutators.py": "a folder that is removed at the end",
+    "deploy/terminal/output.py": "nowhere",
     "deploy/runs/live_run.py": "a log, line by line",
-    "deploy/video/files.py": "by the name that `write_by_name` gives",
+    "deploy/video/video_writer.py": "by the name that `write_by_name` gives",
     "services/actuator/commissioning/calibration_file.py": "whole, once it has been read as a robot",
     "services/actuator/safety/torque_off_latch.py": "whole, or as an empty file, by the stop path",
     "services/actuator/safety/walk_authorization.py": "whole, in memory",
@@ -189,10 +189,10 @@ WRITES = re.compile(
 
 
 def test_every_file_is_written_by_one_rule() -> None:
-    root = Path(whole_files.__file__).parents[2]
+    root = Path(__file__).parents[4]
     found = {
         path.relative_to(root).as_posix()
-        for package in ("deploy", "services", "shared")
+        for package in ("benchmarks", "deploy", "services", "shared")
         for path in (root / package).rglob("*.py")
         if WRITES.search(path.read_text(encoding="utf-8"))
     }

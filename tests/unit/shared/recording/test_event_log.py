@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.shared.recording.event_log import KEPT, Diary
+from sextant.shared.recording.event_log import KEPT, EventLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import CameraState, Health, Mode, PlannerStatus
 from tests.support.states import actuator_state
@@ -13,8 +13,8 @@ PROFILE = load_profile("phantomx_mk2")
 S = 1_000_000_000
 
 
-def said(diary: Diary) -> list[str]:
-    return [f"{e.who}: {e.words}" for e in diary.entries]
+def said(event_log: EventLog) -> list[str]:
+    return [f"{e.who}: {e.words}" for e in event_log.entries]
 
 
 def health(service: str, refusal: str = "") -> Health:
@@ -22,67 +22,73 @@ def health(service: str, refusal: str = "") -> Health:
 
 
 def test_a_mode_is_noted_when_it_changes_and_what_is_wrong_is_marked() -> None:
-    diary, state = Diary(), actuator_state(PROFILE, reason="standing", lease="")
+    event_log, state = EventLog(), actuator_state(PROFILE, reason="standing", lease="")
     for k in range(5):
-        diary.legs(k * S, state)
-    assert said(diary) == ["actuator: hold: standing", "actuator: nobody leads"]
-    diary.legs(9 * S, replace(state, mode=Mode.FAULT, reason="a servo is silent", warnings=("it is hot",), lease="console 1"))
-    assert said(diary)[2:] == ["actuator: fault: a servo is silent", "actuator: console 1 leads", "actuator: it is hot"]
-    assert [e.bad for e in diary.entries] == [False, False, True, False, True]
+        event_log.legs(k * S, state)
+    assert said(event_log) == ["actuator: hold: standing", "actuator: no client is in control"]
+    event_log.legs(
+        9 * S, replace(state, mode=Mode.FAULT, reason="a servo is silent", warnings=("it is hot",), lease="console 1")
+    )
+    assert said(event_log)[2:] == [
+        "actuator: fault: a servo is silent",
+        "actuator: console 1 is in control",
+        "actuator: it is hot",
+    ]
+    assert [e.bad for e in event_log.entries] == [False, False, True, False, True]
 
 
 def test_an_actuator_that_falls_silent_is_said_so_once_and_not_before_it_was_heard() -> None:
-    diary = Diary()
-    diary.legs(0, None)
-    assert said(diary) == ["actuator: no word from the actuator"]
-    diary.legs(S, actuator_state(PROFILE, reason="standing"))
+    event_log = EventLog()
+    event_log.legs(0, None)
+    assert said(event_log) == ["actuator: no message from the actuator"]
+    event_log.legs(S, actuator_state(PROFILE, reason="standing"))
     for k in range(4):
-        diary.legs((2 + k) * S, None)
-    assert said(diary).count("actuator: no word from the actuator") == 2
+        event_log.legs((2 + k) * S, None)
+    assert said(event_log).count("actuator: no message from the actuator") == 2
 
 
 def test_a_planner_that_steps_is_noted_once_however_its_words_change() -> None:
-    diary = Diary()
+    event_log = EventLog()
     for k in range(9):
-        diary.planner(k, PlannerStatus(k, "stepping", f"{k} of 3 footholds moved", k, 0, -1))
-    diary.planner(10, PlannerStatus(10, "blocked", "no foothold for the left front leg", 9, 0, 0))
-    assert said(diary) == ["planner: stepping", "planner: blocked: no foothold for the left front leg"]
-    assert diary.entries[-1].bad
+        event_log.planner(k, PlannerStatus(k, "stepping", f"{k} of 3 footholds moved", k, 0, -1))
+    event_log.planner(10, PlannerStatus(10, "blocked", "no foothold for the left front leg", 9, 0, 0))
+    assert said(event_log) == ["planner: stepping", "planner: blocked: no foothold for the left front leg"]
+    assert event_log.entries[-1].bad
 
 
 def test_a_camera_and_services_that_go_and_come_back_are_noted() -> None:
-    diary = Diary()
-    diary.camera(0, CameraState(0, "a camera", True, ""))
-    diary.camera(S, CameraState(0, "a camera", False, "it is covered"))
+    event_log = EventLog()
+    event_log.camera(0, CameraState(0, "a camera", True, ""))
+    event_log.camera(S, CameraState(0, "a camera", False, "it is covered"))
     heard = {"mapper": (health("mapper"), 0), "planner": (health("planner", "StepPlan: too long"), 0)}
-    diary.services(S, heard)
-    diary.services(4 * S, heard)
-    diary.services(5 * S, heard)
+    event_log.services(S, heard)
+    event_log.services(4 * S, heard)
+    event_log.services(5 * S, heard)
     heard["mapper"] = (health("mapper"), 6 * S)
-    diary.services(6 * S, heard)
-    assert said(diary) == [
-        "camera: pictures come",
+    event_log.services(6 * S, heard)
+    assert said(event_log) == [
+        "camera: images are received",
         "camera: it is covered",
         "planner: StepPlan: too long",
         "mapper: silent for 3 s",
         "planner: silent for 3 s",
-        "mapper: is back",
+        "mapper: responds again",
     ]
 
 
 def test_it_keeps_so_many_lines_and_counts_all() -> None:
-    diary = Diary()
+    event_log = EventLog()
     for k in range(2 * KEPT):
-        diary.note(k, "console", str(k))
-    assert (len(diary.entries), diary.count, diary.entries[-1].words) == (KEPT, 2 * KEPT, str(2 * KEPT - 1))
+        event_log.note(k, "console", str(k))
+    assert (len(event_log.entries), event_log.count, event_log.entries[-1].words) == (KEPT, 2 * KEPT, str(2 * KEPT - 1))
 
 
 def test_a_computer_that_is_too_slow_is_noted_once_and_when_it_is_over() -> None:
-    diary = Diary()
+    event_log = EventLog()
     for age in ("", "maps are 1.6 s old", "maps are 1.7 s old", "", ""):
-        diary.computer(S, f"the robot's computer is too slow: {age}" if age else "")
-    assert said(diary) == [
+        event_log.computer(S, f"the robot's computer is too slow: {age}" if age else "")
+    assert said(event_log) == [
         "console: the robot's computer is too slow: maps are 1.6 s old",
-        "console: the services keep up again",
+        "console: all services are fast enough again",
     ]
-    assert [e.bad for e in diary.entries] == [True, False]
+    assert [e.bad for e in event_log.entries] == [True, False]

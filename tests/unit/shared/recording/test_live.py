@@ -62,14 +62,14 @@ def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None
     live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
     with live:
         feed(live)
-    assert "the disk is full; make room" in live.problem
+    assert "the disk is full; free some space" in live.problem
     assert str(tmp_path / "r") in live.problem
     feed(live)  # frames neither block the caller nor accumulate
     assert live.taken == 80
 
 
 def test_a_device_that_takes_nothing_is_said_where_it_is_opened(tmp_path: Path) -> None:
-    with pytest.raises(WriteError, match=r"/dev/full cannot be written: the disk is full; make room$"):
+    with pytest.raises(WriteError, match=r"/dev/full cannot be written: the disk is full; free some space$"):
         recorder(Path("/dev/full"))
 
 
@@ -151,5 +151,5 @@ def test_a_disk_that_is_nearly_full_ends_a_recording_with_a_whole_file(tmp_path:
     live = LiveRecorder(recorder(tmp_path / "r.mcap"))
     with live:
         feed(live)
-    assert "of the disk are free, which the report needs; make room" in live.problem
+    assert "of the disk are free, which the report needs; free some space" in live.problem
     assert is_whole(tmp_path / "r.mcap")

@@ -45,7 +45,7 @@ def test_whatever_was_cut_off_becomes_whole_with_all_that_was_there(
     before = read(folder / "cut.mcap")
     assert newest_ns(folder / "cut.mcap") == max((at_ns for _, _, at_ns in before), default=-1)
     if not before:
-        with pytest.raises(RecordingError, match="nothing in it is whole"):
+        with pytest.raises(RecordingError, match="no part of it is intact"):
             recover(folder / "cut.mcap", folder / "new.mcap")
         assert not (folder / "new.mcap").exists()
         return
@@ -94,9 +94,9 @@ def test_the_command_leaves_the_old_file_and_says_what_was_lost(
     data = whole.read_bytes()
     (tmp_path / "recording-0001.mcap").write_bytes(data)
     (tmp_path / "recording-0002.mcap").write_bytes(data[: len(data) // 2])
-    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert cli.main(["recording", "recover", str(tmp_path)]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert "recording-0001.mcap: whole already, 400 messages over 199.0 s" in said[0]
+    assert "recording-0001.mcap: already complete, 400 messages over 199.0 s" in said[0]
     assert "recording-0002.recovered.mcap" in said[1]
     assert "bytes at the end" in said[1]
     assert sorted(path.name for path in tmp_path.iterdir()) == [
@@ -107,21 +107,21 @@ def test_the_command_leaves_the_old_file_and_says_what_was_lost(
     parts = Recording(tmp_path)
     assert [path.name for path in parts.files] == ["recording-0001.mcap", "recording-0002.recovered.mcap"], "none is read twice"
     assert len(data) // 2 == (tmp_path / "recording-0002.mcap").stat().st_size
-    assert cli.main(["recover", str(tmp_path)]) == 0
-    assert "recording-0002.recovered.mcap: recovered already" in capsys.readouterr().out
+    assert cli.main(["recording", "recover", str(tmp_path)]) == 0
+    assert "recording-0002.recovered.mcap: already recovered" in capsys.readouterr().out
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.mcap").write_text("hello, this is text")
-    assert cli.main(["recover", str(tmp_path / "text.mcap")]) == 2
-    assert cli.main(["info", str(tmp_path / "nowhere.mcap")]) == 2
+    assert cli.main(["recording", "recover", str(tmp_path / "text.mcap")]) == 2
+    assert cli.main(["recording", "info", str(tmp_path / "nowhere.mcap")]) == 2
     said = capsys.readouterr().err
     assert "not an MCAP file" in said
     assert "No such file" in said
 
 
 def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["info", str(whole)]) == 0
+    assert cli.main(["recording", "info", str(whole)]) == 0
     said = capsys.readouterr().out
     assert "1 file" in said
     assert "scenario: steps" in said
@@ -129,13 +129,13 @@ def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureF
 
 
 def recover_within(folder: Path, most_bytes: int) -> subprocess.CompletedProcess[str]:
-    """Run `sextant recover` with a limit of bytes per file."""
+    """Run `sextant recording recover` with a limit of bytes per file."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
     return subprocess.run(
-        [sys.executable, "-B", "-m", "sextant.deploy.cli", "recover", str(folder)],
+        [sys.executable, "-B", "-m", "sextant.deploy.cli", "recording", "recover", str(folder)],
         preexec_fn=limit,
         capture_output=True,
         text=True,
@@ -147,13 +147,11 @@ def test_a_recovery_that_does_not_fit_leaves_the_source_as_what_is_read(whole: P
     (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
     ended = recover_within(tmp_path, 4000)
     assert ended.returncode == 1
-    assert ended.stderr == (
-        f"sextant recover: {tmp_path / 'r.recovered.mcap'} cannot be written: a file of this size is not allowed here; "
-        "raise the limit (`ulimit -f`)\n"
-    )
+    cause = "a file of this size is not allowed here; raise the limit (`ulimit -f`)"
+    assert ended.stderr == f"sextant recording recover: {tmp_path / 'r.recovered.mcap'} cannot be written: {cause}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["r.mcap"]
     assert read(tmp_path) == EXPECTED
-    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert cli.main(["recording", "recover", str(tmp_path)]) == 0
     assert read(tmp_path) == EXPECTED
 
 
@@ -161,7 +159,7 @@ def test_a_recovery_that_was_killed_is_done_again(whole: Path, tmp_path: Path) -
     (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
     partial(tmp_path / "r.recovered.mcap").write_bytes(whole.read_bytes()[:500])  # as a killed process leaves it
     assert [path.name for path in Recording(tmp_path).files] == ["r.mcap"]
-    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert cli.main(["recording", "recover", str(tmp_path)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r.mcap", "r.recovered.mcap"]
     assert read(tmp_path) == EXPECTED
 
@@ -171,6 +169,6 @@ def test_one_file_of_a_folder_that_cannot_be_recovered_does_not_keep_the_others(
 ) -> None:
     (tmp_path / "a.mcap").write_text("no recording")
     (tmp_path / "b.mcap").write_bytes(whole.read_bytes()[:-50])
-    assert cli.main(["recover", str(tmp_path)]) == 2
+    assert cli.main(["recording", "recover", str(tmp_path)]) == 2
     assert "a.mcap: not an MCAP file" in capsys.readouterr().err
     assert (tmp_path / "b.recovered.mcap").exists()

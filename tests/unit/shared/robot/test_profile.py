@@ -148,7 +148,7 @@ LEG = PROFILE.legs[0]
         (lambda: replace(LEG, servo_ids=(1, 2, 254)), r"servo_ids\[2\]: a servo id from 0 to 253 expected, found 254"),
         (
             lambda: replace(PROFILE, legs=PROFILE.legs[::-1]),
-            r"legs\[5\].name: 'left middle', as the legs",
+            r"legs\[5\].name: 'left middle', the order of the legs",
         ),
         (
             lambda: replace(PROFILE, legs=(replace(LEG, servo_ids=(1, 2, 5)), *PROFILE.legs[1:])),
@@ -227,10 +227,10 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "legs[0].servo_ids[1]": (300, "legs[0].servo_ids[1]: a servo id from 0 to 253 expected, found 300"),
     "legs[1].servo_signs[2]": (0, "legs[1].servo_signs[2]: a servo sign of 1 or -1 expected, found 0"),
     "legs[2].servo_limits_deg[1]": ([50.0, 10.0], "legs[2].servo_limits_deg[1]: limits (coxa, femur, tibia) within"),
-    "legs[3].name": ("left front", "legs[3].name: 'right rear', as the legs go once around the body, expected"),
+    "legs[3].name": ("left front", "legs[3].name: 'right rear', the order of the legs around the body, expected"),
     "legs[4].servo_ids[0]": (
         17,
-        "legs[5].servo_ids[2]: 18 different servo ids expected, found 17, as legs[4].servo",
+        "legs[5].servo_ids[2]: 18 different servo ids expected, found 17, which legs[4].servo",
     ),
     "legs[5].mount_xyz": ("here", "legs[5].mount_xyz: a list expected, found 'here'"),
     "name": ("", "name: a name expected, found ''"),
@@ -347,7 +347,7 @@ def test_a_profile_may_extend_another_and_give_only_what_differs(tmp_path: Path)
     ("text", "words"),
     [
         ('extends = "own.toml"', "another profile expected, found 'own.toml', which extends this one"),
-        ('extends = "nobody"', "no profile 'nobody'; known: "),
+        ('extends = "unknown"', "no profile 'unknown'; known: "),
         ("extends = 3", "extends: the name or path of a profile expected, found 3"),
         ('extends = "nowhere.toml"', "nowhere.toml: no such file"),
         (OWN.replace("3.0]", "31.0]"), "calibration[0].trims_deg[2]: a trim of at most 20 deg either way"),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sextant.services.console.web import view
-from sextant.shared.recording.event_log import Diary
+from sextant.shared.recording.event_log import EventLog
 from sextant.shared.runtime.health_table import FORGOTTEN_NS, MOST_SERVICES, HealthTable
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics
@@ -70,13 +70,13 @@ def test_what_a_page_and_the_log_keep_of_the_largest_health_is_bounded() -> None
     stages = tuple(f"{number}" * 200 for number in range(MAX_ITEMS))
     times = np.full(MAX_ITEMS, 1e308)
     large = Health(1, "x" * MAX_TEXT, "y" * MAX_TEXT, 1, 1, 1, "z" * MAX_TEXT, stages, times, times)
-    table, diary = HealthTable(), Diary()
+    table, event_log = HealthTable(), EventLog()
     table.add("console", large, 0)
     assert len(view.text(view.health(table.named(), 0))) < 40_000
     for number in range(2_000):
         table.add("console", health(f"{number % 50}", refusal=f"refused {number}"), number)
-        diary.services(number, table.named())
+        event_log.services(number, table.named())
     table.forget(FORGOTTEN_NS + 3_000)
-    diary.services(FORGOTTEN_NS + 3_000, table.named())
-    assert diary._refusals == {}
-    assert diary._silent == set()
+    event_log.services(FORGOTTEN_NS + 3_000, table.named())
+    assert event_log._refusals == {}
+    assert event_log._silent == set()

@@ -98,7 +98,7 @@ def test_a_cycle_that_comes_late_names_the_computer_behind_the_inputs() -> None:
 
 def test_a_process_that_stood_still_names_the_computer() -> None:
     report = health("mapper", InputAge(STALL, 1.5, 1.5, 0.5, 0.2))
-    words = "this computer is too slow: the mapper process stood still for 1.5 s, 0.5 s allowed"
+    words = "this computer is too slow: the mapper process did not run for 1.5 s, 0.5 s allowed"
     assert after(SlowComputer(), report, report) == words
 
 

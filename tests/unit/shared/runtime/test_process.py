@@ -215,7 +215,7 @@ CONNECT = ["--connect", "tcp/127.0.0.1:1"]
 
 
 def run(make: Any, argv: list[str], rehearse: Any = None) -> int:
-    with shutdown.ToldToEnd() as told:
+    with shutdown.ShutdownRequested() as told:
         return process.run("planner", Settings, make, told, argv, rehearse)
 
 

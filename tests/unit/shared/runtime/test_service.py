@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from sextant.shared.runtime.lateness import BEAT
-from sextant.shared.runtime.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, Stages, Worker
+from sextant.shared.runtime.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, ServiceRunner, Stages
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health, ModeCommand, Tick
 from tests.support.scripted_service import Kept, Scripted, order, status, velocity
@@ -177,19 +177,19 @@ def test_a_failing_stage_is_timed_and_fails() -> None:
 # --------------------------------------------------------------------------------------------------- worker
 
 
-def worker_of(service: Service, sent: list[tuple[AnyTopic, bytes]], now: Callable[[], int] = lambda: 5) -> Worker:
-    return Worker(service, lambda topic, frame, _: sent.append((topic, frame)), now)
+def worker_of(service: Service, sent: list[tuple[AnyTopic, bytes]], now: Callable[[], int] = lambda: 5) -> ServiceRunner:
+    return ServiceRunner(service, lambda topic, frame, _: sent.append((topic, frame)), now)
 
 
 def test_a_message_that_its_writes_do_not_name_is_refused() -> None:
     service = Scripted("planner", Every.hz(10), act=lambda _m, _i: [order(1)])
-    with pytest.raises(ValueError, match="planner made a ModeCommand, which its `writes` does not name"):
+    with pytest.raises(ValueError, match="planner returned a ModeCommand, which is not in its `writes`"):
         worker_of(service, []).tick()
 
 
 def test_a_message_without_a_topic_is_refused_too() -> None:
     service = Scripted("planner", Every.hz(10), writes=(MODE,), act=lambda _m, _i: [Tick(1)])
-    with pytest.raises(ValueError, match="planner made a Tick, which its `writes` does not name"):
+    with pytest.raises(ValueError, match="planner returned a Tick, which is not in its `writes`"):
         worker_of(service, []).tick()
 
 
@@ -218,7 +218,7 @@ def test_health_tells_of_frames_that_went_astray() -> None:
         sent.append((topic, frame))
 
     astray = (3, "imu: a frame that was sent to a/mode has come")
-    worker = Worker(Scripted("planner", MODE), send, lambda: 0, astray=lambda: astray)
+    worker = ServiceRunner(Scripted("planner", MODE), send, lambda: 0, astray=lambda: astray)
     worker.report_health(0)
     worker.inbox.receive(MODE, b"garbage", 0)
     worker.arrived()
@@ -261,7 +261,7 @@ def test_health_tells_that_nothing_comes_to_step_for() -> None:
         worker.report_health(now[0])
         doing.append([codec.decode(frame, Health)[0].doing for topic, frame in sent if topic is HEALTH][-1])
     assert doing[0] == doing[1] == "what it is told"
-    assert doing[4] == "nothing has come on operator/velocity for 4 s; the last: what it is told"
+    assert doing[4] == "no message on operator/velocity for 4 s; last status: what it is told"
     assert doing[5] == "what it is told"
 
 
@@ -292,7 +292,7 @@ class Desk:
         self.now_ns = 0
         self.health: list[Health] = []
         self.limits: list[int | None] = []
-        self.worker = Worker(service, self.send, lambda: self.now_ns, hold=self.limits.append)
+        self.worker = ServiceRunner(service, self.send, lambda: self.now_ns, hold=self.limits.append)
 
     def send(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
         if topic.type is Health:

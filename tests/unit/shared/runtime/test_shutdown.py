@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sextant.shared.runtime import shutdown
-from sextant.shared.runtime.shutdown import ToldToEnd
+from sextant.shared.runtime.shutdown import ShutdownRequested
 
 PATIENCE_S = 180.0  # for a separate process on a busy machine
 
@@ -20,7 +20,7 @@ _BEGINS = """
 import ctypes, os, signal, sys, threading
 from sextant.shared.runtime import shutdown
 shutdown._END_S = float(sys.argv[1])
-with shutdown.ToldToEnd() as told:
+with shutdown.ShutdownRequested() as told:
     told.open()
     print("ready", os.getpid(), flush=True)
 """
@@ -119,7 +119,7 @@ def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) 
     heard: list[int] = []
     before: Any = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
-        with ToldToEnd() as told:
+        with ShutdownRequested() as told:
             told.open()
             os.kill(os.getpid(), signal.SIGTERM)
             assert told.event.wait(PATIENCE_S)

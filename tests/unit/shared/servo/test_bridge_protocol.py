@@ -123,7 +123,7 @@ def test_a_greeting_of_another_version_is_known_whatever_follows() -> None:
             (7, 1, 0, 200, (1024,), (0,)),
             "Goals.position: at most 24 whole numbers from 0 to 1023 expected",
         ),
-        (bridge_protocol.Goals, (7, 1, 0, 200, (512, 512), (0,)), "as many values of each kind expected"),
+        (bridge_protocol.Goals, (7, 1, 0, 200, (512, 512), (0,)), "equal numbers of values expected"),
         (
             bridge_protocol.Goals,
             (7, 1, 0, 1001, (512,), (0,)),

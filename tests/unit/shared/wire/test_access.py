@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy import access_page
-from sextant.deploy.keys_page import _service
-from sextant.deploy.network.authority import Authority, held
-from sextant.deploy.process_table import TABLE, rows
+from sextant.deploy.launch.process_table import TABLE, rows
+from sextant.deploy.security import access_page
+from sextant.deploy.security.authority import Authority, held
+from sextant.deploy.topics.keys_page import _service
 from sextant.shared.recording.writer import LEFT_OUT
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import access, topics
@@ -160,7 +160,7 @@ def test_every_key_is_limited_in_rate_and_size(keys: Path) -> None:
 
 def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
     viewer, console = Keys.load(keys / "viewer"), Keys.load(keys / "console")
-    assert "this certificate (viewer: somebody's computer" in viewer.refusal([topics.MODE])
+    assert "this certificate (viewer: a viewer's computer" in viewer.refusal([topics.MODE])
     assert "may not send operator/mode" in viewer.refusal([topics.MODE])
     assert "keys of another role: base, console" in viewer.refusal([topics.MODE])
     assert console.refusal([topics.MODE, topics.GOAL]) == ""
@@ -170,13 +170,13 @@ def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
 @pytest.mark.parametrize(
     ("broken", "hint"),
     [
-        (lambda folder: (folder / access.KEY).unlink(), "key.pem expected, not found; `sextant keys new DIR` makes keys"),
+        (lambda folder: (folder / access.KEY).unlink(), "key.pem expected, not found; `sextant keys new DIR` creates keys"),
         (
             lambda folder: (folder / access.ROLE).write_text('role = "king"\nends = 2100-01-01'),
-            "a role of robot, base",
+            "robot, base, console",
         ),
         (lambda folder: (folder / access.ROLE).write_text("role = "), "role.toml: TOML expected"),
-        (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "a role of robot, base"),
+        (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "robot, base, console"),
     ],
 )
 def test_keys_that_cannot_be_used_say_why(broken: Callable[[Path], object], hint: str, tmp_path: Path) -> None:
@@ -187,14 +187,14 @@ def test_keys_that_cannot_be_used_say_why(broken: Callable[[Path], object], hint
 
 
 def test_the_folder_of_all_roles_is_none_of_a_machine(keys: Path) -> None:
-    with pytest.raises(AccessError, match="it has a folder for each role: name one of them"):
+    with pytest.raises(AccessError, match="it contains a folder for each role: give one of these"):
         Keys.load(keys)
 
 
 def test_a_certificate_that_has_ended_is_refused_by_who_holds_it(tmp_path: Path) -> None:
     now = datetime.now(UTC)
     Authority(days=30).issue(tmp_path / "base", "base", ends=now - timedelta(days=3))
-    with pytest.raises(AccessError, match="ended 3 days ago"):
+    with pytest.raises(AccessError, match="expired 3 days ago"):
         Keys.load(tmp_path / "base")
 
 
@@ -228,7 +228,7 @@ def test_where_anybody_is_let_in_limits_hold_and_the_simulator_is_out_of_reach()
 def test_the_tables_of_the_page_are_the_rules() -> None:
     page = (Path(__file__).parents[4] / "docs" / "access.md").read_text(encoding="utf-8")
     for table in (access_page.roles(), access_page.keys()):
-        assert "\n".join(table) in page, "made anew: the lines of deploy/access_page.py"
+        assert "\n".join(table) in page, "made again: the lines of deploy/security/access_page.py"
 
 
 @pytest.mark.parametrize("name", [access.CERTIFICATE, access.AUTHORITY, access.KEY])

@@ -265,7 +265,7 @@ def test_a_number_in_a_frame_is_small_enough_to_compute_with(kind: type[Message]
 @pytest.mark.parametrize("name", ["stages", "inputs"])
 def test_a_frame_with_more_names_than_numbers_is_refused(name: str) -> None:
     health = dataclasses.replace(example(m.Health), **{name: ("one", "two")})  # type: ignore[arg-type]
-    assert "as there are names" in refusal(codec.encode(health), m.Health)
+    assert "values for the named stages and inputs" in refusal(codec.encode(health), m.Health)
 
 
 @pytest.mark.parametrize("name", ["reason", "warnings"])

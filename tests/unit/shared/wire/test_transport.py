@@ -376,7 +376,7 @@ def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
                 assert marker.done.wait(PATIENCE_S)
         assert come[VELOCITY]() == [b"operator/velocity 299"], "of states the newest"
         found = come[MODE]()
-        assert len(found) == 256, "of events some hundred; who does not fetch holds nobody up"
+        assert len(found) == 256, "some hundred events; a slow reader blocks no other process"
         assert found[-1] == b"operator/mode 299"
         assert come[MODE]() == come[VELOCITY]() == []
 

@@ -234,7 +234,7 @@ def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
         ("endless.npy", "heights within 100 m of 0 expected, found 0 to inf m"),
         ("tall.npy", "heights within 100 m of 0 expected, found 0 to 255 m"),
         ("ground.tif", ".npy or .png"),
-        ("grey.png", "grey.png: scale expected, the metres of one grey value"),
+        ("grey.png", "grey.png: scale expected .metres per grey value."),
     ):
         with pytest.raises(ValueError, match=why):
             build(HeightMap(file, 0.1, (0.0, 0.0)), folder=tmp_path)
@@ -346,7 +346,7 @@ def test_a_part_of_a_height_map_can_be_taken_and_turned(tmp_path: Path, monkeypa
 
 def test_a_folder_that_nobody_named_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SEXTANT_DATA", raising=False)
-    with pytest.raises(ConfigError, match=r"stair_map: terrain: .*the environment variable SEXTANT_DATA expected"):
+    with pytest.raises(ConfigError, match=r"stair_map: terrain: .*the environment variable SEXTANT_DATA is not set"):
         build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
     monkeypatch.setenv("SEXTANT_DATA", "/nowhere")
     with pytest.raises(ConfigError, match=r"'/nowhere/elevation_maps/realStairs_125cm.npy' expected, found no such file"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.services.simulator.servo_bus import servos
-from sextant.services.simulator.servo_bus.bench_emulator import HORNS_DEG, Workbench
+from sextant.services.simulator.servo_bus.bench_emulator import HORNS_DEG, BenchEmulator
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import PacketParser
@@ -16,11 +16,11 @@ PROFILE = load_profile("phantomx_mk2")
 MS = 1_000_000
 
 
-def bench(*, fresh: bool = False, rate: int | None = None, seed: int = 2) -> Workbench:
-    return Workbench(PROFILE, np.random.default_rng(seed), fresh=fresh, rate=rate)
+def bench(*, fresh: bool = False, rate: int | None = None, seed: int = 2) -> BenchEmulator:
+    return BenchEmulator(PROFILE, np.random.default_rng(seed), fresh=fresh, rate=rate)
 
 
-def answers(made: Workbench, packet: bytes, now_ns: int) -> list[dxl.Packet]:
+def answers(made: BenchEmulator, packet: bytes, now_ns: int) -> list[dxl.Packet]:
     return PacketParser().feed(b"".join(reply.data for reply in made.receive(packet, now_ns)))
 
 

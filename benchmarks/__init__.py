@@ -1,0 +1,1 @@
+"""Benchmarks, fault injection, fuzzing and the network testbed; they run in a checkout and are not installed."""

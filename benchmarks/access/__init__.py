@@ -1,0 +1,1 @@
+"""Access control under attack: unauthorized, replayed, malformed and extreme messages."""

@@ -1,0 +1,1 @@
+"""Fuzzing of every message and file parser: `python -m benchmarks fuzz`."""

@@ -1,0 +1,1 @@
+"""Speed and accuracy compared with other implementations, given the same input."""

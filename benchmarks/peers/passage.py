@@ -1,0 +1,233 @@
+"""Benchmark of the passage planner: speed, success rate and validity of plans.
+
+1. The tests of an expansion, on stances sampled from searches: compiled code compared with NumPy.
+2. Whole crossings of the thesis' three scenarios and of random pillars. The roadmap search, with its full budget for unsolved
+   cases, is compared with OMPL's planner for the body alone.
+3. Every plan is validated by the checker.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers.passage_ompl import BodyPlanner
+from benchmarks.peers.passage_peer import NumpyTests
+from benchmarks.peers.timing import Race, Timing, installed, one_core
+from sextant.deploy.evaluation.passage_checker import violations
+from sextant.deploy.evaluation.passage_fields import (
+    BEYOND,
+    GAP,
+    NEAR,
+    START,
+    field_of,
+    heights,
+    random_blocks,
+    stance_at,
+    thesis_blocks,
+)
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+
+OURS = "Sextant"
+CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
+HEADINGS = {"per_s": ("per second", 1.0, 0)}
+HEIGHT = 0.105  # [m] of the body
+Y, LENGTH, SHIFT, TWO = (
+    0.16,
+    0.17,
+    0.035,
+    0.27,
+)  # [m] pillars of shared/scenario/scenarios/passage1 to 3
+_PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] grid and size of random pillars, and the share of grid points with one
+_STANCES, _REPEATS = 100, 3  # stances of each search in one timed call, and repetitions
+_OFF = 0.01  # [m] random displacement of pillars with each seed
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Results on one kind of ground."""
+
+    case: str
+    plans: int  # attempts
+    solved: int  # plans that reach the goal
+    checked: int  # plans validated by the checker; some do not reach the goal
+    ms_median: float  # core time; unsolved cases use their full budget
+    ms_p99: float
+    generated: float  # n_g, median
+    expanded: float  # n_e, median
+    steps: float  # median of all crossings
+    edge_m: float  # median distance of footholds in the gap to the nearest edge of their surface
+    margin_m: float  # minimum stability margin of all steps
+    violations: int  # plans with a violation
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """All results."""
+
+    timings: list[Timing]
+    missing: list[str]
+    sections: list[Section]
+    wrong: list[str]  # violations found by the checker, as text
+
+
+def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[str], object] = lambda _: None) -> Measured:
+    """Plan on each kind of ground once for each seed."""
+    profile, settings = load_profile(robot), PassageSettings(body_height=HEIGHT)
+    roadmap, stance = Roadmap(profile, settings), stance_at(profile, START, HEIGHT)
+    peers, missing = installed({"OMPL (body only)": BodyPlanner}, profile)
+    _compile(roadmap, stance)
+    expansion = Race("expansion", f"{settings.body_moves}x{settings.footholds} samples", warm=1)
+    timings, sections, wrong = [], [], []
+    with one_core():
+        for case in CASES:
+            race = Race("crossing", case)
+            race.start({OURS: _planned_by(roadmap), **{name: peer.plan for name, peer in peers.items()}})
+            plans: list[tuple[Field, Crossing]] = []  # plans that can be walked; some do not reach the goal
+            counts: list[tuple[int, int]] = []
+            for seed in seeds:
+                field = ground(case, seed)
+                found = race.run(field, stance, NEAR + GAP + BEYOND)[OURS]
+                counts.append((found.generated, found.expanded))
+                if isinstance(found, Crossing):
+                    plans.append((field, found))
+                _race_expansions(expansion, roadmap, profile, settings, field, seed)
+            found_wrong = [violations(profile, field, stance, plan.steps) for field, plan in plans]
+            wrong += [f"{case}: {words}" for each in found_wrong for words in each]
+            sections.append(_section(case, race.ms(OURS), counts, plans, sum(bool(each) for each in found_wrong)))
+            timings += race.timings({})
+            say(f"passage: {case} done")
+    rates = {name: {"per_s": 1e3 * _STANCES / float(np.median(expansion.ms(name)))} for name in (OURS, "NumPy")}
+    return Measured(expansion.timings(rates) + timings, missing, sections, wrong)
+
+
+def ground(case: str, seed: int) -> Field:
+    """Return the strip of a case; the seed displaces its pillars a little."""
+    rng = np.random.default_rng(seed)
+    if case == "strewn pillars":
+        return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), HEIGHT)
+    blocks = thesis_blocks(CASES.index(case) + 1, GAP, Y, LENGTH, SHIFT, TWO)
+    moved = [(block, rng.uniform(-_OFF, _OFF, 2)) for block in blocks]
+    return field_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), HEIGHT)
+
+
+def in_words(measured: Measured) -> str:
+    """Return the sections as Markdown."""
+    columns = (
+        ("solved", 10),
+        ("ms median", 11),
+        ("p99", 8),
+        ("n_g", 8),
+        ("n_e", 8),
+        ("steps", 7),
+        ("edge cm", 9),
+        ("margin cm", 11),
+    )
+    lines = [f"{'crossing':<16}" + "".join(f"{name:>{width}}" for name, width in columns) + f"{'checked':>9}{'wrong':>7}"]
+    for s in measured.sections:
+        solved = f"{s.solved}/{s.plans}"
+        lines.append(
+            f"{s.case:<16}{solved:>10}{s.ms_median:>11.1f}{s.ms_p99:>8.0f}{s.generated:>8.0f}{s.expanded:>8.0f}{s.steps:>7.0f}"
+            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.checked:>9}{s.violations:>7}"
+        )
+    return "\n".join(lines + [f"wrong: {words}" for words in measured.wrong])
+
+
+def sections_for_scripts(measured: Measured) -> list[dict[str, object]]:
+    """Return the sections as JSON values."""
+    return [json.loads(json.dumps(asdict(section))) for section in measured.sections]
+
+
+def _planned_by(roadmap: Roadmap) -> Callable[[Field, Stance, float], object]:
+    def plan(field: Field, stance: Stance, goal_x: float) -> object:
+        roadmap.begin(field, stance, goal_x, seed=1)
+        return roadmap.grow(10**9)
+
+    return plan
+
+
+def _compile(roadmap: Roadmap, stance: Stance) -> None:
+    roadmap.begin(field_of(heights([], GAP), HEIGHT), stance, NEAR + GAP + BEYOND, seed=0)
+    roadmap.grow(10)
+
+
+def _race_expansions(
+    race: Race, roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, field: Field, seed: int
+) -> None:
+    """Time the tests for expansions of stances from the newest search."""
+    legs, rules, strip = legs_of(profile, settings), rules_of(profile, settings), ground_of(field)
+    peer = NumpyTests(legs, rules, strip)
+    work = _expansions(roadmap, profile, settings, np.random.default_rng(seed))
+    verdict, lifts = np.zeros(work[-1].shape[:3], dtype=np.int64), np.zeros(work[-1].shape[:3])
+
+    def ours(feet: Array, leg: NDArray[np.int64], body: Array, bodies: Array, goals: Array) -> NDArray[np.int64]:
+        roadmap_search.judge_all(legs, rules, strip, feet, leg, body, bodies, goals, verdict, lifts)
+        return verdict.copy()
+
+    race.start({OURS: ours, "NumPy": lambda *work: np.array([peer.judge(*one)[0] for one in zip(*work, strict=True)])})
+    for _ in range(_REPEATS):
+        told = race.run(*work)
+    if (told[OURS] != told["NumPy"]).any():
+        raise ValueError(f"the same verdicts expected, found {told}")
+
+
+def _expansions(
+    roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64], Array, Array, Array]:
+    """Return stances of a search (k) as arguments of `judge`.
+
+    They are feet, a swing leg, the body, and samples around the motion.
+    """
+    k, m, n = _STANCES, settings.body_moves, settings.footholds
+    stances = roadmap.sampled(rng, k)
+    feet, body = np.array([s.feet for s in stances]), np.array([s.body for s in stances])
+    leg = rng.integers(0, 6, k)
+    bodies = body[:, None] + np.stack(
+        [rng.uniform(0.0, 0.05, (k, m)), rng.normal(0.0, 0.01, (k, m)), np.zeros((k, m))], axis=-1
+    )
+    off = np.stack([rng.uniform(-0.06, 0.12, (k, m, n)), rng.normal(0.0, 0.02, (k, m, n)), np.zeros((k, m, n))], axis=-1)
+    nominal = np.column_stack([profile.rest_feet()[leg, :2], np.zeros(k)])
+    goals = bodies[:, :, None] + nominal[:, None, None] + off
+    goals[..., 2] = feet[:, :, 2].mean(axis=1)[:, None, None]
+    return feet, leg, body, bodies, goals
+
+
+def _section(
+    case: str, ms: Array, counts: Sequence[tuple[int, int]], plans: Sequence[tuple[Field, Crossing]], wrong: int
+) -> Section:
+    crossings = [(field, plan) for field, plan in plans if plan.complete]
+    edges = [edge for field, crossing in crossings for edge in _edges(field, crossing)]
+    generated, expanded = np.median(np.array(counts), axis=0).tolist()
+    return Section(
+        case=case,
+        plans=len(ms),
+        solved=len(crossings),
+        checked=len(plans),
+        ms_median=float(np.median(ms)),
+        ms_p99=float(np.percentile(ms, 99)),
+        generated=generated,
+        expanded=expanded,
+        steps=float(np.median([len(crossing.steps) for _, crossing in crossings])) if crossings else np.nan,
+        edge_m=float(np.median(edges)) if edges else np.nan,
+        margin_m=min((step.margin for _, crossing in crossings for step in crossing.steps), default=np.nan),
+        violations=wrong,
+    )
+
+
+def _edges(field: Field, crossing: Crossing) -> Iterator[float]:
+    """Yield distances [m] of footholds in the gap to the nearest lower cell."""
+    i, j = np.nonzero(field.elevation < -0.1)
+    low = np.column_stack([i, j]) * field.resolution + field.corner
+    for step in crossing.steps:
+        if step.leg >= 0 and NEAR < step.touchdown[0] < NEAR + GAP:
+            off = np.maximum(np.abs(low - step.touchdown[:2]) - field.resolution / 2, 0.0)
+            yield float(np.linalg.norm(off, axis=1).min())

@@ -1,0 +1,323 @@
+"""Speed of the mapping stages compared with their peers.
+
+The inputs are rides over generated scenes. Every stage processes each depth frame in turn: the frame to one point per cell, the
+scan into a map, the map to its score. Each stage is done by Sextant and by the peers. The two services are timed, too, with
+encoding, from the incoming frame to the outgoing layers.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers import reduction_peers, score_peers
+from benchmarks.peers.map_peer import NumpyGrid
+from benchmarks.peers.scenes import MAPPED
+from benchmarks.peers.score_peers import Layer, Scores
+from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
+from benchmarks.peers.timing import Race, Timing, held_against_first, installed, one_core
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.footholds.foothold_map import FootholdRules
+from sextant.services.mapper.footholds.hole_filling import fill_small_holes
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.reduction.scan_reduction import ReducedScan, reduce_scan
+from sextant.services.perception.service import Perception
+from sextant.shared.geometry import Array, from_millimetres
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.process_priority import keep_memory
+from sextant.shared.runtime.service import AnyTopic, Inbox, ServiceRunner, Stages
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import UNKNOWN, DepthImage, Odometry, Tick
+
+SCENES = ("steps", "boxes", "mixed")
+SIZES = (256, 512)  # cells along an edge
+OURS, CHANGED = "Sextant", "Sextant, changes only"
+HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
+_RESOLUTION = 0.01  # [m]
+_WARM = 5  # untimed frames at the start, if there are more
+_STEP = 0.02  # [m] between frames
+_COMPARED = 10  # interval, in frames, at which results are compared
+_WEIGHTS, _RULES, _MARGIN = ScoreWeights(unknown_clearance=0.02), FootholdRules(), Margin(sigmas=0.0)
+_POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
+_SAME_MM, _SAME_SCORE = 2.0, 0.01  # tolerances for equal results
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """All results."""
+
+    timings: list[Timing]
+    missing: list[str]  # what could not be timed, and why
+    parts_ms: dict[str, float]  # stage -> median of its time between frame and layers
+
+
+def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None) -> Measured:
+    """Time the mapping stages.
+
+    Figures: `agreement`, share of known cells with equal results of peer and Sextant; `growth`, Sextant's time relative to that
+    on the smallest map; `made`, share of the frames that produced layers.
+
+    Args:
+        seeds: One ride over each scene for each seed.
+        frames: Frames of a ride.
+        say: Called with the progress.
+
+    Raises:
+        ValueError: Fewer than three frames.
+    """
+    keep_memory()  # as in the services' processes
+    at_work = _Races(min(_WARM, frames - 1))
+    with one_core():
+        for scene in SCENES:
+            for seed in seeds:
+                rngs = [np.random.default_rng([seed, k]) for k in range(3)]
+                way = ride(MAPPED[scene](rngs[0]), rngs[1], Errors(), frames, _STEP * frames)
+                camera, inbox = CarriedCamera(way, rngs[2]), Inbox((), Stages())
+                at_work.start(way.profile)
+                for k, T in enumerate(way.T_world_camera):
+                    odometry, image = camera.step(Tick(int(way.stamps_ns[k])), inbox)
+                    at_work.run(odometry, image, T, compare=k % _COMPARED == 0)  # type: ignore[arg-type]
+                at_work.end()
+                say(f"map: {scene}, seed {seed} done")
+    return at_work.measured()
+
+
+class _Races:
+    """All jobs and their results."""
+
+    def __init__(self, warm: int):
+        self._reduce = Race("reduction", "640x480", warm)
+        self._fuse = {n: Race("map update", f"{n}x{n}", warm) for n in SIZES}
+        self._score = {n: Race("score chain", f"{n}x{n}", warm) for n in SIZES}
+        self._whole = Race("frame to layers", "256x256", warm)
+        self._agreement: dict[tuple[str, str], dict[str, list[float]]] = {}
+        self._missing: list[str] = []
+        self._parts: list[dict[str, float]] = []
+        self._made: list[bool] = []
+
+    def start(self, profile: RobotProfile) -> None:
+        """Start a ride with empty maps."""
+        camera, reach, most = profile.camera, PerceptionSettings().scan_range, PerceptionSettings().scan_points
+
+        def ours(depth: NDArray[np.uint16], T: Array) -> ReducedScan:
+            return reduce_scan(
+                depth, camera.intrinsics, camera.sensor, T, resolution=_RESOLUTION, max_range=reach, max_points=most
+            )
+
+        peers, missing = installed(reduction_peers.REDUCTION, camera.intrinsics, camera.sensor, _RESOLUTION, reach)
+        self._reduce.start({OURS: ours, **{name: peer.reduce for name, peer in peers.items()}})
+        scores, also_missing = installed(score_peers.SCORE, _RESOLUTION, _WEIGHTS, _RULES)
+        self._missing = missing + also_missing
+        model = FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx)
+        self._grids: dict[int, dict[str, Any]] = {}
+        for n in SIZES:
+            ours_grid, peer = ElevationGrid(n, _RESOLUTION, model), NumpyGrid(n, _RESOLUTION, model)
+            self._grids[n] = {OURS: ours_grid, "NumPy": peer}
+            self._fuse[n].start({OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)})
+            whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
+            ours_scored = {OURS: _Anew(whole, n).layers, CHANGED: _Anew(changed, 0).layers}
+            self._score[n].start({**ours_scored, **{name: _without_place(peer) for name, peer in scores.items()}})
+        self._services = _Services(profile)
+        self._whole.start({OURS: self._services.run})
+
+    def run(self, odometry: Odometry, image: DepthImage, T: Array, compare: bool) -> None:
+        """Process one depth frame with all methods."""
+        points = self._reduce.run(image.depth, T)
+        scan: ReducedScan = points[OURS]
+        for n in SIZES:
+            self._fuse[n].run(scan, T[:3, 3])
+            grids = self._grids[n]
+            elevation = grids[OURS].snapshot().elevation
+            layers = self._score[n].run(fill_small_holes(elevation), grids[OURS].low)
+            if compare:
+                self._agree(self._fuse[n], {OURS: elevation, "NumPy": grids["NumPy"].elevation}, 1e-3 * _SAME_MM)
+                self._agree(self._score[n], {name: _same_where(layers[OURS], both) for name, both in layers.items()}, 0.5)
+        if compare:
+            maps = {name: _rastered(_points(found), scan.origin) for name, found in points.items()}
+            self._agree(self._reduce, maps, 1e-3 * _SAME_MM)
+        made = self._whole.run(codec.encode(odometry), codec.encode(image), image.stamp_ns)
+        self._made.append(bool(made[OURS]))
+
+    def end(self) -> None:
+        """End the ride."""
+        self._parts.append(self._services.parts_ms())
+
+    def measured(self) -> Measured:
+        """Return the results of all rides."""
+        out = []
+        for race in (self._reduce, *self._fuse.values(), *self._score.values(), self._whole):
+            agreement = self._agreement.get((race.stage, race.case), {})
+            figures = {name: {"agreement": float(np.mean(shares))} for name, shares in agreement.items()}
+            small = {"map update": self._fuse, "score chain": self._score}.get(race.stage, {}).get(SIZES[0], race)
+            if race is not small:
+                figures[OURS] = {"growth": float(np.median(race.ms(OURS) / small.ms(OURS)))}
+            if race is self._whole:
+                figures[OURS] = {"made": float(np.mean(self._made))}
+            out += race.timings(figures)
+        # The sum of two stages' times, from the frame into the map.
+        n = SIZES[0]
+        both = {name: self._reduce.ms(name) + self._fuse[n].ms(name) for name in (OURS, "NumPy")}
+        at = next(k for k, t in enumerate(out) if t.stage == "score chain")
+        out[at:at] = held_against_first("frame into map", f"{n}x{n}", both, {})
+        names = dict.fromkeys(name for parts in self._parts for name in parts)
+        parts = {name: float(np.median([p[name] for p in self._parts if name in p])) for name in names}
+        whole = float(np.median(self._whole.ms(OURS)))
+        return Measured(out, self._missing, {**parts, "codec and the rest": max(0.0, whole - sum(parts.values()))})
+
+    def _agree(self, race: Race, layers: Mapping[str, Array], same: float) -> None:
+        """Record the share of cells on which each peer agrees with Sextant.
+
+        Cells known to either method count.
+        """
+        ours = layers[OURS]
+        for name, other in layers.items():
+            if name != OURS:
+                either = np.isfinite(ours) | np.isfinite(other)
+                share = float((np.abs(ours - other) < same)[either].mean()) if either.any() else 1.0
+                self._agreement.setdefault((race.stage, race.case), {}).setdefault(name, []).append(share)
+
+
+def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
+    """Return a function that fuses a scan into Sextant's grid.
+
+    The scan is in millimetres, as transmitted.
+    """
+
+    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+        grid.move_to(p_world_camera[:2])
+        grid.fuse(
+            CheckedScan.of_millimetres(
+                scan.origin, scan.points, scan.count, scan.spread, p_world_camera, pose_covariance=_POSE_COVARIANCE
+            )
+        )
+
+    return fuse
+
+
+def _fused_by_numpy(grid: NumpyGrid) -> Callable[[ReducedScan, Array], None]:
+    """Return the same function for the peer."""
+
+    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+        grid.move_to(p_world_camera[:2])
+        points = from_millimetres(scan.points, scan.origin)
+        grid.fuse(points, scan.count.astype(float), 1e-3 * scan.spread.astype(float), p_world_camera, _POSE_COVARIANCE)
+
+    return fuse
+
+
+class _Anew:
+    """Sextant's two layers of a map, updated where it changed, or computed completely."""
+
+    def __init__(self, layers: FootholdLayers, away: int):
+        """Store the layers.
+
+        The map is reported to have moved by `away` cells each time; a large number leaves no known cell.
+        """
+        self._layers, self._away, self._moved = layers, away, 0
+
+    def layers(self, elevation: Layer, low: NDArray[np.int64]) -> tuple[Layer, NDArray[np.int8]]:
+        """Return score and evaluation function."""
+        self._moved += self._away
+        made = self._layers.update(elevation, np.zeros_like(elevation), low + self._moved)
+        return made.score, made.evaluation
+
+
+def _without_place(peer: Scores) -> Callable[[Layer, NDArray[np.int64]], tuple[Layer, NDArray[np.int8]]]:
+    return lambda elevation, _: peer.layers(elevation)
+
+
+def _same_where(ours: tuple[Layer, NDArray[np.int8]], other: tuple[Layer, NDArray[np.int8]]) -> Array:
+    """Compare both layers.
+
+    Return 1 where both are equal, 0 where one is not, NaN where the cell is unknown.
+    """
+    score = np.isclose(other[0], ours[0], atol=_SAME_SCORE, equal_nan=True)
+    return np.where(ours[1] == UNKNOWN, np.nan, score & (other[1] == ours[1]))
+
+
+def _points(found: ReducedScan | Array) -> Array:
+    return from_millimetres(found.points, found.origin) if isinstance(found, ReducedScan) else found
+
+
+def _rastered(points: Array, centre: Array) -> Array:
+    """Return the highest of the points (n, 3) [m] in each cell around a centre.
+
+    NaN in a cell without points.
+    """
+    half = round(PerceptionSettings().scan_range / _RESOLUTION) + 2
+    cells = np.floor((points[:, :2] - centre[:2]) / _RESOLUTION + 1e-6).astype(int) + half
+    inside = ((cells >= 0) & (cells < 2 * half)).all(axis=1)
+    out = np.full((2 * half, 2 * half), -np.inf)
+    np.maximum.at(out, tuple(cells[inside].T), points[inside, 2])
+    return np.where(np.isfinite(out), out, np.nan)
+
+
+class _Services:
+    """Perception and mapper with encoded messages.
+
+    A map is computed for each frame.
+    """
+
+    def __init__(self, profile: RobotProfile):
+        rate_hz = profile.camera.sensor.rate_hz
+        perception = Perception(profile, PerceptionSettings(settle_s=0.0, scan_rate_hz=rate_hz))
+        mapper = Mapper(profile, MapperSettings(publish_every=1))
+        perception.stages, mapper.stages = _CoreStages(), _CoreStages()
+        self._now_ns = 0
+        self._mapper = ServiceRunner(mapper, self._done, lambda: self._now_ns)
+        self._perception = ServiceRunner(perception, self._to_mapper, lambda: self._now_ns)
+        self._layers = b""
+
+    def run(self, odometry: bytes, image: bytes, now_ns: int) -> bytes:
+        """Return the encoded layers for an encoded frame; empty if it produces none."""
+        self._now_ns, self._layers = now_ns, b""
+        self._perception.inbox.receive(topics.ODOMETRY, odometry, self._now_ns)
+        self._perception.inbox.receive(topics.DEPTH, image, self._now_ns)
+        self._perception.arrived()
+        return self._layers
+
+    def parts_ms(self) -> dict[str, float]:
+        """Return stage -> median of its time."""
+        out = {}
+        for worker in (self._perception, self._mapper):
+            for name, (p50, _) in worker.service.stages.percentiles().items():
+                if name != worker.service.name and not name.startswith("latency "):
+                    out[name] = p50
+        return out
+
+    def _to_mapper(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic in self._mapper.reads:
+            self._mapper.inbox.receive(topic, frame, at_ns)
+            if topic is topics.SCAN:
+                self._mapper.arrived()
+
+    def _done(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
+        if topic is topics.TERRAIN:
+            self._layers = frame
+
+
+class _CoreStages(Stages):
+    """Stages measured in processor time."""
+
+    def __call__(self, name: str) -> Any:
+        return _CoreStage(self, name)
+
+
+class _CoreStage:
+    def __init__(self, stages: Stages, name: str):
+        self._stages, self._name = stages, name
+
+    def __enter__(self) -> None:
+        self._began = time.process_time_ns()
+
+    def __exit__(self, *_: object) -> None:
+        self._stages.add(self._name, 1e-6 * (time.process_time_ns() - self._began))

@@ -1,0 +1,1 @@
+"""A running robot: start-up, servo bus, recording, radio link, fleet, soak."""

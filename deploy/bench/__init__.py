@@ -1,1 +1,0 @@
-"""Benchmarks: accuracy on generated scenes, and speed compared with peers."""

@@ -1,0 +1,1 @@
+"""Checks of a machine: installation, compilation, timing, servos and camera."""

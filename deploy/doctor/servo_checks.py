@@ -1,0 +1,175 @@
+"""Checks of a servo port: device, access rights, latency, servos and calibration.
+
+The servo checks include voltage and temperature. Nothing is moved and nothing is written to a servo.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sextant.deploy.doctor.check import Check, Level
+from sextant.services.actuator.commissioning.set_ids import hampered
+from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.shared.files.config import ConfigError
+
+if TYPE_CHECKING:
+    from sextant.services.actuator.commissioning.bus_scan import ServoScan
+    from sextant.services.actuator.servo_bus.dynamixel_bus import Port
+    from sextant.shared.robot.profile import RobotProfile
+
+_PATIENCE_NS = 50_000_000  # [ns] to wait for an answer; a servo that answers late is present
+_OLD_DAYS = 180  # [days] of a calibration: horns settle and screws are loosened
+_DEVICES = ("ttyUSB*", "ttyACM*")
+
+
+def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[Check]:
+    """Check a servo port and the robot on it.
+
+    Without a port, report that none is checked; a base station has none.
+    """
+    if port is None:
+        yield none_given(dev)
+        return
+    if wrong := out_of_reach(port):
+        yield wrong
+        return
+    try:
+        import serial  # noqa: F401  (the driver that opens the port)
+
+        from sextant.shared.robot.profiles import load_profile
+    except ImportError as error:
+        yield Check(f"servo port {port}", Level.FAIL, str(error), "pip install -e '.[actuator]'")
+        return
+    try:
+        profile = load_profile(robot)
+    except ConfigError as error:
+        yield Check(f"servo port {port}", Level.FAIL, str(error), "correct the profile, or give another with --robot")
+        return
+    yield from servos(port, profile)
+    yield latency(port)
+    yield calibration(profile, date.today())
+
+
+def none_given(dev: Path) -> Check:
+    """Report that no port is checked, and which ports exist."""
+    there = sorted(str(device) for pattern in _DEVICES for device in dev.glob(pattern))
+    words = f"not checked; give --port {there[0]} to check it" if there else "none found; a base station needs none"
+    return Check("servo port", Level.OK, words)
+
+
+def out_of_reach(port: str) -> Check | None:
+    """Return why this process cannot open a port; None if it can."""
+    name = f"servo port {port}"
+    if "://" in port:
+        return None
+    path = Path(port)
+    if not path.exists():
+        advice = "plug the adapter in and find its name with `ls /dev/ttyUSB* /dev/ttyACM*`"
+        return Check(name, Level.FAIL, "no such device", advice)
+    if not os.access(path, os.R_OK | os.W_OK):
+        group = path.group()
+        advice = f"`sudo usermod -aG {group} $USER`, then log in again"
+        return Check(name, Level.FAIL, f"no permission to read and write (group {group})", advice)
+    return None
+
+
+def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
+    """Check that all of the robot's servos respond, and their state."""
+    from sextant.services.actuator.commissioning.bus_scan import problems
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, open_port
+    from sextant.shared.servo import dynamixel as dxl
+
+    name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
+    try:
+        opened = open_port(port, timeout_ns=_PATIENCE_NS)
+    except BusDisconnectedError as error:
+        yield Check(name, Level.FAIL, str(error), "give another port with --port")
+        return
+    try:
+        seen, echo = _called(opened, names)
+    except BusDisconnectedError as error:
+        yield Check(name, Level.FAIL, str(error), "check the plug and the cable")
+        return
+    if echo:
+        advice = "--set actuator.echo=true, and --echo for `sextant servos`"
+        yield Check(name, Level.WARN, "the adapter returns every sent byte", advice)
+    if not seen:
+        advice = "check the servos' power and the cable at the adapter; `sextant servos scan` also tries other baud rates"
+        yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
+        return
+    wrong = problems(names, seen, model)
+    words = "; ".join(problem.words for problem in wrong.values())
+    advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
+    pulling = sum(bool(one[dxl.TORQUE_ENABLE]) for i, one in seen.items() if i not in wrong)
+    fine = f"all {len(names)} servos answer" + (f"; torque is on at {pulling} of them" if pulling else "")
+    yield Check(name, Level.FAIL if wrong else Level.OK, words or fine, advice)
+    right = [one for i, one in seen.items() if i not in wrong]
+    yield from well(right, profile)
+    if wrong_settings := hampered(right, profile):
+        words = "; ".join(problem.words for problem in wrong_settings)
+        yield Check("servo settings", Level.WARN, words, wrong_settings[0].advice)
+
+
+def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan], bool]":
+    """Return the servos that respond, and whether the adapter echoes.
+
+    The port is closed at the end.
+    """
+    from sextant.services.actuator.commissioning.bus_scan import BusResponse, call
+    from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+
+    bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
+    try:
+        seen = call(bus, names)
+        if not any(one.response is BusResponse.ECHO for one in seen.values()):
+            return seen, False
+        hearing = ServoBus(port, list(names), time.monotonic_ns, names=names, echo=True, reply_timeout_ns=_PATIENCE_NS)
+        return call(hearing, names), True
+    finally:
+        bus.close()
+
+
+def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
+    """Check voltage, temperature and error registers of working servos."""
+    from sextant.services.actuator.commissioning.bus_scan import WARM, error_of, named
+    from sextant.shared.servo import dynamixel as dxl
+
+    if not seen:
+        return
+    names, low = profile.servo_names, profile.battery.warn_voltage
+    volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
+    advice = f"charge the battery to at least {low:g} V" if volts[0] < low else ""
+    yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)
+    warm = [one for one in seen if one.temperature > one[dxl.TEMPERATURE_LIMIT] - WARM]
+    words = ", ".join(named(one.servo_id, names) for one in warm)
+    found = f"{min(degrees):.0f} to {max(degrees):.0f} deg C" + (f"; near their limit: {words}" if warm else "")
+    yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let the servos cool down" if warm else "")
+    errors = [f"{named(one.servo_id, names)} reports {words}" for one in seen if (words := error_of(one))]
+    if errors:
+        yield Check("servo errors", Level.FAIL, "; ".join(errors), "switch their power off and on again")
+
+
+def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
+    """Check the adapter's latency timer, after the port was opened once."""
+    found = usb_adapter.latency_ms(port, devices)
+    words = "none" if found is None else f"{found} ms"
+    advice = usb_adapter.advice(port, devices)
+    return Check("latency timer", Level.WARN if advice else Level.OK, words, advice)
+
+
+def calibration(profile: "RobotProfile", today: date) -> Check:
+    """Check that the horns of every leg are calibrated, and how long ago."""
+    from sextant.shared.robot.profile import LEGS
+
+    name, measured = "calibration", {entry.leg: entry.date for entry in profile.calibration}
+    advice = "`sextant servos calibrate` measures the horn offsets"
+    missing = [leg for leg in LEGS if leg not in measured]
+    if not measured:
+        words = f"none in the profile {profile.name}; give the robot's own TOML file with --robot once it exists"
+        return Check(name, Level.WARN, words, advice)
+    age = (today - min(measured.values())).days
+    words = f"{age} days old" + (f"; missing: {', '.join(missing)}" if missing else "")
+    return Check(name, Level.WARN, words, advice) if missing or age > _OLD_DAYS else Check(name, Level.OK, words)

@@ -1,0 +1,71 @@
+"""Whether the true ground of a run has a way across, where the seed decides.
+
+Only the scorer may use this.
+"""
+
+import numpy as np
+
+from sextant.deploy.evaluation.course import Course
+from sextant.deploy.evaluation.passage_fields import RESOLUTION, field_of, stance_at
+from sextant.services.planner.gap_crossing.approach import BEFORE
+from sextant.services.planner.gap_crossing.exhaustive import passable
+from sextant.services.planner.gap_crossing.sections import goal_behind
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.scenario.scenario import PillarField, Scenario
+
+# Half width [m] of a band, tolerance in height [m], and the share [1] of supporting ground below which the gap begins.
+_HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8
+_CYCLES = 30  # cycles of the gait: enough for the whole way in one section
+
+
+def decided_by_seed(scenario: Scenario) -> bool:
+    """Return whether it depends on the seed if there is a way across."""
+    return (
+        scenario.goal.passage and scenario.goal.expect == "either" and any(isinstance(p, PillarField) for p in scenario.terrain)
+    )
+
+
+def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> bool | None:
+    """Return whether a robot in front of the first gap can get behind it.
+
+    None where `passable` cannot tell. The strip lies along x of {start}. Heights are the true ones, evaluated as the mapper
+    does.
+
+    Args:
+        profile: The robot.
+        scenario: The scenario of the run.
+        course: Its true ground, placed under its start.
+    """
+    height = scenario.walk.body_height
+    near = gap_begins(course, scenario.goal.distance) - BEFORE - BEHIND
+    field = strip_from(course, near, height)
+    goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near)
+    if goal_x is None:
+        return True
+    settings = PassageSettings(body_height=height, cycles=_CYCLES)
+    return passable(profile, settings, field, stance_at(profile, BEHIND, height), goal_x)
+
+
+def gap_begins(course: Course, until: float) -> float:
+    """Return x [m] {start} where the ground ahead stops carrying at the start's level.
+
+    Return `until` [m] if it carries everywhere.
+    """
+    x, y = np.arange(0.0, until, RESOLUTION), np.arange(-_HALF_WIDTH, _HALF_WIDTH, RESOLUTION)
+    heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(len(x), len(y))
+    bare = (np.abs(heights) < _LEVEL).mean(axis=1) < _CARRYING
+    return float(x[int(np.argmax(bare))]) if bare.any() else until
+
+
+def strip_from(course: Course, near: float, body_height: float) -> Field:
+    """Return the strip whose near side is at x = `near` [m] {start}.
+
+    The robot's body height is `body_height` [m].
+    """
+    n = [round(length / RESOLUTION) for length in STRIP]
+    x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
+    heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
+    return field_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)

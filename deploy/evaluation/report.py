@@ -1,0 +1,286 @@
+"""The result of a run: `report.json`, the contract for scripts.
+
+Floats are rounded to six digits. NaN (nothing to measure) becomes null. Keys are in the order of the declarations.
+"""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+from sextant.shared.files import whole_files
+
+_NAN = float("nan")
+_DIGITS = 6
+FILE = "report.json"
+ARRIVED = "goal reached"  # the reason of a run that succeeds by arriving
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The 95th percentile and the maximum."""
+
+    p95: float = _NAN
+    max: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Torque:
+    """Motor torque [N m] over all joints, and the highest RMS of one joint."""
+
+    p95: float = _NAN
+    max: float = _NAN
+    rms_worst_joint: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class HeightError:
+    """True minus commanded height of the body [m]."""
+
+    mean: float = _NAN
+    rms: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """Sideways motion of a planted foot in a step [m]."""
+
+    p50: float = _NAN
+    p95: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """Estimated minus true position of the body [m]."""
+
+    rms: float = _NAN
+    final: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class MapError:
+    """Mapped minus true height [m] within 1 m of the robot, and coverage.
+
+    Coverage is the known share [1] of the ground just ahead.
+    """
+
+    rmse: float = _NAN
+    bias: float = _NAN
+    p95: float = _NAN
+    coverage: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class CourseMap:
+    """Mosaic of a run's maps minus the true ground [m].
+
+    Each cell holds its newest measurement. Names are those of `python -m benchmarks accuracy`; assumed cells are excluded.
+    """
+
+    rmse: float = _NAN
+    off_edges: float = _NAN  # rmse of cells further than 2 cm from an edge
+    bias: float = _NAN
+    edge: float = _NAN  # median distance from a true edge higher than 2 cm to the mapped edge
+    coverage: float = _NAN  # [1] known share of the cells in the camera's view
+
+
+@dataclass(frozen=True, slots=True)
+class FootholdEdge:
+    """Distance [m] of footholds on narrow tops from the nearest edge."""
+
+    p05: float = _NAN
+    median: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Result of planning at one stop of a passage.
+
+    Fields are those of `sextant.shared.wire.messages.PassagePlan`.
+    """
+
+    state: str
+    reason: str
+    generated: int  # number of nodes, n_g of Masri
+    expanded: int  # number of expansions, successful or not, n_e of Masri
+    planning_ms: float  # timing
+    steps: int  # planned steps of legs: 0 where there is no way
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """How a gap was crossed on pillars; without pillars only `feet_off` applies."""
+
+    pillar_touchdowns: int = 0
+    foothold_edge_m: FootholdEdge = FootholdEdge()
+    feet_off: int = 0  # times that a standing foot was over nothing, next to a pillar, or in the gap
+    passable: bool | None = None  # by an exhaustive search offline; null if no search was made or its result is unknown
+    sections: tuple[Section, ...] = ()  # in order: one for each stop to plan
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """Duration of a stage of the work [ms]."""
+
+    p50: float
+    p99: float
+
+
+@dataclass(frozen=True, slots=True)
+class InputAges:
+    """Age of a service's input when it is used [s]."""
+
+    max: float
+    limit: float  # above which the input is unusable
+    late: float  # [1] share of the uses above the limit
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One run, evaluated by ground truth.
+
+    Metrics of the walk are NaN if no step was taken.
+    """
+
+    scenario: str
+    seed: int
+    robot: str
+    gait: str
+    blind: bool  # the baseline without a map
+    success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
+    reason: str  # as text
+    distance_m: float  # true progress along the initial heading
+    duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
+    speed_mps: float  # true mean over that time
+    falls: int
+    shutdowns: int  # servos that latched an error
+    steps: int
+    tilt_deg: Spread = Spread()  # from the commanded attitude
+    commanded_tilt_deg: Spread = Spread()
+    torque_nm: Torque = Torque()
+    touchdowns: int = 0
+    raised_touchdowns: int = 0  # on ground more than 5 mm above the start: blocks and stairs
+    raised_block_touchdowns: int = 0  # those on blocks
+    body_height_error_m: HeightError = HeightError()
+    body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, meaningful on level ground only
+    slip_m_per_step: Slip = Slip()
+    missteps: int = 0  # touchdowns where the true ground is no foothold
+    collisions: int = 0  # times that a foot or the body hit an obstacle higher than a step, or a foot hung in a hole
+    min_stability_margin_m: float = _NAN
+    pose_error_m: PoseError = PoseError()
+    map_error_m: MapError = MapError()
+    course_map_m: CourseMap = CourseMap()
+    passage: Passage = Passage()
+    real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not reproducible
+    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing, too
+    too_slow: str = ""  # why the computer was too slow, as text; empty if it was not
+    late_s: float = 0.0  # [s] of the run in which services had inputs that were too old, because of a slow computer or link
+    input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input": the input is a topic key or "beat"
+    missed_beats: dict[str, int] = field(default_factory=dict)  # missed cycles of each service with its own clock
+
+
+def without_timing(report: Report) -> Report:
+    """Return the part of a report that the seed determines."""
+    sections = tuple(replace(section, planning_ms=_NAN) for section in report.passage.sections)
+    passage = replace(report.passage, sections=sections)
+    return replace(report, passage=passage, real_time_factor=_NAN, stages_ms={}, too_slow="")
+
+
+def as_table(report: Report) -> dict[str, Any]:
+    """Return the report as nested dictionaries, rounded, with sorted stages."""
+    table: dict[str, Any] = plain(report)
+    table["stages_ms"] = dict(sorted(table["stages_ms"].items()))
+    return table
+
+
+def to_json(report: Report) -> str:
+    """Return the report as JSON text with a final newline."""
+    return json.dumps(as_table(report), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write(report: Report, folder: Path) -> None:
+    """Write `report.json` atomically into a folder, which is created if missing.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    whole_files.make_folder(folder)
+    whole_files.write_text(folder / FILE, to_json(report), durable=True)
+
+
+def check(table: object, kind: type = Report) -> list[str]:
+    """Return the problems of a table as a report (or another kind); empty if valid.
+
+    Each problem names its path. Further keys are allowed.
+    """
+    problems: list[str] = []
+    _check(table, kind, "", problems)
+    return problems
+
+
+def passage_of(table: dict[str, Any]) -> Passage:
+    """Build a passage from its table, which `check` has accepted."""
+    sections = tuple(Section(**_numbered(section)) for section in table["sections"])
+    edge = FootholdEdge(**_numbered(table["foothold_edge_m"]))
+    return Passage(**{**table, "foothold_edge_m": edge, "sections": sections})
+
+
+def _numbered(table: dict[str, Any]) -> dict[str, Any]:
+    return {name: _NAN if value is None else value for name, value in table.items()}
+
+
+def plain(value: Any) -> Any:
+    """Convert a value to JSON types.
+
+    Dataclasses become dictionaries, tuples lists, NaN null; floats are rounded.
+    """
+    if dataclasses.is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero turns -0.0 into 0.0
+    return value
+
+
+def _check(value: object, hint: Any, where: str, problems: list[str]) -> None:
+    place = where or "report"
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            problems.append(f"{place}: a table expected, found {_shown(value)}")
+            return
+        hints = get_type_hints(hint)
+        for name, kind in hints.items():
+            path = f"{where}.{name}" if where else name
+            if name in value:
+                _check(value[name], kind, path, problems)
+            else:
+                problems.append(f"{path}: missing")
+    elif get_origin(hint) is dict:
+        if not isinstance(value, dict):
+            problems.append(f"{place}: a table expected, found {_shown(value)}")
+            return
+        for name, item in value.items():
+            _check(item, get_args(hint)[1], f"{place}.{name}", problems)
+    elif get_origin(hint) is tuple:
+        if not isinstance(value, list):
+            problems.append(f"{place}: a list expected, found {_shown(value)}")
+            return
+        for k, item in enumerate(value):
+            _check(item, get_args(hint)[0], f"{place}[{k}]", problems)
+    elif hint == bool | None:
+        if value is not None and not isinstance(value, bool):
+            problems.append(f"{place}: true, false or null expected, found {_shown(value)}")
+    elif hint is float:
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            problems.append(f"{place}: a number or null expected, found {_shown(value)}")
+    elif type(value) is not hint:
+        problems.append(f"{place}: {hint.__name__} expected, found {_shown(value)}")
+
+
+def _shown(value: object) -> str:
+    return f"{type(value).__name__} {str(value)[:40]!r}"

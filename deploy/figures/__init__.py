@@ -1,0 +1,1 @@
+"""Figures of runs: maps, walks, passages, comparisons and the figures of the theses."""

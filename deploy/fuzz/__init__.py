@@ -1,1 +1,0 @@
-"""Fuzzing of every message and file parser: `sextant fuzz`."""

@@ -1,1 +1,0 @@
-"""Figures of recorded runs, of one run or of several for comparison."""

@@ -1,0 +1,155 @@
+"""One order to the legs as an operator gives it, and its result."""
+
+from collections.abc import Iterator
+from typing import Literal, TypeAlias
+
+from sextant.deploy.robot_clock import RobotClockEstimate
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.access import ROUTER_OF, refusal_here
+from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
+
+What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
+_KEPT_BACK = f" may not put {topics.MODE.key}"  # text of a router's refusal (`sextant.deploy.security.refusals`)
+_REPEAT_NS = 500_000_000  # [ns] between two messages of the order
+_UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
+_PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
+STOPS: tuple[What, ...] = ("off", "stop")  # any client may send these
+SETTLED: dict[What, tuple[Mode, ...]] = {  # modes in which an order is executed
+    "off": (Mode.OFF,),
+    "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
+    "ready": (Mode.READY, Mode.HOLD),
+    "stand": (Mode.HOLD,),
+    "walk": (Mode.HOLD, Mode.WALK),
+    "sit": (Mode.READY, Mode.OFF),
+}
+
+
+class Order:
+    """Sends an order until the actuator has executed or refused it.
+
+    `walk` is sent until it is withdrawn. An order to move is stamped by the robot's clock, on any machine, so it waits
+    for the actuator's first message. A stop is sent at once.
+    """
+
+    name = "order"
+    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, *topics.HEALTH_OF.values())
+    writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
+
+    def __init__(self, what: What, holder: str, take: bool = False, leads: bool = True):
+        """Prepare an order.
+
+        Args:
+            what: The order.
+            holder: Holder of the lease.
+            take: Take the lease from another holder.
+            leads: Whether this machine may send orders to move; else it may only stop.
+        """
+        self.paced_by = Every.hz(20.0)
+        self.stages = Stages()
+        self.finished = False
+        self.failed = ""  # why it failed, as text
+        self.words = "waiting for the actuator"
+        self._what, self._holder, self._take, self._leads = what, holder, take, leads
+        self._begun_ns = -1
+        self._number = -1  # of the order: a time of the robot's clock, so that it is larger than those of other machines
+        self._robot = RobotClockEstimate()
+        self._due_ns = 0
+        self._heard: ActuatorState | None = None  # last state before the order
+        self._routers = RouterRefusals()
+
+    def doing(self) -> str:
+        """Return the progress of the order as text."""
+        return self.failed or self.words
+
+    def withdraw(self) -> tuple[Message, ...]:
+        """Return the messages that end an order to walk; none if it was never sent."""
+        if self._number < 0:
+            return ()
+        now_ns = self._robot()
+        return (
+            ModeCommand(now_ns, "stop", self._number + 1, self._holder),
+            StopOrder(now_ns, "stop", self._number + 1, self._holder),
+        )
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Send the order again when it is due, and check its result."""
+        if self.finished:
+            return
+        now = tick.stamp_ns
+        self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
+        state = inbox.latest(topics.ACTUATOR_STATE)
+        obeyed = self._what in STOPS or (state is not None and state.lease == self._holder)
+        if (why := self._routers.look(inbox)) and not obeyed:
+            self._end(why)
+        self._heard = self._heard or state
+        if void := self._robot.see(now, None if state is None else state.stamp_ns):
+            self._end(void)
+            return
+        if now >= self._due_ns and (self._robot.known or self._what in STOPS):
+            self._due_ns = now + _REPEAT_NS
+            yield from self._words_of_it(self._robot())
+        if not self._robot.in_doubt:
+            self._see(state, now - self._begun_ns)
+
+    def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
+        """Yield the order under each key that may carry it."""
+        if self._leads and self._robot.known:
+            self._number = stamp_ns if self._number < 0 else self._number
+            yield ModeCommand(stamp_ns, self._what, self._number, self._holder, self._take)
+        if self._what in STOPS:  # also where this machine's router is chained to one that only lets it stop
+            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
+
+    def _see(self, state: ActuatorState | None, since_ns: int) -> None:
+        if self._heard is None or state is None:
+            if since_ns > _UNHEARD_NS:
+                self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, and met here?")
+            return
+        self.words = f"{state.mode}: {state.reason}"
+        refused = refusal(self._what, self._holder, state)
+        if refused and refused not in self._heard.warnings:
+            self._end(refused)
+        elif self._done(state):
+            self.finished = self._what != "walk"
+        elif since_ns > _PATIENCE_NS:
+            self._end(f"{_PATIENCE_NS * 1e-9:.0f} s after the order the mode is {state.mode}: {state.reason}")
+
+    def _done(self, state: ActuatorState) -> bool:
+        """Return whether a state since the order shows that it was executed."""
+        assert self._heard is not None
+        news = state.stamp_ns > self._heard.stamp_ns and (self._what in ("off", "stop") or state.lease == self._holder)
+        changed = self._what not in ("stand", "sit") or state.reason != self._heard.reason
+        return news and changed and state.mode in SETTLED[self._what]
+
+    def _end(self, why: str) -> None:
+        self.finished, self.failed = True, why
+
+
+class RouterRefusals:
+    """Detects that a router on the way refuses commands to move, by the health messages of the routers.
+
+    A router's health is trusted only under the key of the router's role.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[str, int] = {}  # messages refused by the router of each role, in its first health message
+
+    def look(self, inbox: Inbox) -> str:
+        """Read the health messages that have arrived; return why commands to move were refused, or an empty text."""
+        found = ""
+        for role, topic in topics.HEALTH_OF.items():
+            for health in inbox.drain(topic):
+                if health.service != f"{ROUTER_OF}{role}":
+                    continue
+                before = self._before.setdefault(role, health.refused)
+                if why := refusal_here([role], [topics.MODE]):
+                    found = why
+                elif health.refused > before and health.last_refusal.endswith(_KEPT_BACK):
+                    found = f"the {health.service} {health.last_refusal}; use the keys of another role (docs/access.md)"
+        return found
+
+
+def refusal(what: What, holder: str, state: ActuatorState) -> str:
+    """Return why the actuator refuses an order of a holder, or an empty text."""
+    starts = (f"`{what}` refused", f"`{what}` of {holder} refused", "torque stays off")
+    return next((warning for warning in state.warnings if warning.startswith(starts)), "")

@@ -1,0 +1,1 @@
+"""Terminal output, argument parsing, interrupts and progress."""

@@ -1,0 +1,1 @@
+"""Topics: listen, print, measure, and document them."""

@@ -1,0 +1,56 @@
+"""The recorder on the servo bus, with given bytes."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.faults.bus_log import Recorder
+from sextant.shared.servo import dynamixel as dxl
+from tests.support.timelines import PROFILE
+
+IDS = PROFILE.servo_ids.ravel().tolist()
+CENTRE = np.rint(dxl.TICK_CENTRE + PROFILE.servo_angles(PROFILE.joint_limits.mean(axis=-1)).ravel() / dxl.TICK_RAD).astype(int)
+
+
+def goals(ticks: np.ndarray, speed: int = 0) -> bytes:
+    rows = [(i, dxl.GOAL_POSITION.encode(int(t)) + dxl.MOVING_SPEED.encode(speed)) for i, t in zip(IDS, ticks, strict=True)]
+    return dxl.sync_write(dxl.GOAL_POSITION.address, 4, rows)
+
+
+@given(st.integers(0, 17), st.integers(0, 1023))
+def test_a_goal_is_outside_exactly_where_no_joint_angle_of_the_limits_rounds_to_it(index: int, ticks: int) -> None:
+    recorder = Recorder(PROFILE)
+    wanted = CENTRE.copy()
+    wanted[index] = ticks
+    recorder.sent(goals(wanted), 1_000_000_000)
+    leg, joint = divmod(index, 3)
+    every = PROFILE.servo_angles(np.moveaxis(PROFILE.joint_limits, -1, 0))[:, leg, joint]
+    low, high = np.rint(dxl.TICK_CENTRE + np.sort(every) / dxl.TICK_RAD)
+    assert [out.servo for out in recorder.outside] == ([] if low <= ticks <= high else [IDS[index]])
+    assert (recorder.goals[0].ticks == wanted).all()
+    assert recorder.goals[0].t_s == 1.0
+    recorder.sent(goals(CENTRE, 45), 2_000_000_000)
+    assert [set(sent.speeds.tolist()) for sent in recorder.goals] == [{0}, {45}]
+
+
+def test_switches_are_noted_on_both_sides_and_broken_packets_on_none() -> None:
+    recorder = Recorder(PROFILE)
+    off = dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
+    recorder.sent(off, 0)
+    recorder.heard(off[:-1] + bytes([off[-1] ^ 1]), 0)
+    assert [(s.heard, set(s.values.values())) for s in recorder.switches] == [(False, {0})]
+    recorder.heard(off[:20], 0)
+    recorder.heard(off[20:], 0)
+    assert recorder.switches[-1].heard
+    assert len(recorder.switches[-1].values) == 18
+    recorder.heard(dxl.write(16, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(1023)), 0)
+    assert recorder.switches[-1].values == {16: 1023}
+    assert recorder.switches[-1].register is dxl.TORQUE_LIMIT
+
+
+def test_a_broadcast_write_is_one_to_all_and_a_question_is_none() -> None:
+    recorder = Recorder(PROFILE)
+    recorder.heard(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\1"), 0)
+    assert recorder.switches[0].values == dict.fromkeys(IDS, 1)
+    recorder.heard(dxl.read(16, dxl.TORQUE_ENABLE.address, 1), 0)
+    assert len(recorder.switches) == 1

@@ -1,0 +1,67 @@
+"""A lockstep walk with faults."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.faults.cases import BY_NAME
+from benchmarks.faults.lockstep_walk import FaultWalk, gap_after
+from benchmarks.faults.score import score
+
+NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
+
+
+@pytest.mark.parametrize("name", NOW_AND_THEN)
+def test_a_bus_that_is_away_now_and_then_is_so_at_the_end_of_each_window(name: str) -> None:
+    for round_ in range(4):
+        begin = 0.25 * round_
+        for into in (0.0, 0.10, 0.21, 0.24):
+            assert gap_after(BY_NAME[name].deeds, begin + into) == pytest.approx((begin + 0.20, begin + 0.25))
+
+
+def test_all_others_have_no_gaps() -> None:
+    for name, case in BY_NAME.items():
+        if name not in NOW_AND_THEN:
+            assert gap_after(case.deeds, 0.24) == (math.inf, math.inf), name
+
+
+def test_torque_is_ordered_off_in_a_copy_of_the_walk_and_the_walk_goes_on_as_if_it_had_not_been() -> None:
+    case = BY_NAME["off"]
+    with FaultWalk(case, 1000) as walk, FaultWalk(case, 1000) as undisturbed:
+        for one in (walk, undisturbed):
+            one.walk_for(0.2)
+        line = walk.what_happens(np.random.default_rng(0))
+        assert not line.pulls.any()
+        assert score(line, case, walk.profile).off_s < 0.06
+        for one in (walk, undisturbed):
+            one.walk_for(0.5)
+        assert walk.words == undisturbed.words
+        assert [goals.ticks.tolist() for goals in walk.recorder.goals] == [g.ticks.tolist() for g in undisturbed.recorder.goals]
+
+
+def test_an_actuator_whose_cycles_are_late_says_so_after_five_and_walks_on_once_they_are_not() -> None:
+    case = BY_NAME["actuator-late"]
+    with FaultWalk(case, 1000) as walk:
+        walk.walk_for(0.5)
+        line = walk.what_happens(np.random.default_rng(0))
+    found = score(line, case, walk.profile)
+    assert (found.decided_s, found.cycle_s) == pytest.approx((0.2, 0.04), abs=0.005)
+    assert found.missed >= 20
+    assert found.named
+    assert found.again_s < 2.0
+
+
+def test_a_service_that_fails_under_a_fault_is_named_by_that_injection(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = BY_NAME["lost-1"]
+    with FaultWalk(case, 1000) as walk:
+        walk.walk_for(0.2)
+
+        def crash(*_: object) -> None:
+            raise IndexError("index 5 is out of bounds")
+
+        monkeypatch.setattr("sextant.services.planner.service.Planner.step", crash)
+        line = walk.what_happens(np.random.default_rng(0))
+        assert not walk.walks
+    stuck = score(line, case, walk.profile).stuck
+    assert stuck.startswith("planner failed: IndexError: index 5 is out of bounds")

@@ -1,0 +1,228 @@
+"""Scores of faults, from synthetic timelines."""
+
+from math import isnan, nan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.faults.bus_log import Goals, Switch
+from benchmarks.faults.cases import BY_NAME
+from benchmarks.faults.score import cycles, off_time, score
+from benchmarks.faults.timeline import Timeline
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.messages import Mode
+from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeline, word
+
+KILLED, SILENT, OFF, HEAT = (BY_NAME[name] for name in ("planner-killed", "servo-silent", "off-bus-gone", "heat"))
+IDS = PROFILE.servo_ids.ravel().tolist()
+NO_PLAN = "no new plan received for 0.18 s"
+
+
+def torque(after_s: float, on: bool, heard: bool = True, ids: list[int] = IDS) -> Switch:
+    return Switch(BEGIN_S + after_s, heard, dxl.TORQUE_ENABLE, dict.fromkeys(ids, int(on)))
+
+
+def goal(after_s: float, ticks: int = 512, speed: int = 0) -> Goals:
+    return Goals(BEGIN_S + after_s, np.full(18, ticks), np.full(18, speed))
+
+
+def test_a_stop_is_decided_when_it_is_said_and_over_when_the_robot_walks_after_the_end() -> None:
+    said = (word(0.1, Mode.WALK, "walking"), word(0.22, Mode.WALK, NO_PLAN), word(0.6, Mode.HOLD, NO_PLAN))
+    found = score(timeline(*said, word(2.3, Mode.WALK, "walking")), KILLED, PROFILE)
+    assert found.decided_s == pytest.approx(0.22)
+    assert found.named
+    assert found.again_s == pytest.approx(0.3)
+    assert (found.stops, found.falls, found.reason) == (1, 0, NO_PLAN)
+
+
+def test_a_walk_that_goes_on_never_stops_rests_or_begins_again() -> None:
+    found = score(timeline(*(word(t, Mode.WALK, "walking") for t in np.arange(0.1, 2.5, 0.1))), KILLED, PROFILE)
+    assert all(isnan(value) for value in (found.decided_s, found.rest_s, found.again_s))
+    assert (found.stops, found.jump_deg, found.named) == (0, 0.0, False)
+
+
+@pytest.mark.parametrize(("gap_s", "again_s"), [(2.3, 0.4), (0.2, nan)])
+def test_where_its_words_did_not_come_through_it_walks_again_with_the_first_that_did(gap_s: float, again_s: float) -> None:
+    walking = [word(2.4 - gap_s - before, Mode.WALK, "walking") for before in np.arange(0.0, 2.4 - gap_s, 0.1)[::-1]]
+    found = score(timeline(*walking, word(2.4, Mode.WALK, "walking")), KILLED, PROFILE)
+    assert found.again_s == pytest.approx(again_s, nan_ok=True)
+    assert isnan(found.decided_s), "no stop was received"
+
+
+def test_who_is_about_to_stop_behind_a_gap_does_not_walk_again() -> None:
+    unheard = BY_NAME["live-router-stopped"]
+    again = [score(timeline(word(2.4, Mode.WALK, said)), unheard, PROFILE).again_s for said in ("walking", NO_PLAN)]
+    assert again == pytest.approx([0.4, nan], nan_ok=True)
+
+
+def test_walking_before_the_fault_is_over_is_no_return() -> None:
+    said = (word(0.2, Mode.FAULT), word(1.0, Mode.WALK, "walking"), word(1.5, Mode.FAULT))
+    assert isnan(score(timeline(*said), KILLED, PROFILE).again_s)
+
+
+def test_the_servo_that_was_drawn_is_the_one_that_must_be_named() -> None:
+    def named(servo: int) -> bool:
+        reason = "the femur servo of the right middle leg (id 16) does not answer"
+        return score(timeline(word(0.1, Mode.FAULT, reason), servo=servo), SILENT, PROFILE).named
+
+    assert named(16)
+    assert not named(6)
+
+
+@given(st.floats(0.3, 1.5))
+def test_a_robot_is_at_rest_from_its_last_motion_on(moves_s: float) -> None:
+    truth = standing()
+    moving = truth.t < BEGIN_S + moves_s
+    truth.body[:, 0, 3] = 0.06 * np.minimum(truth.t - BEGIN_S, moves_s)
+    found = score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE)
+    assert found.rest_s == pytest.approx(moves_s, abs=2 * PERIOD_S)
+    assert moving.any()
+
+
+def test_a_robot_with_a_foot_in_the_air_is_not_at_rest_and_one_with_a_foot_that_barely_hangs_is() -> None:
+    truth = standing()
+    truth.contact[:, 2] = False
+    assert score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s == pytest.approx(0.2)
+    truth.feet[:, 2, 2] += 0.011
+    assert isnan(score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s)
+
+
+def test_the_margin_is_the_least_over_three_seconds_and_not_after() -> None:
+    truth = standing(5.0)
+    whole = score(timeline(truth=truth), KILLED, PROFILE).margin_m
+    truth.body[truth.t > BEGIN_S + 3.5, 0, 3] += 1.0
+    assert score(timeline(truth=truth), KILLED, PROFILE).margin_m == whole > 0.05
+    truth.body[100, 0, 3] += 0.03
+    assert score(timeline(truth=truth), KILLED, PROFILE).margin_m < whole
+
+
+def test_who_tilts_or_comes_down_unasked_falls() -> None:
+    down = standing()
+    down.body[100:, 2, 3] = 0.01
+    assert score(timeline(truth=down), KILLED, PROFILE).falls == 1
+    assert score(timeline(word(0.5, Mode.SIT), word(3.0, Mode.OFF), truth=down), HEAT, PROFILE).falls == 0
+    tilted = standing()
+    tilted.body[100:, 2, 2] = np.cos(np.radians(40.0))
+    assert score(timeline(word(0.5, Mode.SIT), truth=tilted), HEAT, PROFILE).falls == 1
+
+
+@given(st.integers(1, 400))
+def test_a_jump_is_the_largest_change_of_a_goal_after_the_end(ticks: int) -> None:
+    goals = (goal(-0.1), goal(0.5, 900), goal(1.0), goal(2.01, 512 + ticks), goal(2.03, 512 + ticks), goal(3.2, 100))
+    said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
+    found = score(timeline(*said, goals=goals), KILLED, PROFILE)
+    assert found.jump_deg == pytest.approx(np.degrees(dxl.TICK_RAD) * ticks)
+
+
+@pytest.mark.parametrize(("before_s", "counts"), [(0.018, False), (0.022, True)])
+def test_the_first_goals_of_the_step_that_follows_are_no_jump(before_s: float, counts: bool) -> None:
+    goals = (goal(0.5), goal(3.0 - before_s, 600))
+    said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
+    assert (score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg > 0.0) == counts
+
+
+def test_a_goal_that_is_to_be_approached_slowly_is_no_jump() -> None:
+    goals = (goal(0.5), goal(2.01, 600, dxl.moving_speed_from(np.radians(25.0))))
+    said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
+    assert score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_lunge_is_of_the_joint_that_was_reset_and_none_without() -> None:
+    truth = standing()
+    after = truth.t > BEGIN_S + 1.0
+    truth.q[after, 3, 1] = np.radians(20.0) * (truth.t[after] - BEGIN_S - 1.0)
+    reset = Switch(BEGIN_S + 0.9, True, dxl.TORQUE_LIMIT, {16: 1023})
+    said = (word(0.1, Mode.FAULT), word(3.9, Mode.WALK, "walking"))
+    case = BY_NAME["overload"]
+    of_it = score(timeline(*said, truth=truth, switches=(reset,), servo=int(PROFILE.servo_ids[3, 1])), case, PROFILE)
+    assert of_it.lunge_dps == pytest.approx(20.0, rel=1e-3)
+    assert score(timeline(*said, truth=truth, switches=(reset,), servo=1), case, PROFILE).lunge_dps == 0.0
+    assert score(timeline(*said, truth=truth), case, PROFILE).lunge_dps == 0.0
+
+
+def ordered(*switches: Switch, **changes: object) -> Timeline:
+    pulls = np.zeros(18, dtype=np.bool_)
+    return timeline(ordered_s=BEGIN_S + 0.3, switches=switches, **({"pulls": pulls} | changes))
+
+
+def test_torque_is_off_when_all_servos_have_heard_so() -> None:
+    some = torque(0.31, on=False, ids=IDS[:17])
+    assert off_time(ordered(some, torque(0.34, on=False), torque(0.36, on=False)))[0] == pytest.approx(0.04)
+    assert isnan(off_time(ordered(some, torque(0.32, on=False, heard=False)))[0])
+    assert isnan(off_time(ordered(torque(0.32, on=True)))[0])
+    assert isnan(off_time(timeline(switches=(torque(0.32, on=False),)))[0])
+
+
+def test_where_nobody_could_hear_it_counts_from_the_return_and_comes_before_any_goal() -> None:
+    sent, heard = torque(2.05, on=False, heard=False), torque(2.05, on=False)
+    back = BEGIN_S + 2.0
+    assert off_time(ordered(sent, heard, returned_s=back)) == (pytest.approx(0.05), 0)
+    late = ordered(sent, heard, returned_s=back, goals=(goal(0.5), goal(2.02), goal(2.1)))
+    assert off_time(late) == (pytest.approx(0.05), 1)
+    assert off_time(ordered(heard, sent, returned_s=BEGIN_S)) == (pytest.approx(1.75), 0)
+
+
+def test_torque_that_is_on_in_the_end_was_not_off_for_good() -> None:
+    said = word(0.35, Mode.OFF)
+    assert not score(ordered(torque(0.34, on=False), end_s=BEGIN_S), OFF, PROFILE).on_again
+    pulls = np.zeros(18, dtype=np.bool_)
+    pulls[7] = True
+    switches = (torque(0.34, on=False, heard=False), torque(0.34, on=False))
+    found = score(timeline(said, ordered_s=BEGIN_S + 0.3, switches=switches, pulls=pulls), OFF, PROFILE)
+    assert found.on_again
+    assert (found.switched, found.misheard) == (True, False)
+
+
+def test_torque_that_is_switched_by_what_nobody_sent_is_told_apart() -> None:
+    """Report separately that torque was switched by a command that no process sent.
+
+    A broken byte in 256 passes a servo's checksum; no process is responsible for such a command.
+    """
+    found = score(timeline(switches=(torque(0.34, on=False),)), OFF, PROFILE)
+    assert (found.switched, found.misheard) == (False, True)
+    found = score(timeline(), OFF, PROFILE)
+    assert (found.switched, found.misheard) == (False, False)
+
+
+def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
+    hot = standing(5.0)
+    hot.shutdown[200:, 3, 1] = True
+    for off_s, cut_off in ((3.0, False), (4.5, True)):
+        found = score(timeline(word(0.5, Mode.SIT), word(off_s, Mode.OFF), truth=hot), HEAT, PROFILE)
+        assert found.seated_s == pytest.approx(off_s)
+        assert found.cut_off is cut_off
+    assert score(timeline(truth=hot), HEAT, PROFILE).cut_off
+    assert score(timeline(word(3.0, Mode.OFF), empty_s=BEGIN_S + 2.0), HEAT, PROFILE).cut_off
+
+
+@given(st.lists(st.sampled_from([0.02, 0.0295, 0.0305, 0.05]), min_size=1, max_size=30))
+def test_cycles_are_the_spans_between_goals_while_the_fault_lasted(spans: list[float]) -> None:
+    times = np.cumsum([0.1, *spans])
+    line = timeline(goals=tuple(goal(t) for t in (-0.5, *times, 9.0)), end_s=BEGIN_S + 5.0)
+    p99, missed = cycles(line)
+    assert p99 == pytest.approx(max(spans))
+    assert missed == max(len(run) for run in "".join("x" if span > 0.03 else " " for span in spans).split(" "))
+
+
+def test_without_two_goals_there_is_no_cycle() -> None:
+    assert isnan(cycles(timeline(goals=(goal(0.1),)))[0])
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.floats(-0.004, 0.004))
+def test_goals_are_as_fast_as_their_ways_by_the_cycle_without_a_tick_of_rounding(ways: list[int], early_s: float) -> None:
+    """Compute goal speeds for packets at any time in their cycle.
+
+    Repeated goals in one cycle count once, and goals after the end do not count.
+    """
+    ticks = np.cumsum([100, *ways])
+    sent = [goal(0.1 + PERIOD_S * k + (early_s if k % 2 else 0.0), int(at)) for k, at in enumerate(ticks)]
+    twice = [Goals(one.t_s + 0.001, one.ticks, one.speeds) for one in sent]
+    line = timeline(goals=(*(one for pair in zip(sent, twice, strict=True) for one in pair), goal(2.5, 1000)))
+    tick_dps = np.degrees(dxl.TICK_RAD) / PERIOD_S
+    assert score(line, KILLED, PROFILE).goal_dps == pytest.approx(max(max(ways) - 1, 0) * tick_dps)
+
+
+def test_without_two_goals_there_is_no_speed() -> None:
+    assert isnan(score(timeline(goals=(goal(0.1),)), KILLED, PROFILE).goal_dps)

@@ -1,0 +1,338 @@
+"""Trajectories and tables of `python -m benchmarks`.
+
+Trajectories have the requested errors, and tables contain the measured values.
+"""
+
+import json
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import cli
+from benchmarks.peers import (
+    accuracy,
+    foothold_model,
+    full_frame,
+    reduction_peers,
+    registration_peers,
+    score_peers,
+    speed,
+    stages,
+    timing,
+)
+from benchmarks.peers.scenes import MAPPED, REGISTERED
+from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
+from sextant.deploy.evaluation.true_ground import TrueGround
+from sextant.services.perception.registration.projective_icp import Registration
+from sextant.services.simulator.physics.terrain import Terrain
+from sextant.shared.geometry import inverse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.messages import PassageMap, TerrainMap
+
+SCENES = {**MAPPED, **REGISTERED}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_are_built_by_their_seed(name: str) -> None:
+    one, same, other = (SCENES[name](np.random.default_rng(seed)) for seed in (1000, 1000, 1001))
+
+    def heights(terrain: Terrain) -> np.ndarray:
+        return terrain.raster(-0.3, -0.6, 60, 25, 0.05)
+
+    np.testing.assert_array_equal(heights(one), heights(same))
+    random = name in ("boxes", "rough", "mixed", "sparse boxes")
+    assert random != np.array_equal(heights(one), heights(other))
+
+
+def test_legs_are_as_wrong_as_asked() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    way = ride(terrain, np.random.default_rng(1), Errors(scale=0.05))
+    told = np.linalg.norm(np.diff(way.T_odom_body[:, :2, 3], axis=0), axis=1).sum()
+    true = np.linalg.norm(np.diff(way.T_world_body[:, :2, 3], axis=0), axis=1).sum()
+    assert told / true == pytest.approx(1.05, abs=0.005) or told / true == pytest.approx(0.95, abs=0.005)
+    assert way.T_world_body[-1, 0, 3] == pytest.approx(2.0)
+    assert np.abs(way.T_odom_body[:, 2, 3] - way.T_world_body[:, 2, 3]).max() < 0.01  # heights do not drift
+    np.testing.assert_allclose(way.T_odom_body[0], way.T_world_body[0])
+
+
+def test_slipping_legs_tell_more_than_was_walked() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    ways = [ride(terrain, np.random.default_rng(1), Errors(0.0, slip)) for slip in (0.0, 0.5)]
+    lost = ways[1].T_odom_body[-1, 0, 3] - ways[0].T_odom_body[-1, 0, 3]
+    speed_mps = 2.0 / 6.07
+    assert lost == pytest.approx(0.5 * speed_mps, abs=0.06)
+
+
+def test_a_robot_that_is_carried_off_walks_on_as_before() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    before, after = (
+        ride(terrain, np.random.default_rng(1), Errors(carried_off=there))
+        for there in ((0.0, 0.0, 0.0), (-0.25, 0.15, math.radians(15.0)))
+    )
+    np.testing.assert_array_equal(before.T_odom_body, after.T_odom_body)
+    k = int(np.argmax(np.abs(after.T_world_body - before.T_world_body).max(axis=(1, 2)) > 1e-9))
+    assert np.linalg.norm((after.T_world_body[k] - before.T_world_body[k])[:2, 3]) == pytest.approx(math.hypot(0.25, 0.15))
+    np.testing.assert_allclose(
+        inverse(after.T_world_body[k]) @ after.T_world_body[-1],
+        inverse(before.T_world_body[k]) @ before.T_world_body[-1],
+        atol=1e-12,
+    )
+
+
+def test_a_ride_is_judged() -> None:
+    result = accuracy.measure(MAPPED["steps"], 1000, survey=True)
+    assert result.legs_drift == pytest.approx(0.1, abs=0.01)
+    assert result.drift < 0.01
+    assert result.refused == 0
+    assert result.interior_rmse < 0.006
+    assert abs(result.bias) < 0.003
+    assert result.edge < 0.010
+    assert result.coverage > 0.95
+    assert result.invented == 0
+    assert result.model_rmse < 1.2 * result.beside_rmse < 0.006
+    assert result.normal_deg < 1.0
+    assert result.model_coverage > 0.95
+
+
+def test_tables_tell_median_and_worst() -> None:
+    rides = [accuracy.RideResult(0.001 * k, 0.1, 0, 0.01, 0.002, -0.001 * k, math.nan, 1.0 - 0.01 * k, 0) for k in range(5)]
+    figures = accuracy.medians(rides)
+    assert figures["drift"] == (0.002, 0.004)
+    assert figures["bias"] == (0.002, 0.004)
+    assert figures["coverage"] == pytest.approx((0.98, 0.96))
+    assert "edge" not in figures  # no trajectory has one
+    rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, 4, figures)]
+    assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
+    assert "maps of a strip survey" not in accuracy.in_words(rows)  # there was no survey
+    surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
+    assert "0.5 (0.7)" in accuracy.in_words([surveyed])
+    assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
+
+
+def test_the_accuracy_command_leaves_its_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[tuple[object, int, Errors]] = []
+
+    def measure(scene: object, seed: int, errors: Errors, survey: bool = False) -> accuracy.RideResult:
+        asked.append((scene, seed, errors))
+        return accuracy.RideResult(0.002 * (seed - 999), 0.1, 0, 0.01, 0.002, 0.001, 0.005, 0.97, 0)
+
+    monkeypatch.setattr(accuracy, "measure", measure)
+    assert cli.main(["accuracy", "--seeds", "1000:1002", "--out", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
+    assert len(rows) == (len(REGISTERED) + 1) * len(accuracy.LEGS) + len(MAPPED)
+    assert all(row["found"] == 2 for row in rows)
+    assert len(asked) == 2 * len(rows)
+    assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
+    assert "3.0 (4.0)" in capsys.readouterr().out
+
+
+def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    methods = ("projective (default)", "kiss-icp")
+    monkeypatch.setattr(speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
+    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    assert cli.main(["speed", "--seeds", "1000:1001", "--frames", "14", "--out", str(tmp_path)]) == 0
+    table = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))
+    assert [row["method"] for row in table["timings"]] == list(methods)
+    assert table["timings"][0]["ratio"] == {"median": 1.0, "p10": 1.0, "p90": 1.0}
+    for row in table["timings"]:
+        assert row["drift_m"] < 0.05
+        assert row["ms"]["p10"] <= row["ms"]["median"] <= row["ms"]["p90"]
+    assert table["machine"]["processor"]
+    assert is_picture(tmp_path / "speed.png")
+
+
+def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["speed", "--frames", "2"])
+    assert "--frames: a whole number of 3 to 100000 expected, found '2'" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="at least 3 frames"):
+        speed.registration([1000], frames=2)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            ModuleNotFoundError("No module named 'somewhere'"),
+            "elsewhere: No module named 'somewhere'; pip install -e '.[bench]'",
+        ),
+        (
+            ImportError("libusb-1.0.so.0: cannot open shared object file"),
+            "elsewhere: libusb-1.0.so.0: cannot open shared object file",
+        ),
+    ],
+)
+def test_what_cannot_be_timed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch, error: ImportError, said: str) -> None:
+    def absent(*_: object) -> registration_peers.Registers:
+        raise error
+
+    ours = registration_peers.METHODS["projective (default)"]
+    monkeypatch.setattr(speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
+    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    timings, missing = speed.registration([1000], frames=12)
+    assert missing[0].startswith(said)
+    assert ("pip install" in missing[0]) is isinstance(error, ModuleNotFoundError)
+    assert [(t.method, t.case, t.ratio.median) for t in timings] == [("projective (default)", "stairs", 1.0)]
+    assert said in timing.in_words(timings, missing, speed.HEADINGS)
+    assert json.loads(timing.to_json(timings, missing))["missing"] == missing
+
+
+def is_picture(path: Path) -> bool:
+    return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_stages_command_leaves_timings_and_a_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def absent(*_: object) -> score_peers.Scores:
+        raise ImportError("some library is not there")
+
+    monkeypatch.setattr(stages, "SCENES", ("steps",))
+    monkeypatch.setattr(reduction_peers, "REDUCTION", {"NumPy": reduction_peers.NumpyReduction})
+    monkeypatch.setattr(score_peers, "SCORE", {"OpenCV + NumPy": score_peers.OpencvChain, "elsewhere": absent})
+    cores = os.sched_getaffinity(0)
+    assert cli.main(["stages", "--seeds", "1000:1001", "--frames", "4", "--out", str(tmp_path), "--json"]) == 0
+    assert os.sched_getaffinity(0) == cores
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / "stages.json").read_text(encoding="utf-8"))
+    rows = {(row["stage"], row["case"], row["method"]): row for row in table["timings"]}
+    assert {stage for stage, _, _ in rows} == {"reduction", "map update", "frame into map", "score chain", "frame to layers"}
+    assert rows["reduction", "640x480", "NumPy"]["agreement"] > 0.95
+    for size in ("256x256", "512x512"):
+        assert rows["map update", size, "NumPy"]["agreement"] > 0.99
+        assert rows["score chain", size, "OpenCV + NumPy"]["agreement"] > 0.99
+        assert rows["score chain", size, "Sextant, changes only"]["agreement"] > 0.99
+    assert rows["map update", "512x512", "Sextant"]["growth"] > 0.0
+    assert rows["frame to layers", "256x256", "Sextant"]["made"] == 1.0
+    assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()
+    assert table["missing"] == ["elsewhere: some library is not there"]
+    assert is_picture(tmp_path / "stages.png")
+
+
+def test_methods_take_turns_and_the_first_pieces_do_not_count() -> None:
+    order: list[str] = []
+    race = timing.Race("stage", "case", warm=1)
+    race.start({name: lambda _, name=name: order.append(name) for name in "abc"})
+    for k in range(3):
+        race.run(k)
+    assert "".join(order) == "abcbcacab"
+    assert [len(race.ms(name)) for name in "abc"] == [2, 2, 2]
+    assert [t.method for t in race.timings({"b": {"figure": 1.0}})] == ["a", "b", "c"]
+
+
+def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> None:
+    way = ride(
+        REGISTERED["stairs+pillars"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=20, length=0.2
+    )
+    camera = CarriedCamera(way, np.random.default_rng(2))
+    profile = way.profile.camera
+    pytest.importorskip("scipy", reason="the thesis' ICP needs SciPy, of the bench extra")
+    thesis = registration_peers.METHODS["thesis ICP"](profile.intrinsics, profile.sensor)
+    T = way.T_world_camera[0]
+    for k in (8, 9, 10, 11, 12):
+        T = thesis.update(camera.frame(k), k - 8, T if k > 8 else way.T_world_camera[8], np.eye(6))
+    assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.05
+
+
+def test_a_survey_is_compared_where_both_maps_reach() -> None:
+    truth = TrueGround(np.zeros((59, 39)), 0.01)
+    layers, flags = np.full((3, 30, 20), 0.002, np.float32), np.zeros((30, 20), np.bool_)
+    terrain = TerrainMap(0, 0.01, np.zeros(2), *layers, flags, flags.astype(np.int8))
+    normals = np.zeros((40, 10, 3), np.int16)
+    normals[..., 2] = 32767
+    elevation = np.full((40, 10), 0.001, np.float32)
+    elevation[:15] = np.nan
+    grid = np.zeros((40, 10), np.float32)
+    flags = np.zeros((40, 10), np.bool_)
+    passage = PassageMap(
+        0, 0.01, np.array([0.10, 0.05]), 0.0, elevation, normals, grid, flags, flags.astype(np.int8), 0.5, "", np.eye(4), flags
+    )  # fmt: skip
+    seen = np.ones((30, 20), np.bool_)
+    figures = foothold_model.judged(passage, terrain, truth, seen)
+    assert figures.rmse == pytest.approx(0.001)
+    assert figures.elevation_rmse == pytest.approx(0.002)
+    assert figures.normal_deg == pytest.approx(0.0, abs=1e-6)
+    assert figures.coverage == pytest.approx(5 / 20)  # of its first twenty rows, which the elevation map also has
+    with pytest.raises(ValueError, match="off the grid"):
+        foothold_model.judged(replace(passage, origin=np.array([0.105, 0.05])), terrain, truth, seen)
+
+
+def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None:
+    camera = load_profile("phantomx_mk2").camera
+    raw = np.full((camera.intrinsics.height, camera.intrinsics.width), 900, dtype=np.uint16)
+    raw[:, 320:] = 1500  # a block's edge, with flying pixels
+    raw[:, 320] = 1200
+    raw[0, 0] = 0
+    z = full_frame.steady_depth(raw, camera)
+    assert np.isnan(z[:, 320]).all()
+    assert np.isnan(z[0, 0])
+    kept = np.isfinite(z)
+    kept[:, 320] = kept[0, 0] = True
+    assert kept.all()
+
+
+def test_slipping_legs_do_not_carry_the_registration_away_from_a_few_boxes() -> None:
+    rngs = [np.random.default_rng([1006, k]) for k in range(3)]
+    way = ride(REGISTERED["sparse boxes"](rngs[0]), rngs[1], Errors(slip=0.5))
+    camera, T_body_camera = CarriedCamera(way, rngs[2]), way.profile.camera.T_body_camera
+    registration = Registration(way.profile.camera.intrinsics, way.profile.camera.sensor)
+    told, true = way.T_odom_body @ T_body_camera, way.T_world_body @ T_body_camera
+    T = true[0]
+    for k in range(60):
+        motion = inverse(told[k - 1]) @ told[k] if k else np.eye(4)
+        sigma = 0.1 * np.linalg.norm(motion[:3, 3]) + 0.001
+        prior = np.diag(np.array([sigma, sigma, 0.01, 0.01, 0.01, 0.003]) ** 2)
+        T = registration.update(camera.frame(k), k, T @ motion, prior).T_world_camera
+    assert np.linalg.norm((inverse(told[0]) @ told[59])[:3, 3]) - np.linalg.norm((inverse(true[0]) @ true[59])[:3, 3]) > 0.1
+    assert np.linalg.norm(T[:3, 3] - true[59][:3, 3]) < 0.03
+
+
+def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["passage", "--seeds", "1000:1001", "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / "passage.json").read_text(encoding="utf-8"))
+    assert table["wrong"] == []
+    assert {section["case"] for section in table["sections"]} == {"scenario 1", "scenario 2", "scenario 3", "strewn pillars"}
+    for section in table["sections"]:
+        assert section["plans"] == 1
+        assert section["margin_m"] >= 0.03
+    expansions = {row["method"]: row for row in table["timings"] if row["stage"] == "expansion"}
+    assert expansions["NumPy"]["ratio"]["median"] > 10.0
+    assert is_picture(tmp_path / "passage.png")
+
+
+def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> None:
+    from benchmarks.page import page
+
+    cost = page.Cost(0.021, 0.01, 1.2e6, 14.0, 61.0, "a renderer")
+    delays = (page.Delay("pad released", 0.35, (0.1, 0.2, 0.4)), page.Delay("feet down", math.nan, (0.3, math.inf, 0.2)))
+    words = page.in_words(page.Measured(delays, cost))
+    assert "| pad released | 200 | 400 | 400 | 350 | 2 of 3 |" in words
+    assert "| feet down | 300 | inf | inf |  | 3 times |" in words
+    assert "2.1% of a core" in words
+    text = page.to_json(page.Measured(delays, cost))
+    assert "Infinity" not in text
+    assert "NaN" not in text
+    told = json.loads(text)["delays"]
+    assert [(d["kept"], d["limit_s"], d["seconds"]) for d in told] == [
+        (False, 0.35, [0.1, 0.2, 0.4]),
+        (True, None, [0.3, None, 0.2]),
+    ]
+
+
+def test_what_recording_does_to_a_walk_is_told_beside_one_that_nobody_records() -> None:
+    from benchmarks.robot import recording
+
+    usual = recording.Way("nobody records", [np.array([0.02, 0.02, 0.021])])
+    killed = recording.Way("the recorder is killed", [np.array([0.02, 0.02, 0.023])], [0.4, math.inf], [0.3, 0.25])
+    words = recording.in_words((usual, killed))
+    assert "| the recorder is killed | 20.00 | 22.94 | +1.96 | 23.0 | inf at most | 0.3 at most |" in words
+    table = json.loads(recording.to_json((usual, killed)))["ways"]
+    assert table["the recorder is killed"]["said_s"] == [0.4, None]
+    assert table["nobody records"]["cycle_ms"]["max"] == 21.0

@@ -1,0 +1,62 @@
+"""The NumPy peer and the compiled tests agree for any stance and samples."""
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from benchmarks.peers.passage_peer import NumpyTests
+from sextant.deploy.evaluation.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
+from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profiles import load_profile
+
+PASSAGE = PassageSettings(body_height=0.11)
+PROFILES = [load_profile(name) for name in ("phantomx_mk2", "lotriet_rx64")]
+FIELDS = [
+    field_of(heights(thesis_blocks(3, GAP, 0.17, 0.20, 0.03, 0.28), GAP)),
+    field_of(heights(random_blocks(np.random.default_rng(5), GAP, 0.12, 0.9, 0.10, 0.03), GAP)),
+]
+
+
+def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return verdicts and clearances of both for a stance with random offsets [m]."""
+    rng, profile = np.random.default_rng(seed), PROFILES[robot]
+    legs, rules, field = legs_of(profile, PASSAGE), rules_of(profile, PASSAGE), ground_of(FIELDS[ground])
+    body = np.array([rng.uniform(0.5, NEAR + GAP), rng.uniform(-0.02, 0.02), profile.stance.body_height])
+    feet = profile.rest_feet() + body + np.append(rng.uniform(-spread, spread, 2), 0.0)
+    feet[:, :2] += rng.uniform(-spread, spread, (6, 2))
+    bodies = body + np.column_stack([rng.uniform(0.0, 0.05, 4), rng.uniform(-0.02, 0.02, 4), rng.uniform(-0.01, 0.01, 4)])
+    off = np.stack(
+        [rng.uniform(-0.1, 0.12, (4, 6)), rng.uniform(-0.05, 0.05, (4, 6)), rng.uniform(-0.01, 0.02, (4, 6))], axis=-1
+    )
+    goals = profile.rest_feet()[leg] + body + off
+    verdict, lifts = np.zeros((4, 6), dtype=np.int64), np.zeros((4, 6))
+    roadmap_search.judge(legs, rules, field, feet, leg, body, bodies, goals, verdict, lifts)
+    return (verdict, lifts), NumpyTests(legs, rules, field).judge(feet, leg, body, bodies, goals)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(0, 1), st.integers(0, 1), st.floats(0.0, 0.06))
+def test_the_same_verdicts(seed: int, leg: int, robot: int, ground: int, spread: float) -> None:
+    (verdict, lifts), (told, told_lifts) = judged(seed, leg, robot, ground, spread)
+    np.testing.assert_array_equal(verdict, told)
+    np.testing.assert_allclose(lifts, told_lifts, atol=1e-12)
+
+
+def test_all_kinds_of_verdicts_are_among_them() -> None:
+    seen = {
+        int(code)
+        for seed in range(120)
+        for code in np.unique(judged(seed, seed % 6, 0, seed % 2, 0.02 + 0.02 * (seed % 3))[0][0])
+    }
+    assert seen >= {
+        roadmap_search.OK,
+        roadmap_search.REACH,
+        roadmap_search.MARGIN,
+        roadmap_search.APART,
+        roadmap_search.LEVEL,
+        roadmap_search.TORQUE,
+        roadmap_search.SWING,
+    }

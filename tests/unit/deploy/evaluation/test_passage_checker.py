@@ -1,0 +1,155 @@
+"""The checker finds errors in spoiled plans, and none in the roadmap's plans."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.peers import passage as bench
+from sextant.deploy.evaluation.passage_checker import Demands, violations
+from sextant.deploy.evaluation.passage_fields import (
+    BEYOND,
+    NEAR,
+    START,
+    field_of,
+    heights,
+    random_blocks,
+    stance_at,
+    thesis_blocks,
+)
+from sextant.services.planner.gap_crossing.backtracking import Trail
+from sextant.services.planner.gap_crossing.roadmap import Crossing, PassageStep, Roadmap, Stance
+from sextant.services.planner.gap_crossing.settings import PassageSettings
+from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.shared.robot.profiles import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+GAP, HEIGHT = 0.8, 0.11
+START_STANCE = stance_at(PROFILE, START, HEIGHT)
+
+
+def bridged(scenario: int) -> Field:
+    return field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
+
+
+def scattered(seed: int, relief: float) -> Field:
+    return field_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
+
+
+@pytest.fixture(scope="module")
+def roadmap() -> Roadmap:
+    return Roadmap(PROFILE, PassageSettings(body_height=HEIGHT))
+
+
+def planned(roadmap: Roadmap, field: Field, seed: int) -> Crossing:
+    roadmap.begin(field, START_STANCE, NEAR + GAP + BEYOND, seed)
+    found = roadmap.grow(10**6)
+    assert isinstance(found, Crossing)
+    return found
+
+
+@pytest.mark.parametrize("scenario", [1, 2, 3])
+def test_nothing_is_wrong_with_plans_over_bridges(roadmap: Roadmap, scenario: int) -> None:
+    field = bridged(scenario)
+    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, scenario).steps) == []
+
+
+@pytest.mark.parametrize(("seed", "relief"), [(1, 0.0), (2, 0.0), (3, 0.015), (4, 0.015)])
+def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, seed: int, relief: float) -> None:
+    field = scattered(seed, relief)
+    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, seed).steps) == []
+
+
+@pytest.mark.parametrize("seed", [1000, 1001])
+@pytest.mark.parametrize("done", [20, 44])
+def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: int) -> None:
+    field = bench.ground("scenario 3", seed)
+    steps, feet = planned(roadmap, field, seed).steps[:done], START_STANCE.feet.copy()
+    for step in steps:
+        if step.leg >= 0:
+            feet[step.leg] = step.touchdown
+    trail = Trail()
+    trail.begin(START_STANCE, steps)
+    back = trail.back([], 0.05)
+    assert len(back) >= 3
+    assert violations(PROFILE, field, Stance(steps[-1].body, feet), back) == []
+
+
+def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
+    """Keep the distance between legs where a foot rises steeply near its coxa.
+
+    The foot is pushed outward there. In one of a thousand plans, this one, the legs once came too near.
+    """
+    field, roadmap = bench.ground("scenario 3", 1205), Roadmap(PROFILE, PassageSettings(body_height=bench.HEIGHT))
+    start = stance_at(PROFILE, START, bench.HEIGHT)
+    roadmap.begin(field, start, NEAR + GAP + BEYOND, seed=1)
+    found = roadmap.grow(10**6)
+    assert isinstance(found, Crossing)
+    assert violations(PROFILE, field, start, found.steps) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([0.0, 0.0, 0.02])), "over the ground"),
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([0.4, 0.0, 0.0])), "out of reach"),
+        (lambda step: replace(step, body=step.body + np.array([0.12, 0.0, 0.0])), "the body moves"),
+        (lambda step: replace(step, body=step.body - np.array([0.0, 0.0, 0.08])), "the trunk"),
+        (lambda step: replace(step, clearance=0.001), "passes"),
+        (lambda step: replace(step, clearance=0.2), "clearance"),
+        (lambda step: replace(step, clearance=np.nan), "clearance"),
+        (lambda step: replace(step, touchdown=step.touchdown * np.nan), "none that could be taken"),
+        (lambda step: replace(step, body=np.full(3, np.inf)), "none that could be taken"),
+        (lambda step: replace(step, leg=6), "none that could be taken"),
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([9.0, 0.0, 0.0])), "outside the strip"),
+    ],
+)
+def test_what_is_spoilt_is_found(roadmap: Roadmap, spoil: Callable[[PassageStep], PassageStep], said: str) -> None:
+    field = bridged(1)
+    steps = list(planned(roadmap, field, 1).steps)
+    at = next(k for k, step in enumerate(steps) if step.leg >= 0 and k > 3)
+    steps[at] = spoil(steps[at])
+    assert any(said in words for words in violations(PROFILE, field, START_STANCE, steps[: at + 1]))
+
+
+def test_a_foot_on_no_foothold_is_found(roadmap: Roadmap) -> None:
+    field = bridged(1)
+    steps = planned(roadmap, field, 1).steps
+    bare = Field(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
+    assert any("on a cell of value 3" in words for words in violations(PROFILE, bare, START_STANCE, steps))
+
+
+def test_a_foot_beside_another_is_found() -> None:
+    rear, middle = START_STANCE.feet[4], START_STANCE.feet[5]
+    assert np.linalg.norm(rear - middle) > 0.1
+    step = PassageStep(4, middle - np.array([0.04, 0.0, 0.0]), 0.03, START_STANCE.body, 0.03)
+    words = violations(PROFILE, bridged(1), START_STANCE, [step])
+    assert any("rear foot 0.040 m from another" in each for each in words)
+    assert any("legs" in each and "apart" in each for each in words)
+
+
+def test_a_leg_that_bears_too_much_is_found() -> None:
+    demands = Demands(torque=0.05)
+    stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
+    assert violations(PROFILE, bridged(1), START_STANCE, [stay]) == []
+    assert any(" N m at the " in words for words in violations(PROFILE, bridged(1), START_STANCE, [stay], demands))
+
+
+def test_what_rises_under_the_body_is_found_to_its_very_edge() -> None:
+    length, width, height = PROFILE.body.size
+    stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
+    for inside in (np.array([length, width]) / 2, np.full(2, 0.004)):  # [m] from the corner
+        field = bridged(1)
+        elevation = field.elevation.copy()
+        place = START_STANCE.body[:2] + np.array([length, width]) / 2 - inside
+        i, j = np.rint((place - field.corner) / field.resolution).astype(int)
+        elevation[i, j] = START_STANCE.body[2] - height / 2 - 0.01
+        risen = replace(field, elevation=elevation)
+        assert any("the trunk 0.010 m over" in words for words in violations(PROFILE, risen, START_STANCE, [stay]))
+
+
+def test_a_body_outside_its_feet_is_found() -> None:
+    leant = replace(START_STANCE, body=START_STANCE.body + np.array([0.0, 0.19, 0.0]))
+    stay = PassageStep(-1, leant.body, 0.0, leant.body, 0.03)
+    assert any("inside its standing feet" in words for words in violations(PROFILE, bridged(1), leant, [stay]))

@@ -1,0 +1,171 @@
+import dataclasses
+import importlib.util
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sextant.deploy.launch import process_table
+from sextant.deploy.launch.process_table import Choices, assignment, choices, commands, rows
+from sextant.shared.runtime import process
+from sextant.shared.scenario.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
+from sextant.shared.wire.transport import Endpoints
+
+ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")
+
+
+@dataclasses.dataclass(frozen=True)
+class Text:
+    key: str
+
+
+@pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
+def test_every_module_is_there(row: process_table.Process) -> None:
+    assert importlib.util.find_spec(row.module) is not None
+    assert importlib.util.find_spec(f"{row.module}.__main__") is not None
+
+
+@pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
+def test_every_setting_is_one_that_the_service_has(row: process_table.Process) -> None:
+    schema = importlib.import_module(f"{row.module}.config").Settings
+    settings = row.settings(Choices(scenario="steps", camera="realsense"))
+    made = process.load_settings(schema, None, [assignment(k, v) for k, v in settings.items()])
+    assert {key: getattr(made, key) for key in settings} == settings
+
+
+def test_a_scenario_s_map_reaches_mapper_and_perception() -> None:
+    chosen = choices(Scenario("fine", (Plane(),), Goal(1.0), map=MapOptions(100, 300, 0.02)), "fine", 0)
+    made = {}
+    for row in process_table.TABLE:
+        schema = importlib.import_module(f"{row.module}.config").Settings
+        made[row.name] = process.load_settings(schema, None, [assignment(k, v) for k, v in row.settings(chosen).items()])
+    assert (made["mapper"].shape, made["mapper"].resolution) == ((100, 300), 0.02)
+    assert made["perception"].scan_resolution == 0.02
+
+
+def test_the_roles_share_the_services_out() -> None:
+    names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
+    assert names["onboard"] == ["actuator", "stop", "camera", "perception"], "the camera's bandwidth stays on the robot"
+    assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
+    assert names["sim"] == ["simulator"]
+    assert "simulator" not in names["all"]
+    assert rows("all", simulated=True)[0].name == "simulator"
+
+
+def test_a_page_is_served_where_operators_are_and_only_where_it_is_wanted() -> None:
+    for role, there in (("all", True), ("offboard", True), ("onboard", False), ("sim", False)):
+        for simulated in (True, False):
+            assert ("console" in {p.name for p in rows(role, simulated, page=True)}) is there  # type: ignore[arg-type]
+            assert "console" not in {p.name for p in rows(role, simulated)}  # type: ignore[arg-type]
+
+
+def test_the_camera_is_read_on_the_robot_and_not_where_the_simulator_stands_in() -> None:
+    for role, simulated, there in (
+        ("all", False, True),
+        ("onboard", True, False),
+        ("all", True, False),
+        ("offboard", False, False),
+    ):
+        assert ("camera" in {p.name for p in rows(role, simulated)}) is there  # type: ignore[arg-type]
+    made = {c.name: c for c in commands(rows("onboard", False), Choices(camera="/a/walk"), ENDPOINTS)}
+    assert made["camera"].arguments[-2:] == ("--set", "device=/a/walk")
+
+
+def test_names_are_unique_and_what_is_waited_for_is_in_the_table() -> None:
+    names = [p.name for p in process_table.TABLE]
+    assert len(set(names)) == len(names)
+    assert all(set(p.after) <= set(names) for p in process_table.TABLE)
+
+
+def test_who_holds_the_robot_may_hang_the_least_and_nobody_for_ever() -> None:
+    patience = {c.name: c.watchdog_s for c in commands(process_table.TABLE, Choices(), ENDPOINTS)}
+    assert all(0.0 < limit < float("inf") for limit in patience.values())
+    assert max(patience["actuator"], patience["stop"]) <= 1.5, "detected, killed, started, and holding within 3.5 s"
+    assert min(limit for name, limit in patience.items() if name not in ("actuator", "stop")) >= 10.0
+
+
+def test_a_scenario_reaches_the_processes() -> None:
+    scenario = Scenario(
+        "wild",
+        (Plane(),),
+        Goal(1.0),
+        walk=Walk(blind=True, footholds="evaluation", arc="sixth_order"),
+        variation=Variation(registration="kiss-icp"),
+    )
+    made = {
+        c.name: " ".join(c.arguments)
+        for c in commands(rows("all", True), choices(scenario, "/a/wild.toml", 7, 7450), ENDPOINTS)
+    }
+    assert "--set scenario=/a/wild.toml --set seed=7 --set bus_port=7450" in made["simulator"]
+    assert "--set port=socket://127.0.0.1:7450 --set arc=sixth_order" in made["actuator"]
+    assert "--set method=kiss-icp" in made["perception"]
+    assert "--set blind=true --set footholds=evaluation" in made["planner"]
+    assert all("--connect tcp/127.0.0.1:7447 --namespace test" in line for line in made.values())
+
+
+def test_the_actuator_waits_for_the_simulated_bus_and_for_nothing_on_the_robot() -> None:
+    simulated = {c.name: c for c in commands(rows("all", True), Choices(scenario="flat", bus_port=7450), ENDPOINTS)}
+    assert simulated["actuator"].after == ("simulator",)
+    assert simulated["simulator"].ready_port == 7450
+    real = {c.name: c for c in commands(rows("all", False), Choices(), ENDPOINTS)}
+    assert real["actuator"].after == ()
+    assert "--set" not in real["actuator"].arguments
+
+
+def test_extra_settings_come_last_and_so_count() -> None:
+    made = commands(rows("onboard", False), Choices(), ENDPOINTS, {"actuator": ("port=/dev/ttyACM3",)})
+    actuator = next(c for c in made if c.name == "actuator")
+    assert actuator.arguments[-2:] == ("--set", "port=/dev/ttyACM3")
+
+
+def test_a_process_gets_one_thread_a_library() -> None:
+    for command in commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS):
+        assert {command.environment[k] for k in command.environment if k.endswith("_NUM_THREADS")} == {"1"}
+        assert command.environment["PYTHONUNBUFFERED"] == "1"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=30))
+def test_any_text_survives_the_command_line(text: str) -> None:
+    assert process.load_settings(Text, None, [assignment("key", text)]).key == text
+
+
+@given(st.sampled_from([Path("/tmp/a b/c.toml"), Path("/x/true"), Path("/é.toml")]))
+def test_a_path_is_passed_as_it_is(path: Path) -> None:
+    assert assignment("key", str(path)) == f"key={path}"
+
+
+def test_any_process_that_may_runs_on_either_side() -> None:
+    onboard, offboard = (process_table.rows(role, simulated=False, page=True) for role in ("onboard", "offboard"))
+    robot = process_table.rearranged(onboard, ("mapper", "planner"), (), "onboard")
+    base = process_table.rearranged(offboard, (), ("mapper", "planner"), "offboard")
+    assert [p.name for p in robot] == ["actuator", "stop", "camera", "perception", "mapper", "planner"]
+    assert [p.name for p in base] == ["console", "recorder"]
+    moved = process_table.rearranged(offboard, ("perception",), (), "offboard")
+    assert [p.name for p in moved] == ["perception", "mapper", "planner", "console", "recorder"], "in the table's order"
+    for name in process_table.ON_ROBOT:
+        with pytest.raises(ValueError, match=f"{name} must run on the robot"):
+            process_table.rearranged(offboard, (name,), (), "offboard")
+
+
+def test_only_another_machine_than_the_robot_goes_by_its_clock() -> None:
+    rows = process_table.rows("offboard", simulated=False)
+    here, away = (process_table.commands(rows, Choices(), ENDPOINTS, elsewhere=elsewhere) for elsewhere in (False, True))
+    assert not any("--elsewhere" in command.arguments for command in here)
+    assert all("--elsewhere" in command.arguments for command in away)
+
+
+def test_one_heap_is_for_who_frees_what_many_hand_on_and_for_nobody_with_a_beat_to_keep() -> None:
+    made = process_table.commands(process_table.rows("all", True, page=True), Choices(), ENDPOINTS)
+    assert [one.name for one in made if "MALLOC_ARENA_MAX" in one.environment] == ["recorder"]
+    assert all(one.environment.items() >= process_table.ENVIRONMENT.items() for one in made)
+
+
+def test_only_a_simulated_run_shares_simulated_time() -> None:
+    file = Path("/a/time")
+    made = commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS, simulated_time=file)
+    assert all(
+        ("--simulated-time", str(file)) == c.arguments[k : k + 2] for c in made if (k := c.arguments.index("--simulated-time"))
+    )
+    with pytest.raises(ValueError, match="needs the simulator"):
+        commands(rows("all", False), Choices(), ENDPOINTS, simulated_time=file)
