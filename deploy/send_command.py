@@ -33,8 +33,8 @@ class Order:
     """
 
     name = "order"
-    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, *topics.HEALTH_OF.values())
-    writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
+    subscribes: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, *topics.HEALTH_OF.values())
+    publishes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
 
     def __init__(self, what: What, holder: str, take: bool = False, leads: bool = True):
         """Prepare an order.
@@ -45,7 +45,7 @@ class Order:
             take: Take the lease from another holder.
             leads: Whether this machine may send orders to move; else it may only stop.
         """
-        self.paced_by = Every.hz(20.0)
+        self.trigger = Every.hz(20.0)
         self.stages = Stages()
         self.finished = False
         self.failed = ""  # why it failed, as text

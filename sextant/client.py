@@ -290,13 +290,13 @@ class Client:
 class Commander:
     """Repeats the commands of a client and keeps what the robot publishes; a service."""
 
-    reads: tuple[AnyTopic, ...] = (
+    subscribes: tuple[AnyTopic, ...] = (
         topics.ACTUATOR_STATE,
         topics.BODY_POSE,
         topics.PLANNER_STATUS,
         *topics.HEALTH_OF.values(),
     )
-    writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP, topics.VELOCITY, topics.GOAL)
+    publishes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP, topics.VELOCITY, topics.GOAL)
 
     def __init__(self, name: str, take: bool = False, may_lead: bool = True):
         """Start without a command.
@@ -307,7 +307,7 @@ class Commander:
             may_lead: Whether this client's certificate permits commands to move; else it may only stop.
         """
         self.name = name
-        self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
+        self.trigger = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.status: Status | None = None  # None while the actuator is silent
         self.changed = threading.Condition()  # notified after each step

@@ -187,7 +187,7 @@ def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink
         with link(role) as client:
             inside.settle(base, "before")
             _put(client, topic, frame, messages)
-            yield Row(f"{role} puts {topic.key}", messages, inside.settle(base, f"after {role} {topic.key}"))
+            yield Row(f"{role} publishes {topic.key}", messages, inside.settle(base, f"after {role} {topic.key}"))
     with link("console") as client:
         inside.settle(client, "before the flood")
         began = time.perf_counter()

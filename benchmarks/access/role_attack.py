@@ -89,9 +89,9 @@ class Leader:
     """Operator that walks the robot in circles, and always takes over control again."""
 
     name = "leader"
-    paced_by = Every.hz(20.0)
-    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE,)
-    writes: tuple[AnyTopic, ...] = (topics.MODE, topics.VELOCITY)
+    trigger = Every.hz(20.0)
+    subscribes: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE,)
+    publishes: tuple[AnyTopic, ...] = (topics.MODE, topics.VELOCITY)
 
     def __init__(self) -> None:
         """Start without an order."""
@@ -123,7 +123,7 @@ class Attacker:
 
     def __init__(self, role: str, seed: int):
         """Start without examples."""
-        self.topics = tuple(ROLE_NAMED[role].puts)
+        self.topics = tuple(ROLE_NAMED[role].publishes)
         self._rng = Random(f"{role} {seed}")
         self._frames: dict[str, deque[bytes]] = defaultdict(lambda: deque(maxlen=_OFTEN))
 

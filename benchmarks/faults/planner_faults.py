@@ -74,16 +74,16 @@ class _Meddled:
         self.name, self.stages = planner.name, planner.stages
 
     @property
-    def paced_by(self) -> AnyTopic | Every:
-        return self._planner.paced_by
+    def trigger(self) -> AnyTopic | Every:
+        return self._planner.trigger
 
     @property
-    def reads(self) -> tuple[AnyTopic, ...]:
-        return self._planner.reads
+    def subscribes(self) -> tuple[AnyTopic, ...]:
+        return self._planner.subscribes
 
     @property
-    def writes(self) -> tuple[AnyTopic, ...]:
-        return self._planner.writes
+    def publishes(self) -> tuple[AnyTopic, ...]:
+        return self._planner.publishes
 
     def step(self, message: Any, inbox: Inbox) -> Iterator[Message]:
         """Yield the manipulated messages of a step; `message` is the actuator's state."""

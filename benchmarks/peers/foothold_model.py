@@ -23,11 +23,11 @@ class Asker:
     """Requests the survey of a strip ahead while it runs."""
 
     name = "asker"
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.PASSAGE_REQUEST,)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.PASSAGE_REQUEST,)
 
     def __init__(self) -> None:
-        self.paced_by = Every.hz(topics.PASSAGE_REQUEST.rate_hz)
+        self.trigger = Every.hz(topics.PASSAGE_REQUEST.rate_hz)
         self.stages = Stages()
 
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:

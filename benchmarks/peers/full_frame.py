@@ -25,9 +25,9 @@ class FullFrames:
     """Mapper of unreduced depth frames, without rounding or transport."""
 
     name = "full frames"
-    paced_by: AnyTopic = topics.BODY_POSE
-    reads: tuple[AnyTopic, ...] = (topics.DEPTH,)
-    writes: tuple[AnyTopic, ...] = ()
+    trigger: AnyTopic = topics.BODY_POSE
+    subscribes: tuple[AnyTopic, ...] = (topics.DEPTH,)
+    publishes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, camera: Camera, size: tuple[int, int], resolution: float, max_range: float):
         """Start with an unknown map of a size [cells] and resolution [m].

@@ -295,7 +295,7 @@ class _Services:
         return out
 
     def _to_mapper(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        if topic in self._mapper.reads:
+        if topic in self._mapper.subscribes:
             self._mapper.inbox.receive(topic, frame, at_ns)
             if topic is topics.SCAN:
                 self._mapper.arrived()

@@ -152,13 +152,13 @@ class CarriedCamera:
     """Service that publishes a ride: odometry and depth frames at their times."""
 
     name = "carried camera"
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.ODOMETRY)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.ODOMETRY)
 
     def __init__(self, way: Ride, rng: np.random.Generator):
         """Play a ride; `rng` generates the noise of the depth frames."""
         camera = way.profile.camera
-        self.paced_by = Every(round(1e9 / camera.sensor.rate_hz))
+        self.trigger = Every(round(1e9 / camera.sensor.rate_hz))
         self.stages = Stages()
         self.played = 0
         self._ride = way

@@ -44,8 +44,8 @@ class Scorer:
     """Evaluator of one run; it reads the ground truth and publishes nothing."""
 
     name = "scorer"
-    paced_by = topics.TRUTH
-    reads = (
+    trigger = topics.TRUTH
+    subscribes = (
         topics.BODY_POSE,
         topics.TERRAIN,
         topics.ACTUATOR_STATE,
@@ -54,7 +54,7 @@ class Scorer:
         topics.PASSAGE,
         topics.PLANNER_STATUS,
     )
-    writes = ()
+    publishes = ()
 
     def __init__(
         self,

@@ -102,7 +102,7 @@ def _heard(frames: Iterable[Frame], judge: Callable[[GroundTruth], Scorer]) -> t
 
     The scorer is created at the first truth. Either result is None if there was none.
     """
-    inbox, scorer = Inbox(Scorer.reads, Stages()), None
+    inbox, scorer = Inbox(Scorer.subscribes, Stages()), None
     for topic, frame, at_ns in frames:
         if topic is not topics.TRUTH:
             inbox.receive(topic, frame, at_ns)
@@ -140,7 +140,7 @@ def _as_it_came(recording: Recording) -> Iterator[Frame]:
 
     Lockstep recordings hold the time of sending, so latency is added.
     """
-    wanted = {topic.key: topic for topic in (Scorer.paced_by, *Scorer.reads)}
+    wanted = {topic.key: topic for topic in (Scorer.trigger, *Scorer.subscribes)}
     on_the_way: list[tuple[int, int, AnyTopic, bytes]] = []
     for number, (key, frame, at_ns) in enumerate(recording.frames()):
         while on_the_way and on_the_way[0][0] <= at_ns:

@@ -69,9 +69,9 @@ class Player:
     """
 
     name = "player"
-    paced_by = Every(5_000_000)
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
+    trigger = Every(5_000_000)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
 
     def __init__(self, sequence: tum.Recording, sensor: DepthSensor):
         """Start with the first picture.
@@ -132,9 +132,9 @@ class ConstantVelocity:
     """
 
     name = "constant velocity"
-    paced_by = topics.BODY_POSE
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+    trigger = topics.BODY_POSE
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
 
     def __init__(self, period_ns: int):
         self.stages = Stages()

@@ -166,9 +166,9 @@ class _Replay:
         self._running = {
             name: service
             for name, service in every.items()
-            if not any(topic.key in only for topic in service.writes)  # one of its outputs is fed
+            if not any(topic.key in only for topic in service.publishes)  # one of its outputs is fed
         }
-        made = {topic.key for service in self._running.values() for topic in service.writes}
+        made = {topic.key for service in self._running.values() for topic in service.publishes}
         self._feeds = frozenset(only or {topic.key for topic in topics.TOPICS}) - made
         self.fed_keys: set[str] = set()
         self.maps: dict[int, TerrainMap] = {}  # made now, by stamp

@@ -97,8 +97,14 @@ class Bridge:
     """ROS 2 node that publishes poses and maps, and forwards Twists."""
 
     name = "ros2"
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.BODY_POSE, topics.TERRAIN, topics.PREVIEW)
-    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE)
+    subscribes: tuple[AnyTopic, ...] = (
+        topics.ODOMETRY,
+        topics.ACTUATOR_STATE,
+        topics.BODY_POSE,
+        topics.TERRAIN,
+        topics.PREVIEW,
+    )
+    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE)
 
     def __init__(
         self,
@@ -121,12 +127,12 @@ class Bridge:
             say: Receives log lines.
             pictures: Also forward the camera previews, which are made only for subscribers.
         """
-        self.paced_by = Every.hz(RATE_HZ)
+        self.trigger = Every.hz(RATE_HZ)
         self.stages = Stages()
         self.refused = 0  # invalid Twists
         self.last_refusal = ""
         if not pictures:
-            self.reads = tuple(topic for topic in self.reads if topic is not topics.PREVIEW)
+            self.subscribes = tuple(topic for topic in self.subscribes if topic is not topics.PREVIEW)
         self._camera = profile.camera.T_body_camera
         self._lead, self._wall, self._tell = lead, wall, say
         self._time = TimeOfDay()
@@ -154,7 +160,7 @@ class Bridge:
         self._pass_state(inbox)
         self._pass_pose(inbox)
         self._pass_terrain(inbox)
-        if topics.PREVIEW in self.reads:
+        if topics.PREVIEW in self.subscribes:
             self._pass_pictures(inbox)
         while self._twists:
             self._take_twist(*self._twists.popleft(), now)

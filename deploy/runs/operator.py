@@ -47,8 +47,8 @@ class Operator:
     """
 
     name = "operator"
-    reads = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
-    writes = (topics.VELOCITY, topics.GOAL, topics.MODE)
+    subscribes = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
+    publishes = (topics.VELOCITY, topics.GOAL, topics.MODE)
 
     def __init__(self, profile: RobotProfile, scenario: Scenario, no_pose_s: float = _NO_POSE_S):
         """Prepare the operator.
@@ -60,7 +60,7 @@ class Operator:
         """
         self._no_pose_s = no_pose_s
         self._robot = RobotClockEstimate()  # the robot's clock, which stamps the orders
-        self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
+        self.trigger = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.finished = False
         self.reason = ""  # why it is finished, as text

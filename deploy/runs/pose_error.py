@@ -107,19 +107,19 @@ class NoisyPerception:
         self._T: Array = np.eye(4)  # transform of the last pose, {world}
 
     @property
-    def paced_by(self) -> AnyTopic | Every:
+    def trigger(self) -> AnyTopic | Every:
         """Trigger of the wrapped service."""
-        return self._inner.paced_by
+        return self._inner.trigger
 
     @property
-    def reads(self) -> tuple[AnyTopic, ...]:
+    def subscribes(self) -> tuple[AnyTopic, ...]:
         """Topics that the wrapped service subscribes to."""
-        return self._inner.reads
+        return self._inner.subscribes
 
     @property
-    def writes(self) -> tuple[AnyTopic, ...]:
+    def publishes(self) -> tuple[AnyTopic, ...]:
         """Topics that the wrapped service publishes."""
-        return self._inner.writes
+        return self._inner.publishes
 
     def doing(self) -> str:
         """Return the status of the wrapped service."""

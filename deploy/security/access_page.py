@@ -11,7 +11,7 @@ def roles() -> Iterator[str]:
     yield "| role | holder | may command | may stop |"
     yield "|---|---|---|---|"
     for role in ROLES:
-        keys = {topic.key for topic in role.puts}
+        keys = {topic.key for topic in role.publishes}
         may = ("yes" if key in keys else "no" for key in ("operator/mode", "operator/stop"))
         yield f"| `{role.name}` | {role.what} | {' | '.join(may)} |"
 
@@ -24,7 +24,7 @@ def keys() -> Iterator[str]:
         may = (
             ", ".join(
                 word
-                for word, allowed in (("puts", role.puts), ("relays", role.relays), ("reads", role.reads))
+                for word, allowed in (("publishes", role.publishes), ("relays", role.relays), ("subscribes", role.subscribes))
                 if topic in allowed
             )
             or "–"

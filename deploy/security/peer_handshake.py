@@ -84,7 +84,7 @@ def may_run(role: str, service: str) -> bool:
     The robot may run all of them.
     """
     topic = PUBLISHED_BY.get(service)
-    return role == "robot" or (service not in ON_ROBOT and (topic is None or topic in ROLE_NAMED[role].puts))
+    return role == "robot" or (service not in ON_ROBOT and (topic is None or topic in ROLE_NAMED[role].publishes))
 
 
 def _named(other: Presence) -> str:

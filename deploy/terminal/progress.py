@@ -90,15 +90,15 @@ class Monitor:
     """Service that monitors a run; it publishes nothing but its health."""
 
     name = "monitor"
-    paced_by = Every.hz(4.0)
-    reads: tuple[AnyTopic, ...] = (
+    trigger = Every.hz(4.0)
+    subscribes: tuple[AnyTopic, ...] = (
         *topics.HEALTH_OF.values(),
         topics.ACTUATOR_STATE,
         topics.BODY_POSE,
         topics.PLANNER_STATUS,
         topics.CAMERA_STATE,
     )
-    writes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, goal_distance: float, computer: SlowComputer | None = None):
         self.stages = Stages()

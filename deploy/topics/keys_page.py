@@ -152,9 +152,9 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
         ("`sextant topics ros2`", Bridge),
     )
     for name, service in (*own, *commands):
-        pace = getattr(service, "paced_by", None)
-        reads = [*([pace] if isinstance(pace, topics.Topic) else []), *service.reads]
-        for table, found in ((written, service.writes), (read, reads)):
+        pace = getattr(service, "trigger", None)
+        subscribes = [*([pace] if isinstance(pace, topics.Topic) else []), *service.subscribes]
+        for table, found in ((written, service.publishes), (read, subscribes)):
             for topic in found:
                 names = table.setdefault(topic.key, [])
                 if name not in names:
@@ -172,7 +172,7 @@ def _service(module: str) -> Any:
     (found,) = (
         kind
         for _, kind in inspect.getmembers(service, inspect.isclass)
-        if kind.__module__ == service.__name__ and hasattr(kind, "reads") and hasattr(kind, "writes")
+        if kind.__module__ == service.__name__ and hasattr(kind, "subscribes") and hasattr(kind, "publishes")
     )
     return found
 

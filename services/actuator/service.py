@@ -48,8 +48,8 @@ class Actuator:
     """
 
     name = "actuator"
-    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.IMU)
-    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
+    subscribes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.IMU)
+    publishes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class Actuator:
             BusSetupError: Servos are missing or wrong; the message names all of them.
             BusDisconnectedError: The port cannot be opened.
         """
-        self.paced_by = Every.hz(settings.rate_hz)
+        self.trigger = Every.hz(settings.rate_hz)
         self.max_age_s = {BEAT: GAP_S, topics.STEP_PLAN.key: settings.plan_age_s}
         self.stages = Stages()
         self._profile = profile
@@ -196,7 +196,7 @@ class Actuator:
 
     def _cycle_time(self, stamp_ns: int) -> tuple[float, float]:
         """Return the time [s] since the last cycle, and the share of it for leg motion."""
-        period = self.paced_by.period_ns
+        period = self.trigger.period_ns
         elapsed = period if self._last_ns < 0 else stamp_ns - self._last_ns
         self._last_ns = stamp_ns
         return elapsed * 1e-9, min(elapsed, 2 * period) * 1e-9

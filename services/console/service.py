@@ -43,7 +43,7 @@ class Console:
     """Service that connects the robot to its operators' browsers."""
 
     name = "console"
-    reads: tuple[AnyTopic, ...] = (
+    subscribes: tuple[AnyTopic, ...] = (
         topics.ACTUATOR_STATE,
         topics.BODY_POSE,
         topics.STEP_PLAN,
@@ -55,7 +55,7 @@ class Console:
         *topics.HEALTH_OF.values(),
         topics.RECORDER_STATE,
     )
-    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.STOP, topics.RECORD)
+    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.STOP, topics.RECORD)
 
     def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = now_ns):
         """Open the socket of the web server.
@@ -70,7 +70,7 @@ class Console:
         """
         self.stages = Stages()
         self.server = PageServer(settings, clock)
-        self.paced_by = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
+        self.trigger = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
         self._desk = Desk(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
         self._event_log = EventLog()

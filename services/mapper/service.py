@@ -60,9 +60,9 @@ class Mapper:
     """Mapping service that fuses scans, scores the map and maps passages on request."""
 
     name = "mapper"
-    paced_by: AnyTopic = topics.SCAN
-    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PASSAGE_REQUEST)
-    writes: tuple[AnyTopic, ...] = (topics.SCAN_RECEIPT, topics.TERRAIN, topics.PASSAGE)
+    trigger: AnyTopic = topics.SCAN
+    subscribes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PASSAGE_REQUEST)
+    publishes: tuple[AnyTopic, ...] = (topics.SCAN_RECEIPT, topics.TERRAIN, topics.PASSAGE)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start with an unknown map."""

@@ -52,9 +52,9 @@ class Perception:
     """
 
     name = "perception"
-    paced_by: AnyTopic = topics.DEPTH
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT)
-    writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
+    trigger: AnyTopic = topics.DEPTH
+    subscribes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT)
+    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start without a pose."""
@@ -70,7 +70,7 @@ class Perception:
             Coloring(profile.camera.intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
         )
         if self._coloring is None:  # colour images are about 1 MB each: subscribe only if they are used
-            self.reads = tuple(topic for topic in self.reads if topic is not topics.COLOR)
+            self.subscribes = tuple(topic for topic in self.subscribes if topic is not topics.COLOR)
         self._odometry = OdometryHistory()
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)

@@ -61,8 +61,8 @@ class Planner:
     """Plans the next step and revises running touchdowns as the map improves."""
 
     name = "planner"
-    paced_by: AnyTopic = topics.ACTUATOR_STATE
-    reads: tuple[AnyTopic, ...] = (
+    trigger: AnyTopic = topics.ACTUATOR_STATE
+    subscribes: tuple[AnyTopic, ...] = (
         topics.BODY_POSE,
         topics.TERRAIN,
         topics.VELOCITY,
@@ -70,7 +70,7 @@ class Planner:
         topics.CAMERA_STATE,
         topics.PASSAGE,
     )
-    writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
+    publishes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start without a plan."""

@@ -55,8 +55,8 @@ class Simulator:
     """
 
     name = "simulator"
-    reads: tuple[AnyTopic, ...] = (topics.FAULT,)
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU, topics.TRUTH)
+    subscribes: tuple[AnyTopic, ...] = (topics.FAULT,)
+    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU, topics.TRUTH)
 
     def __init__(self, profile: RobotProfile, settings: Settings, scenario: Scenario | None = None):
         """Build the world, with the robot standing at its start and torque on.
@@ -71,7 +71,7 @@ class Simulator:
         """
         clock = in_use()
         self._time = clock if isinstance(clock, SimulatedTime) else None  # shared time, which this service advances
-        self.paced_by = Every(_BEAT_NS, by_machine=True)  # also ticks while simulated time stands still
+        self.trigger = Every(_BEAT_NS, by_machine=True)  # also ticks while simulated time stands still
         self.max_age_s = {BEAT: _STALE_NS * 1e-9}
         self.stages = Stages()
         self._profile = profile
@@ -106,7 +106,7 @@ class Simulator:
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
         self._origin_ns: int | None = None  # [ns] tick time at which simulated time is 0
-        self._due_ns = {topic.key: 0 for topic in self.writes}
+        self._due_ns = {topic.key: 0 for topic in self.publishes}
         self._behind = 0
 
     def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> ServoBank:

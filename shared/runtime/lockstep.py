@@ -105,7 +105,7 @@ class Lockstep:
         self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the current step, for the tap
         for order, name in enumerate(makers):
             self._start(name)
-            pace = self._workers[name].service.paced_by
+            pace = self._workers[name].service.trigger
             if isinstance(pace, Every):
                 self._keep_beating(name, pace.period_ns, order)
         for outage in outages:
@@ -154,7 +154,7 @@ class Lockstep:
             robot_time=True,
         )
         self._workers[name] = worker
-        for topic in worker.reads:
+        for topic in worker.subscribes:
             readers = self._readers.setdefault(topic.key, [])
             if name not in readers:
                 readers.append(name)
@@ -221,7 +221,7 @@ class Lockstep:
                 continue
             worker = self._workers[name]
             worker.inbox.receive(topic, frame, self.now_ns)  # a hung service reads it later
-            if outage is None and worker.service.paced_by is topic:
+            if outage is None and worker.service.trigger is topic:
                 self._guarded(name, worker.arrived)
 
 

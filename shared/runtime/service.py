@@ -135,7 +135,7 @@ class Inbox:
 
     def __init__(
         self,
-        reads: Sequence[AnyTopic],
+        subscribes: Sequence[AnyTopic],
         stages: Stages,
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
@@ -151,9 +151,9 @@ class Inbox:
         self._stages = stages
         self._decode = decode
         self._robot_time = robot_time  # whether arrival times are by the robot's clock, as stamps are
-        self._reads = {topic.key: topic for topic in reads}
+        self._reads = {topic.key: topic for topic in subscribes}
         self._frames: dict[str, deque[tuple[bytes, int]]] = {}
-        for topic in reads:
+        for topic in subscribes:
             length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
             self._frames[topic.key] = deque(maxlen=length)
         self._newest: dict[str, tuple[Message, int]] = {}
@@ -254,17 +254,17 @@ class Service(Protocol):
     stages: Stages
 
     @property
-    def paced_by(self) -> AnyTopic | Every:
+    def trigger(self) -> AnyTopic | Every:
         """Trigger of its step: the messages of a topic, or its own clock."""
         ...
 
     @property
-    def reads(self) -> tuple[AnyTopic, ...]:
+    def subscribes(self) -> tuple[AnyTopic, ...]:
         """Topics that it subscribes to; the trigger topic need not be repeated."""
         ...
 
     @property
-    def writes(self) -> tuple[AnyTopic, ...]:
+    def publishes(self) -> tuple[AnyTopic, ...]:
         """Topics that it publishes."""
         ...
 
@@ -303,20 +303,20 @@ class ServiceRunner:
         self._astray = astray  # number of frames that the link dropped because of a wrong address, and the last of them
         self._last_refusals = ("", "")  # of wrong addresses, and of frames that did not decode
         self._last_refusal = ""  # the newer of these two
-        self.reads = tuple(
-            dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
+        self.subscribes = tuple(
+            dict.fromkeys([*([] if isinstance(service.trigger, Every) else [service.trigger]), *service.subscribes])
         )
-        self.inbox = Inbox(self.reads, service.stages, wanted, decode, self.ages, robot_time)
+        self.inbox = Inbox(self.subscribes, service.stages, wanted, decode, self.ages, robot_time)
         self._send = send
         self._clock = clock
-        self._writes = set(service.writes)
+        self._writes = set(service.publishes)
         self._steps = 0
         self._stepped_ns = clock()
         self._health_due_ns = 0
 
     def tick(self) -> None:
         """Run one beat of a service that is paced by its own clock."""
-        now_ns, pace = self._clock(), self.service.paced_by
+        now_ns, pace = self._clock(), self.service.trigger
         if isinstance(pace, Every) and self._steps:
             since_ns = now_ns - self._stepped_ns
             self._missed_beats += max(0, round(since_ns / pace.period_ns) - 1)
@@ -325,7 +325,7 @@ class ServiceRunner:
 
     def arrived(self) -> None:
         """Run one step for every waiting message of the trigger topic."""
-        pace = self.service.paced_by
+        pace = self.service.trigger
         if not isinstance(pace, Every):
             self.inbox.now_ns = self._clock()
             for message in self.inbox.drain(pace):
@@ -339,7 +339,7 @@ class ServiceRunner:
             for made in self.service.step(message, self.inbox):
                 topic = topics.OF_TYPE.get(type(made))
                 if topic is None or topic not in self._writes:
-                    raise ValueError(f"{self.service.name} returned a {type(made).__name__}, which is not in its `writes`")
+                    raise ValueError(f"{self.service.name} returned a {type(made).__name__}, which is not in its `publishes`")
                 self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
         self._stepped_ns = began_ns
@@ -354,7 +354,7 @@ class ServiceRunner:
         Returns None without limits.
         """
         left_ns = self.ages.left_ns()
-        if BEAT in self._max_age_s and isinstance(pace := self.service.paced_by, Every):
+        if BEAT in self._max_age_s and isinstance(pace := self.service.trigger, Every):
             left_ns = min(periods * pace.period_ns, math.inf if left_ns is None else left_ns)
         return None if left_ns is None else began_ns + round(left_ns)
 
@@ -391,7 +391,7 @@ class ServiceRunner:
 
     def _starved(self, now_ns: int) -> str:
         """Return a text if the trigger topic is silent for too long, or an empty text."""
-        pace, waited_ns = self.service.paced_by, now_ns - self._stepped_ns
+        pace, waited_ns = self.service.trigger, now_ns - self._stepped_ns
         if isinstance(pace, Every) or waited_ns <= max(pace.fresh_for_ns, HEALTH_PERIOD_NS):
             return ""
         return f"no message on {pace.key} for {waited_ns * 1e-9:.0f} s; last status: "

@@ -17,7 +17,7 @@ class Rehearsal:
     def __init__(self, service: Service):
         """Start at time zero."""
         self._now_ns = 0
-        self._paced_by = service.paced_by
+        self._paced_by = service.trigger
         self._worker = ServiceRunner(service, lambda _topic, _frame, _at_ns: None, lambda: self._now_ns)
 
     def hear(self, message: Message) -> None:
@@ -26,7 +26,7 @@ class Rehearsal:
         If its topic is the trigger, the service runs a step.
         """
         topic = topics.OF_TYPE[type(message)]
-        if topic not in self._worker.reads:
+        if topic not in self._worker.subscribes:
             return
         self._now_ns = max(self._now_ns, message.stamp_ns)
         self._worker.inbox.receive(topic, codec.encode(message), self._now_ns)

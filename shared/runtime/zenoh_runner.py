@@ -112,7 +112,7 @@ def run_live(
         hold=partial(hold, service.name),
         robot_time=robot_time,
     )
-    pace = service.paced_by
+    pace = service.trigger
 
     def receive(topic: AnyTopic, frame: bytes) -> None:
         worker.inbox.receive(topic, frame, clock())
@@ -120,7 +120,7 @@ def run_live(
             arrived.set()
 
     fetches = isinstance(pace, Every) and pace.fetches
-    for topic in worker.reads:
+    for topic in worker.subscribes:
         if fetches:
             worker.inbox.fetch(topic, link.collect(topic))
         else:

@@ -44,17 +44,17 @@ class Role:
 
     name: str  # common name of the certificate
     what: str  # description of the machine that has it
-    puts: tuple[AnyTopic, ...]
-    reads: tuple[AnyTopic, ...]
+    publishes: tuple[AnyTopic, ...]
+    subscribes: tuple[AnyTopic, ...]
     relays: tuple[AnyTopic, ...] = ()  # published by other roles and forwarded by this role's router
 
     def refusal(self, written: Sequence[AnyTopic]) -> str:
         """Return why this role may not publish these topics, or an empty text."""
-        barred = [topic.key for topic in written if topic not in self.puts]
+        barred = [topic.key for topic in written if topic not in self.publishes]
         if not barred:
             return ""
-        others = ", ".join(role.name for role in _ENDS if all(topic in role.puts for topic in written))
-        may = ", ".join(topic.key for topic in self.puts) or "nothing"
+        others = ", ".join(role.name for role in _ENDS if all(topic in role.publishes for topic in written))
+        may = ", ".join(topic.key for topic in self.publishes) or "nothing"
         return (
             f"this certificate ({self.name}: {self.what}) may not send {', '.join(barred)}, only {may}; "
             f"use the keys of another role: {others or 'no role may'}"
@@ -112,8 +112,8 @@ ROLES: tuple[Role, ...] = (
     Role(
         SITE,
         "a router between a robot and its clients, which enforces their roles",
-        _together((*(role.puts for role in _ENDS), _own(SITE))),
-        _together(role.reads for role in _ENDS),
+        _together((*(role.publishes for role in _ENDS), _own(SITE))),
+        _together(role.subscribes for role in _ENDS),
     ),
 )
 ROLE_NAMED: Mapping[str, Role] = {role.name: role for role in ROLES}
@@ -232,7 +232,9 @@ class Keys:
         return str(self.folder / name)
 
 
-LOCAL_ROLES = tuple(role for role in ROLES if t.HEALTH_OF[role.name] not in role.puts)  # their health stays on their machine
+LOCAL_ROLES = tuple(
+    role for role in ROLES if t.HEALTH_OF[role.name] not in role.publishes
+)  # their health stays on their machine
 
 
 def refusal_here(roles: Iterable[str], written: Sequence[AnyTopic]) -> str:
@@ -270,7 +272,7 @@ def opened(namespace: str, interfaces: Iterable[str]) -> dict[str, Any]:
         interfaces: Network interfaces of this machine besides loopback; all others are denied.
     """
     names = list(interfaces)
-    anybody = Role("anybody", "", ROLE_NAMED[SITE].puts, ROLE_NAMED[SITE].reads)
+    anybody = Role("anybody", "", ROLE_NAMED[SITE].publishes, ROLE_NAMED[SITE].subscribes)
     subjects = [{"id": "own", "interfaces": ["lo"]}, *([{"id": "anybody", "interfaces": names}] if names else [])]
     limits = _limits(namespace, {"interfaces": names})
     rx = limits.pop("rx")
@@ -316,10 +318,10 @@ def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
     Messages pass in one direction, and subscriptions in the other.
     """
     rows = (
-        ("puts", "put", "ingress", role.puts + role.relays),
-        ("puts-wanted", "declare_subscriber", "egress", role.puts + role.relays),
-        ("reads", "put", "egress", role.reads),
-        ("reads-wanted", "declare_subscriber", "ingress", role.reads),
+        ("publishes", "put", "ingress", role.publishes + role.relays),
+        ("publishes-wanted", "declare_subscriber", "egress", role.publishes + role.relays),
+        ("reads", "put", "egress", role.subscribes),
+        ("reads-wanted", "declare_subscriber", "ingress", role.subscribes),
     )
     return [
         {

@@ -65,7 +65,7 @@ class Rig:
         self.actuator = Actuator(
             PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.authorization, lambda: self.suspended_ns
         )
-        self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
+        self.inbox = Inbox(self.actuator.subscribes, self.actuator.stages)
         self.now_ns = self.port.now_ns()
 
     @property

@@ -27,9 +27,9 @@ class Scripted:
     """A service whose behaviour the test defines."""
 
     name: str
-    paced_by: Any
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = ()
+    trigger: Any
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = ()
     act: Callable[[Any, Inbox], Iterable[Message]] = lambda _message, _inbox: ()
     stages: Stages = field(default_factory=Stages)
     seen: list[Any] = field(default_factory=list)

@@ -56,7 +56,7 @@ class Robot(threading.Condition):
     def commander(self, *args: Any, **options: Any) -> Commander:
         made = Commander(*args, **options)
         made.changed = self
-        self.inbox = Inbox(made.reads, made.stages)
+        self.inbox = Inbox(made.subscribes, made.stages)
         self.made = made
         return made
 

@@ -37,9 +37,9 @@ class Standing:
     """Standing legs, and an operator that wants them to walk."""
 
     name = "legs"
-    paced_by = Every.hz(50.0)
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.VELOCITY)
+    trigger = Every.hz(50.0)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.VELOCITY)
 
     def __init__(self) -> None:
         self.stages = Stages()

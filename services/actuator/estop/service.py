@@ -21,12 +21,12 @@ class EmergencyStop:
     """Closes the latch at each new torque-off order; only the actuator opens it."""
 
     name = "stop"
-    reads: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
-    writes: tuple[AnyTopic, ...] = ()
+    subscribes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
+    publishes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Watch the robot behind a port."""
-        self.paced_by = Every.hz(_BEAT_HZ)
+        self.trigger = Every.hz(_BEAT_HZ)
         self.stages = Stages()
         self._latch = Latch.of_port(settings.port)
         self._problem = ""  # why the newest torque-off order is not latched, or an empty string

@@ -30,9 +30,9 @@ class RecorderService:
     """
 
     name = "recorder"
-    paced_by = Every.hz(topics.RECORDER_STATE.rate_hz)
-    reads: tuple[AnyTopic, ...] = (topics.RECORD,)
-    writes: tuple[AnyTopic, ...] = (topics.RECORDER_STATE,)
+    trigger = Every.hz(topics.RECORDER_STATE.rate_hz)
+    subscribes: tuple[AnyTopic, ...] = (topics.RECORD,)
+    publishes: tuple[AnyTopic, ...] = (topics.RECORDER_STATE,)
 
     def __init__(
         self, profile: RobotProfile, settings: Settings, wall: Callable[[], datetime] = lambda: datetime.now().astimezone()

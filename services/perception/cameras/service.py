@@ -29,8 +29,8 @@ class CameraService:
     """
 
     name = "camera"
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE)
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class CameraService:
         """
         camera, device = profile.camera, settings.device or profile.camera.device
         i = camera.intrinsics
-        self.paced_by = Every.hz(_LOOKS * camera.sensor.rate_hz)
+        self.trigger = Every.hz(_LOOKS * camera.sensor.rate_hz)
         self.stages = Stages()
         self._settings, self._clock = settings, clock
         opener = opener or (lambda: open_camera(device, profile, settings, clock))

@@ -34,7 +34,7 @@ def say(stop: EmergencyStop, mode: str, sequence: int, holder: str = "operator")
 
 
 def hear(stop: EmergencyStop, order: ModeCommand | StopOrder) -> None:
-    inbox = Inbox(stop.reads, stop.stages)
+    inbox = Inbox(stop.subscribes, stop.stages)
     inbox.receive(topics.OF_TYPE[type(order)], codec.encode(order), 0)
     assert list(stop.step(Tick(0), inbox)) == []
 
@@ -77,7 +77,7 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
     The actuator decides whether that has happened.
     """
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    inbox = Inbox(stop.reads, stop.stages)
+    inbox = Inbox(stop.subscribes, stop.stages)
     for sequence, order in ((5, "off"), (9, mode), (5, "off"), (3, "off")):
         inbox.receive(topics.MODE, codec.encode(ModeCommand(0, order, sequence, "a")), 0)  # type: ignore[arg-type]
     assert list(stop.step(Tick(20), inbox)) == []
@@ -88,7 +88,7 @@ def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_h
     """Check a late order to turn torque off, which the guard obeys, too."""
     second = 1_000_000_000
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    inbox = Inbox(stop.reads, stop.stages)
+    inbox = Inbox(stop.subscribes, stop.stages)
 
     def put(mode: str, sequence: int, stamp_ns: int) -> None:
         inbox.receive(topics.MODE, codec.encode(ModeCommand(stamp_ns, mode, sequence, "a")), 0)  # type: ignore[arg-type]
@@ -138,7 +138,7 @@ def test_it_tries_again_where_the_latch_cannot_be_closed(latch: Latch, monkeypat
         patched.setattr(Latch, "close", lambda *_: (_ for _ in ()).throw(OSError("no such folder")))
         say(stop, "off", 3)
         assert "cannot latch a torque-off order: no such folder" in stop.doing()
-    assert list(stop.step(Tick(0), Inbox(stop.reads, stop.stages))) == []
+    assert list(stop.step(Tick(0), Inbox(stop.subscribes, stop.stages))) == []
     assert latch.since_ns == 3
     assert stop.doing() == "torque is latched off"
 
@@ -300,7 +300,7 @@ def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, he
     Otherwise a robot that stands up after a newer order would fall.
     """
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    inbox = Inbox(stop.reads, stop.stages)
+    inbox = Inbox(stop.subscribes, stop.stages)
     inbox.receive(topics.STOP, codec.encode(StopOrder(100, "off", 1, "viewer")), 0)
     assert list(stop.step(Tick(heard_ns), inbox)) == []
     assert latch.since_ns == since_ns

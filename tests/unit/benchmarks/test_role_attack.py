@@ -34,7 +34,7 @@ def test_what_is_sent_passes_the_schema_and_differs_from_the_example(topic: AnyT
 def test_an_attacker_sends_what_its_role_may_and_nothing_else() -> None:
     for role in role_attack.ROLE_NAMES:
         attacker = role_attack.Attacker(role, 1)
-        assert {attacker.next(NOW_NS)[0].key for _ in range(300)} <= {topic.key for topic in ROLE_NAMED[role].puts}
+        assert {attacker.next(NOW_NS)[0].key for _ in range(300)} <= {topic.key for topic in ROLE_NAMED[role].publishes}
 
 
 def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time() -> None:

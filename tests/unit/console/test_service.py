@@ -52,7 +52,7 @@ class Rig:
         self.now = 10_000 * MS
         self.pages = contextlib.ExitStack()
         self.console = Console(PROFILE, Settings(port=0), lambda: self.now)
-        self.inbox = Inbox(self.console.reads, self.console.stages)
+        self.inbox = Inbox(self.console.subscribes, self.console.stages)
         self.serving = Serving(self.console.server.wait)
 
     def hear(self, *messages: Message) -> None:

@@ -255,7 +255,7 @@ class Story:
     def judge(self) -> Scorer:
         """Return a new scorer that has processed the walk."""
         scorer = self.scorer()
-        inbox = Inbox([scorer.paced_by, *scorer.reads], scorer.stages)
+        inbox = Inbox([scorer.trigger, *scorer.subscribes], scorer.stages)
         for message in self.messages():
             topic = topics.OF_TYPE[type(message)]
             inbox.now_ns = message.stamp_ns

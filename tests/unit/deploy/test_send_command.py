@@ -25,7 +25,7 @@ class Desk:
 
     def __init__(self, order: Order, **state: Any) -> None:
         self.order = order
-        self.inbox = Inbox(order.reads, order.stages)
+        self.inbox = Inbox(order.subscribes, order.stages)
         self.now_ns = 1_000 * MS
         self.ahead_ns = 0  # offset of the robot's clock ahead of this machine's
         self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **{"lease": "", **state})
@@ -94,7 +94,7 @@ def test_walk_is_held_until_it_is_withdrawn() -> None:
 
 def test_what_was_never_ordered_is_not_withdrawn() -> None:
     order = Order("walk", "me")
-    assert list(order.step(Tick(1), Inbox(order.reads, order.stages))) == []
+    assert list(order.step(Tick(1), Inbox(order.subscribes, order.stages))) == []
     assert order.withdraw() == ()
 
 
@@ -123,14 +123,14 @@ def test_silence_and_what_does_not_come_about_end_it_in_words() -> None:
 @pytest.mark.parametrize("what", ["off", "stop"])
 def test_a_stop_goes_by_the_key_of_those_who_may_not_lead_too(what: Any, leads: bool) -> None:
     order = Order(what, "me", leads=leads)
-    made = list(order.step(Tick(1), Inbox(order.reads, order.stages)))
+    made = list(order.step(Tick(1), Inbox(order.subscribes, order.stages)))
     assert [m.mode for m in made if isinstance(m, StopOrder)] == [what]
     assert not [m for m in made if isinstance(m, ModeCommand)], "by the robot's clock, which was not heard yet"
     desk = Desk(Order(what, "me", leads=leads), mode=Mode.WALK, reason="walking", lease="another")
     desk.beats(1)
     assert len(desk.given) == leads
     walk = Order("walk", "me")
-    assert list(walk.step(Tick(1), Inbox(walk.reads, walk.stages))) == [], "what the robot's clock says is not known yet"
+    assert list(walk.step(Tick(1), Inbox(walk.subscribes, walk.stages))) == [], "what the robot's clock says is not known yet"
 
 
 def test_an_order_to_move_is_stamped_by_the_robots_clock_wherever_it_is_given() -> None:

@@ -48,7 +48,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.mapper = Mapper(PROFILE, Settings(cells=200, publish_every=1))
-        self.inbox = Inbox([self.mapper.paced_by, *self.mapper.reads], self.mapper.stages)
+        self.inbox = Inbox([self.mapper.trigger, *self.mapper.subscribes], self.mapper.stages)
         self.now_ns = 1_000_000_000
         self.stand((0.0, 0.0, 0.1))
 

@@ -66,7 +66,7 @@ def without_receipt(made: Iterable[Message]) -> list[Message]:
 class Rig:
     def __init__(self, settings: Settings = SETTINGS) -> None:
         self.mapper = Mapper(PROFILE, settings)
-        self.inbox = Inbox([self.mapper.paced_by, *self.mapper.reads], self.mapper.stages)
+        self.inbox = Inbox([self.mapper.trigger, *self.mapper.subscribes], self.mapper.stages)
         self.now_ns = 0
 
     def hear(self, message: Message) -> None:
@@ -499,7 +499,7 @@ def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> No
 def test_no_foothold_of_a_passage_is_in_a_puddle() -> None:
     rig = Rig()
     rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
-    rig.inbox = Inbox([rig.mapper.paced_by, *rig.mapper.reads], rig.mapper.stages)
+    rig.inbox = Inbox([rig.mapper.trigger, *rig.mapper.subscribes], rig.mapper.stages)
     rig.stand(at())
     told = []
     for _ in range(8):

@@ -55,7 +55,7 @@ class Rig:
     def __init__(self, world) -> None:  # type: ignore[no-untyped-def]
         self.world, self.now_ns, self.x = world, 1_000_000_000, 0.0
         self.perception = Perception(PROFILE, Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz, settle_s=0.0))
-        self.inbox = Inbox([self.perception.paced_by, *self.perception.reads], self.perception.stages)
+        self.inbox = Inbox([self.perception.trigger, *self.perception.subscribes], self.perception.stages)
 
     @property
     def T_world_body(self) -> Array:

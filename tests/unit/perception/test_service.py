@@ -48,7 +48,7 @@ class Rig:
         # Most tests begin at once. The wait for a standing robot has a separate test.
         self.perception = Perception(profile, replace(settings or EVERY_FRAME, settle_s=settle_s))
         self.inbox = Inbox(
-            [self.perception.paced_by, *self.perception.reads], self.perception.stages, lambda topic: topic in self.wanted
+            [self.perception.trigger, *self.perception.subscribes], self.perception.stages, lambda topic: topic in self.wanted
         )
         self.wanted: set[AnyTopic] = set()
         self.now_ns = 1_000 * MS

@@ -51,7 +51,7 @@ class Rig:
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.planner = Planner(PROFILE, settings or Settings())
-        self.inbox = Inbox([self.planner.paced_by, *self.planner.reads], self.planner.stages)
+        self.inbox = Inbox([self.planner.trigger, *self.planner.subscribes], self.planner.stages)
         self.now_ns = 1_000 * MS
         self.terrain: TerrainMap | None = FLAT
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))

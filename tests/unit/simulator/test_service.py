@@ -32,8 +32,8 @@ def simulator(imu: bool = False, seed: int = 0) -> Simulator:
 def run(
     sim: Simulator, until_ns: int, wanted: tuple[AnyTopic, ...] = (), period_ns: int = 0, from_ns: int = 0
 ) -> list[Message]:
-    inbox = Inbox(sim.reads, sim.stages, lambda topic: topic in wanted)
-    period = period_ns or sim.paced_by.period_ns
+    inbox = Inbox(sim.subscribes, sim.stages, lambda topic: topic in wanted)
+    period = period_ns or sim.trigger.period_ns
     return [m for ns in range(from_ns, until_ns + 1, period) for m in sim.step(Tick(ns), inbox)]
 
 
@@ -143,7 +143,7 @@ def test_stamps_are_those_of_whoever_paces_it() -> None:
 def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
     sim = simulator()
     run(sim, 40 * MS)
-    inbox = Inbox(sim.reads, sim.stages, lambda _: False)
+    inbox = Inbox(sim.subscribes, sim.stages, lambda _: False)
     assert "too slow" not in sim.doing()
     before = sim.world.time_ns
     made = list(sim.step(Tick(5_000 * MS), inbox))
@@ -160,7 +160,7 @@ def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
 def test_a_small_delay_is_made_up_for() -> None:
     sim = simulator()
     run(sim, 40 * MS)
-    list(sim.step(Tick(140 * MS), Inbox(sim.reads, sim.stages, lambda _: False)))
+    list(sim.step(Tick(140 * MS), Inbox(sim.subscribes, sim.stages, lambda _: False)))
     assert sim.world.time_ns == 140 * MS
     assert "too slow" not in sim.doing()
 
@@ -249,7 +249,7 @@ def test_a_fault_is_injected_at_its_simulated_time_whatever_the_clock_shows() ->
 
 def test_a_fault_is_injected_by_message_in_lockstep_and_what_makes_no_sense_is_refused_in_words() -> None:
     sim = simulator()
-    inbox = Inbox(sim.reads, sim.stages)
+    inbox = Inbox(sim.subscribes, sim.stages)
     overload = BusFault("servo", "overload", 0.0, servo=8).command(0)
     for command, words in (
         (overload, "faults: servo overload, servo 8"),

@@ -44,7 +44,7 @@ class Desk:
         self.link: Any = Link()
         assert isinstance(self.recorder, Listening)
         self.recorder.meet(self.link)
-        self.inbox = Inbox(self.recorder.reads, Stages())
+        self.inbox = Inbox(self.recorder.subscribes, Stages())
         self.now_ns = 0
 
     def beat(self, record: bool | None = None, sequence: int = 0) -> RecorderState:

@@ -230,7 +230,7 @@ def test_one_story_makes_one_report(story):
 def test_a_simulator_that_runs_something_else_ends_it_at_once_and_is_named(story, other):
     told = story()
     scorer = told.scorer()
-    list(scorer.step(replace(told.truth(0), **other), Inbox([scorer.paced_by, *scorer.reads], scorer.stages)))
+    list(scorer.step(replace(told.truth(0), **other), Inbox([scorer.trigger, *scorer.subscribes], scorer.stages)))
     assert scorer.finished
     assert not scorer.result().success
     assert str(*other.values()) in scorer.result().reason

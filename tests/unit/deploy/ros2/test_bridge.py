@@ -131,12 +131,12 @@ class Bench:
         self.now = 100 * S
         lead = Lead(Walk(0.1, 0.11))
         self.bridge = Bridge(PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures)
-        self.inbox = Inbox(self.bridge.reads, self.bridge.stages)
+        self.inbox = Inbox(self.bridge.subscribes, self.bridge.stages)
 
     def hear(self, *messages: Message) -> None:
         for message in messages:
             topic = topics.OF_TYPE[type(message)]
-            if topic in self.bridge.reads:
+            if topic in self.bridge.subscribes:
                 self.inbox.receive(topic, codec.encode(message, Timing(self.now, self.now)), self.now)
 
     def beat(self) -> list[Message]:
@@ -189,7 +189,7 @@ def test_what_nobody_wants_is_not_made() -> None:
     bench.hear(*said_by_a_robot(bench.now))
     assert bench.beat() == []
     assert all(publisher.sent == [] for publisher in bench.wire.publishers.values())
-    assert topics.PREVIEW not in bench.bridge.reads, "perception makes pictures for who asks alone"
+    assert topics.PREVIEW not in bench.bridge.subscribes, "perception makes pictures for who asks alone"
 
 
 def test_a_twist_and_a_stamped_one_lead_alike() -> None:

@@ -22,9 +22,9 @@ class Caller:
     """A service that orders the robot to stand, fifty times a second."""
 
     name = "caller"
-    paced_by = Every.hz(50.0)
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.MODE,)
+    trigger = Every.hz(50.0)
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = (topics.MODE,)
 
     def __init__(self) -> None:
         self.stages = Stages()
@@ -40,9 +40,9 @@ class Listener:
     """A service that receives orders, and fails after enough of them."""
 
     name = "listener"
-    paced_by = topics.MODE
-    reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = ()
+    trigger = topics.MODE
+    subscribes: tuple[AnyTopic, ...] = ()
+    publishes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, breaks: bool = False) -> None:
         self.stages = Stages()

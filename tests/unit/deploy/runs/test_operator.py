@@ -26,7 +26,7 @@ class Robot:
         self.operator = Operator(load_profile(scenario.robot), scenario)
         self.goals = []
         self.arrived = self.waits = False
-        self.inbox = Inbox(self.operator.reads, self.operator.stages)
+        self.inbox = Inbox(self.operator.subscribes, self.operator.stages)
         self.now = 0
         self.T = from_xyz_rpy((0.0, y, 0.1), (0, 0, yaw))
         self.side_slip = side_slip
@@ -243,7 +243,7 @@ def test_it_says_what_it_waits_for():
     robot = Robot()
     operator = robot.operator
     assert "waiting for the actuator" in operator.doing()
-    list(operator.step(Tick(0), Inbox(operator.reads, operator.stages)))
+    list(operator.step(Tick(0), Inbox(operator.subscribes, operator.stages)))
     robot.run(5)
     assert "standing up" in operator.progress
     robot.run(100)
@@ -252,7 +252,7 @@ def test_it_says_what_it_waits_for():
 
 def test_it_gives_up_when_nobody_answers():
     operator = Operator(load_profile(SCENARIO.robot), replace(SCENARIO))
-    inbox = Inbox(operator.reads, operator.stages)
+    inbox = Inbox(operator.subscribes, operator.stages)
     for now in range(0, 61_000_000_000, 1_000_000_000):
         list(operator.step(Tick(now), inbox))
     assert operator.finished

@@ -89,9 +89,9 @@ class Still:
     """A perception that sends the same pose and scan repeatedly."""
 
     name = "perception"
-    paced_by = topics.DEPTH
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
-    writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN)
+    trigger = topics.DEPTH
+    subscribes: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN)
 
     def __init__(self, scan: Scan) -> None:
         self.stages, self._scan = Stages(), scan
@@ -170,7 +170,7 @@ def test_live_runs_start_another_process_for_it() -> None:
 def test_the_wrapped_perception_keeps_its_settings() -> None:
     made = make(load_profile("phantomx_mk2"), Settings(settle_s=0.1, pose_error="rgbdslam"))
     assert made.name == "perception"
-    assert made.paced_by is topics.DEPTH
+    assert made.trigger is topics.DEPTH
     assert "waiting" in made.doing()
 
 

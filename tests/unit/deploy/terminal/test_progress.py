@@ -184,7 +184,7 @@ class Follower(Scripted):
 def watched(latency_s: float, computer: SlowComputer) -> Monitor:
     """Return a monitor after 6 s of lockstep with delayed poses."""
     monitor = Monitor(2.5, computer)
-    poses = Scripted("perception", Every.hz(15), writes=(topics.BODY_POSE,), act=lambda tick, _: [pose(tick.stamp_ns, 0.0)])
+    poses = Scripted("perception", Every.hz(15), publishes=(topics.BODY_POSE,), act=lambda tick, _: [pose(tick.stamp_ns, 0.0)])
     follower = Follower("planner", Every.hz(25), (topics.BODY_POSE,), act=lambda _, box: (box.latest(topics.BODY_POSE), ())[1])
     makers = {"perception": lambda: poses, "planner": lambda: follower, "monitor": lambda: monitor}
     Lockstep(makers, latency_s={topics.BODY_POSE.key: latency_s}).run(6 * S)

@@ -49,8 +49,8 @@ class Device:
 def run(service: CameraService, kit, seconds: float, wanted: bool = False) -> list[Message]:  # type: ignore[no-untyped-def]
     inbox = Inbox((), service.stages, wanted=lambda topic: wanted or topic is not topics.COLOR)
     made: list[Message] = []
-    for _ in range(round(seconds * 1e9 / service.paced_by.period_ns)):
-        kit.clock.now_ns += service.paced_by.period_ns
+    for _ in range(round(seconds * 1e9 / service.trigger.period_ns)):
+        kit.clock.now_ns += service.trigger.period_ns
         inbox.now_ns = kit.clock()
         made += service.step(Tick(kit.clock()), inbox)
     return made

@@ -34,12 +34,16 @@ def operator(period_ns: int = 10 * MS) -> Scripted:
         yield velocity(tick.stamp_ns)
         yield ModeCommand(tick.stamp_ns, "walk", next(sequence))
 
-    return Scripted("console", Every(period_ns), writes=(VELOCITY, MODE), act=act)
+    return Scripted("console", Every(period_ns), publishes=(VELOCITY, MODE), act=act)
 
 
 def planner() -> Scripted:
     return Scripted(
-        "planner", VELOCITY, reads=(MODE,), writes=(STATUS,), act=lambda v, box: [status(len(box.drain(MODE)) + v.stamp_ns)]
+        "planner",
+        VELOCITY,
+        subscribes=(MODE,),
+        publishes=(STATUS,),
+        act=lambda v, box: [status(len(box.drain(MODE)) + v.stamp_ns)],
     )
 
 
@@ -207,7 +211,7 @@ def failing(name: str, trigger: Any) -> Scripted:
         yield velocity(1)
         raise IndexError("index 5 is out of bounds")
 
-    return Scripted(name, trigger, writes=(VELOCITY,), act=act)
+    return Scripted(name, trigger, publishes=(VELOCITY,), act=act)
 
 
 @pytest.mark.parametrize("trigger", [Every(10 * MS), MODE], ids=["clock", "topic"])

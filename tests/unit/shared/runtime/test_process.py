@@ -175,9 +175,9 @@ class Beating:
 
     act: Callable[[], None]
     name: str = "beating"
-    paced_by: Every = field(default_factory=lambda: Every.hz(500))
-    reads: tuple[Any, ...] = ()
-    writes: tuple[Any, ...] = ()
+    trigger: Every = field(default_factory=lambda: Every.hz(500))
+    subscribes: tuple[Any, ...] = ()
+    publishes: tuple[Any, ...] = ()
     stages: Stages = field(default_factory=Stages)
     open: bool = False
 

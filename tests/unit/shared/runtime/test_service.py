@@ -17,8 +17,8 @@ VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_ST
 PATIENCE_S = 10.0  # longest wait for an event
 
 
-def inbox(*reads: AnyTopic) -> Inbox:
-    return Inbox(reads or (VELOCITY, MODE), Stages())
+def inbox(*subscribes: AnyTopic) -> Inbox:
+    return Inbox(subscribes or (VELOCITY, MODE), Stages())
 
 
 # ---------------------------------------------------------------------------------------------------- inbox
@@ -183,20 +183,20 @@ def worker_of(service: Service, sent: list[tuple[AnyTopic, bytes]], now: Callabl
 
 def test_a_message_that_its_writes_do_not_name_is_refused() -> None:
     service = Scripted("planner", Every.hz(10), act=lambda _m, _i: [order(1)])
-    with pytest.raises(ValueError, match="planner returned a ModeCommand, which is not in its `writes`"):
+    with pytest.raises(ValueError, match="planner returned a ModeCommand, which is not in its `publishes`"):
         worker_of(service, []).tick()
 
 
 def test_a_message_without_a_topic_is_refused_too() -> None:
-    service = Scripted("planner", Every.hz(10), writes=(MODE,), act=lambda _m, _i: [Tick(1)])
-    with pytest.raises(ValueError, match="planner returned a Tick, which is not in its `writes`"):
+    service = Scripted("planner", Every.hz(10), publishes=(MODE,), act=lambda _m, _i: [Tick(1)])
+    with pytest.raises(ValueError, match="planner returned a Tick, which is not in its `publishes`"):
         worker_of(service, []).tick()
 
 
 def test_a_step_sends_what_it_makes_in_order_and_reports_health_once_a_second() -> None:
     now = [0]
     sent: list[tuple[AnyTopic, bytes]] = []
-    service = Scripted("planner", Every.hz(10), writes=(MODE, STATUS), act=lambda _m, _i: [order(1), status(2)])
+    service = Scripted("planner", Every.hz(10), publishes=(MODE, STATUS), act=lambda _m, _i: [order(1), status(2)])
     worker = worker_of(service, sent, lambda: now[0])
     for _ in range(25):
         worker.tick()
@@ -238,7 +238,7 @@ def test_health_tells_of_frames_that_went_astray() -> None:
 def test_health_tells_of_refusals() -> None:
     now = [0]
     sent: list[tuple[AnyTopic, bytes]] = []
-    worker = worker_of(Scripted("planner", MODE, reads=(VELOCITY,)), sent, lambda: now[0])
+    worker = worker_of(Scripted("planner", MODE, subscribes=(VELOCITY,)), sent, lambda: now[0])
     worker.inbox.receive(MODE, b"garbage", 0)
     worker.arrived()
     now[0] = 2_000 * MS
@@ -266,9 +266,9 @@ def test_health_tells_that_nothing_comes_to_step_for() -> None:
 
 
 def test_a_service_steps_once_for_each_pacing_message() -> None:
-    service = Scripted("actuator", MODE, reads=(VELOCITY, MODE))
+    service = Scripted("actuator", MODE, subscribes=(VELOCITY, MODE))
     worker = worker_of(service, [])
-    assert worker.reads == (MODE, VELOCITY)  # the pacing topic, once
+    assert worker.subscribes == (MODE, VELOCITY)  # the pacing topic, once
     for n in range(3):
         worker.inbox.receive(MODE, codec.encode(order(n)), 0)
     worker.arrived()

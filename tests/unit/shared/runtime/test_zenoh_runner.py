@@ -70,7 +70,7 @@ def running(service: Service, wire: Wire) -> tuple[threading.Thread, threading.E
 
 
 def test_live_a_service_answers_its_pacing_messages_in_order(wire: Wire) -> None:
-    service = Scripted("planner", MODE, writes=(STATUS,), act=lambda c, _: [status(c.sequence)])
+    service = Scripted("planner", MODE, publishes=(STATUS,), act=lambda c, _: [status(c.sequence)])
     wire.expect = lambda topic: topic is STATUS and sum(t is STATUS for t, _ in wire.sent) == 20
     thread, stop = running(service, wire)
     assert wire.subscribed.wait(PATIENCE_S)
@@ -112,7 +112,7 @@ def test_live_a_service_that_gets_only_garbage_says_so(wire: Wire) -> None:
 
 
 def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
-    service = Scripted("operator", Every.hz(200), writes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
+    service = Scripted("operator", Every.hz(200), publishes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
     wire.expect = lambda topic: topic is VELOCITY and sum(t is VELOCITY for t, _ in wire.sent) == 11
     thread, stop = running(service, wire)
     assert wire.came.wait(PATIENCE_S)
@@ -137,7 +137,10 @@ def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire)
             stop.set()
 
     service = Scripted(
-        "operator", Every(10_000 * MS, wait, fetches=True), reads=(MODE,), act=lambda _, box: seen.extend(box.drain(MODE)) or ()
+        "operator",
+        Every(10_000 * MS, wait, fetches=True),
+        subscribes=(MODE,),
+        act=lambda _, box: seen.extend(box.drain(MODE)) or (),
     )
     seen: list[Any] = []
     run_live(service, wire, stop)
@@ -216,7 +219,7 @@ def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire
     The runner reports that it is alive while it waits.
     """
     times, lives = itertools.count(0, 5 * MS), list[int]()
-    service = Scripted("operator", Every.hz(20), writes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
+    service = Scripted("operator", Every.hz(20), publishes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
     stop = threading.Event()
 
     def alive(now_ns: int) -> None:

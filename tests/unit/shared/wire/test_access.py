@@ -31,10 +31,10 @@ def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[Any
     for process in TABLE:
         if process.name in names:
             service = _service(process.module)
-            pace = getattr(service, "paced_by", None)
-            written |= set(service.writes)
-            reads = {*service.reads} - {topics.HEALTH_OF["viewer"]}  # it crosses no router
-            read |= {*reads, *([pace] if isinstance(pace, topics.Topic) else [])}
+            pace = getattr(service, "trigger", None)
+            written |= set(service.publishes)
+            subscribes = {*service.subscribes} - {topics.HEALTH_OF["viewer"]}  # it crosses no router
+            read |= {*subscribes, *([pace] if isinstance(pace, topics.Topic) else [])}
     return written, read
 
 
@@ -49,29 +49,29 @@ def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[Any
 def test_a_role_puts_what_its_processes_write_and_reads_what_they_read(role: str, processes: set[str]) -> None:
     written, read = written_and_read(processes, role)
     held = ROLE_NAMED[role]
-    assert set(held.puts) == written
-    assert set(held.reads) >= read
+    assert set(held.publishes) == written
+    assert set(held.subscribes) >= read
 
 
 def test_the_robot_is_told_nothing_but_what_its_processes_read() -> None:
     _, read = written_and_read({process.name for process in rows("onboard", simulated=False)}, "robot")
-    assert set(ROLE_NAMED["robot"].reads) == read
+    assert set(ROLE_NAMED["robot"].subscribes) == read
 
 
 def test_a_recorder_at_the_base_hears_all_that_is_recorded() -> None:
-    heard = {*ROLE_NAMED["base"].reads, *ROLE_NAMED["base"].puts}
+    heard = {*ROLE_NAMED["base"].subscribes, *ROLE_NAMED["base"].publishes}
     assert heard >= set(TOPICS) - LEFT_OUT - OF_THE_SIMULATOR - LOCAL
 
 
 @pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
 def test_nobody_meets_the_simulator_from_another_machine_and_servos_have_no_keys(role: Role) -> None:
-    assert not {*role.puts, *role.reads} & OF_THE_SIMULATOR
+    assert not {*role.publishes, *role.subscribes} & OF_THE_SIMULATOR
     assert not [topic.key for topic in TOPICS if "servo" in topic.key or "bus" in topic.key]
 
 
 def test_plans_come_from_where_the_planner_is_and_from_nowhere_else() -> None:
-    assert [role.name for role in ROLES if topics.STEP_PLAN in role.puts] == ["base", SITE], "a site passes on"
-    assert [role.name for role in ROLES if topics.MODE in role.puts] == ["base", "console", SITE]
+    assert [role.name for role in ROLES if topics.STEP_PLAN in role.publishes] == ["base", SITE], "a site passes on"
+    assert [role.name for role in ROLES if topics.MODE in role.publishes] == ["base", "console", SITE]
 
 
 OF_ROLES = {**{t: r for r, t in topics.HEALTH_OF.items()}, **{t: r for r, t in topics.PRESENCE_OF.items()}}
@@ -83,11 +83,11 @@ def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role
 
     A console cannot publish an actuator's health or a robot's presence. Only a robot publishes its time.
     """
-    assert {OF_ROLES[topic] for topic in role.puts if topic in OF_ROLES} <= {role.name}
-    assert (topics.ACTUATOR_STATE in role.puts) == (role.name == "robot"), "whose clock other machines follow"
+    assert {OF_ROLES[topic] for topic in role.publishes if topic in OF_ROLES} <= {role.name}
+    assert (topics.ACTUATOR_STATE in role.publishes) == (role.name == "robot"), "whose clock other machines follow"
     assert {OF_ROLES[topic] for topic in role.relays} <= {"base", "console"}
     assert not role.relays or role.name == "robot", "whose router is between machines"
-    assert not LOCAL & {*role.puts, *role.reads, *role.relays}
+    assert not LOCAL & {*role.publishes, *role.subscribes, *role.relays}
 
 
 def test_a_router_that_refuses_is_believed_under_the_key_of_a_role_that_no_other_machine_can_use() -> None:
@@ -100,8 +100,8 @@ def test_a_router_that_refuses_is_believed_under_the_key_of_a_role_that_no_other
 def test_a_site_passes_on_what_others_say_to_each_other() -> None:
     site, ends = ROLE_NAMED[SITE], [role for role in ROLES if role.name != SITE]
     own = {topics.HEALTH_OF[SITE], topics.PRESENCE_OF[SITE]}
-    assert set(site.puts) == {topic for role in ends for topic in role.puts} | own
-    assert set(site.reads) == {topic for role in ends for topic in role.reads}
+    assert set(site.publishes) == {topic for role in ends for topic in role.publishes} | own
+    assert set(site.subscribes) == {topic for role in ends for topic in role.subscribes}
 
 
 @pytest.fixture(scope="module")
@@ -132,10 +132,10 @@ def test_what_is_allowed_is_a_list_of_keys_without_wildcards(role: Role, keys: P
     allowed = set(rules(keys, role.name))
     assert {key for _, _, key in allowed if "*" in key} == set()
     assert {key for message, flow, key in allowed if (message, flow) == ("put", "ingress")} == {
-        f"here/{topic.key}" for topic in role.puts + role.relays
+        f"here/{topic.key}" for topic in role.publishes + role.relays
     }
     assert {key for message, flow, key in allowed if (message, flow) == ("put", "egress")} == {
-        f"here/{topic.key}" for topic in role.reads
+        f"here/{topic.key}" for topic in role.subscribes
     }
     assert {message for message, _, _ in allowed} == {"put", "declare_subscriber"}
 

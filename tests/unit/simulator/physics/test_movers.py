@@ -117,7 +117,7 @@ def test_the_depth_camera_sees_them_whoever_looks_and_nothing_feels_them() -> No
 
     def frames(scenario: Scenario, frames_per_picture: int) -> tuple[dict[int, Array], Array]:
         sim = Simulator(profile, Settings(frames_per_picture=frames_per_picture), scenario)
-        inbox = Inbox(sim.reads, sim.stages, lambda topic: False)
+        inbox = Inbox(sim.subscribes, sim.stages, lambda topic: False)
         made = [m for ns in range(0, 3_000_000_000, 20_000_000) for m in sim.step(Tick(ns), inbox)]
         return {m.stamp_ns: m.depth for m in made if isinstance(m, DepthImage)}, sim.world.q
 
