@@ -12,7 +12,7 @@ from sextant.shared.servo.dynamixel import MODELS, ServoModel
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-PATHS = sorted(set(re.findall(r"\b(?:services|shared|deploy|tests|docs|sextant)/[\w./]*", TEXT)))
+PATHS = sorted(set(re.findall(r"\b(?:benchmarks|services|shared|deploy|tests|docs|sextant)/[\w./]*", TEXT)))
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -37,3 +37,29 @@ def test_the_citation_is_valid_yaml_with_the_version_of_the_package() -> None:
     assert f'version = "{cited["version"]}"' in project
     assert cited["license"] == "Apache-2.0"
     assert {reference["authors"][0]["family-names"] for reference in cited["references"]} == {"Lotriet", "Masri"}
+
+
+def test_the_hooks_before_a_commit_are_the_checks_of_make() -> None:
+    hooks = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]}
+    (recipe,) = re.findall(r"^check:[^\n]*\n((?:\t[^\n]*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    tools = [line.removeprefix("\t$(BIN)/").split(" --check")[0].removesuffix(" .") for line in recipe.splitlines()]
+    assert tools == ["ruff check", "ruff format", "mypy", "lint-imports"]
+    for tool in tools:
+        assert any(hook["entry"].startswith(f".venv/bin/{tool}") for hook in hooks.values()), tool
+
+
+@pytest.mark.parametrize(
+    ("subject", "length", "form"),
+    [
+        ("client: end goto with a reason", True, True),
+        ("mapper, perception: write docstrings in plain English", True, True),
+        ("Merge branch 'english'", True, True),
+        ("x: " + 70 * "a", False, True),
+        ("Did something", True, False),
+    ],
+)
+def test_the_hooks_hold_a_commit_subject(subject: str, length: bool, form: bool) -> None:
+    hooks = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]}
+    text = f"{subject}\n\n{100 * 'b'}\n"
+    assert (re.search(hooks["subject-length"]["entry"], text, re.MULTILINE) is None) == length
+    assert (re.search(hooks["subject-form"]["entry"], text, re.MULTILINE) is not None) == form
