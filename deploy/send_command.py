@@ -10,7 +10,7 @@ from sextant.shared.wire.access import ROUTER_OF, refusal_here
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
-_KEPT_BACK = f" may not put {topics.MODE.key}"  # text of a router's refusal (`sextant.deploy.security.refusals`)
+_KEPT_BACK = f" may not publish {topics.MODE.key}"  # text of a router's refusal (`sextant.deploy.security.refusals`)
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed

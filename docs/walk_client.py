@@ -17,7 +17,7 @@ def send(key, schema, arrays, *fields):  # a frame: the header's length, the hea
 
 
 with zenoh.open(ROUTER) as robot, robot.declare_subscriber("sextant/actuator/state", zenoh.handlers.RingChannel(1)) as states:
-    for order, done, seconds, speed in ORDERS:  # each said until the robot says that it is done, for so many seconds at most
+    for order, done, seconds, speed in ORDERS:  # repeated until the robot reports it as done, or the time is over
         number, end, said, v = 0, time.monotonic() + seconds, "", struct.pack("<dd", speed, 0.0)
         while time.monotonic() < end and not said.startswith(done):
             frame, before = states.recv().payload.to_bytes(), said

@@ -54,7 +54,7 @@ class ClientError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the robot publishes: the newest message of each kind, at most 2 s old."""
+    """The newest message of each kind from the robot, at most 2 s old."""
 
     actuator: ActuatorState
     pose: BodyPose | None
@@ -90,7 +90,7 @@ class Client:
         Args:
             endpoint: Of the robot's router, e.g. tcp/127.0.0.1:7447 or tls/robot.local:7448.
             namespace: Of the robot, if several share a network.
-            keys: Folder with the certificate of this machine, for an endpoint of tls.
+            keys: Folder with the certificate of this machine, for a tls endpoint.
             name: Under which this client leads.
             take: Whether to lead in place of another client or operator.
 

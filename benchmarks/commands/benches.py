@@ -117,7 +117,7 @@ def bench_fleet(arguments: argparse.Namespace) -> int:
 
 def bench_link(arguments: argparse.Namespace) -> int:
     """`python -m benchmarks link`: walk live with map and planner behind a radio."""
-    from benchmarks.net_testbed.namespace import BedError
+    from benchmarks.net_testbed.namespace import NetTestbedError
     from benchmarks.robot import link
 
     out, progress = out_folder(arguments, "bench-link"), open_progress(arguments.json)
@@ -133,7 +133,7 @@ def bench_link(arguments: argparse.Namespace) -> int:
         seeds = range(arguments.seed, arguments.seed + arguments.walks)
         walked, radio = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
         progress.say(f"the radio: {radio}")
-    except (BedError, TimeoutError) as error:
+    except (NetTestbedError, TimeoutError) as error:
         complain(f"python -m benchmarks link: {error}")
         return FAILED
     return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked, radio), out / "walks.json", arguments.json)

@@ -61,7 +61,7 @@ def run_faults(
         run: Injects a fault several times, in lockstep by default.
 
     Raises:
-        KeptError: The file there does not consist of complete lines.
+        ResultsError: The file there does not consist of complete lines.
         ChangedError: The program has changed since this process started.
     """
     refuse_another_program()
@@ -105,14 +105,14 @@ def read(path: Path, mark: str) -> Iterator[Injection]:
     An incomplete last line is skipped.
 
     Raises:
-        KeptError: A line is not an injection.
+        ResultsError: A line is not an injection.
     """
     if not path.exists():
         return
     try:
         *lines, _ = read_bytes(path, 1 << 30).split(b"\n")
     except FileError as error:
-        raise results_store.KeptError(str(error)) from None
+        raise results_store.ResultsError(str(error)) from None
     for number, line in enumerate(lines, 1):
         try:
             entry = parse_json(path, line, number)
@@ -120,7 +120,7 @@ def read(path: Path, mark: str) -> Iterator[Injection]:
                 yield _injection(entry)
         except (ValueError, KeyError, TypeError) as error:
             words = f"{path}, line {number}: an injection as JSON expected, found {line[:60]!r} ({error}); remove the line"
-            raise results_store.KeptError(words) from None
+            raise results_store.ResultsError(words) from None
 
 
 def _tasks(case: Case, phases: int, done: Iterable[tuple[str, int]]) -> Iterator[tuple[str, tuple[int, ...]]]:

@@ -43,7 +43,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Received:
     """Messages received since a mark, as in a timeline."""
 
     words: tuple[Word, ...]
@@ -54,7 +54,7 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class Observed:
     """Results known to the code that injected the fault, as in a timeline."""
 
     end_s: float
@@ -70,7 +70,7 @@ class Seen:
     stuck: str = ""
 
 
-class Watched(ABC):
+class FaultRun(ABC):
     """A monitored walk: received messages, and waiting for the robot to walk."""
 
     start_s: float  # timeout [s] for the start of a walk
@@ -94,7 +94,7 @@ class Watched(ABC):
         """Wait for at most one interval."""
 
     @abstractmethod
-    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Observed:
         """Inject the faults of the case at `begin` [s].
 
         Observe until the robot walks again, or for the time given by the case.
@@ -180,13 +180,13 @@ class Watched(ABC):
         kept = self.recorder
         return Mark(len(self.words), len(self._truth), len(kept.goals), len(kept.switches), len(kept.outside))
 
-    def since(self, mark: Mark) -> Heard:
+    def since(self, mark: Mark) -> Received:
         """Return the messages received since a mark.
 
         The last state, truth and goals before it are included.
         """
         kept = self.recorder
-        return Heard(
+        return Received(
             words=tuple(self.words[max(mark.word - 1, 0) :]),
             truth=_as_arrays(self._truth[max(mark.truth - 1, 0) :]),
             goals=tuple(kept.goals[max(mark.goal - 1, 0) :]),
@@ -206,7 +206,7 @@ class Watched(ABC):
 
 
 def in_walks(
-    case: Case, numbers: tuple[int, ...], begin: Callable[[Case, int], Watched]
+    case: Case, numbers: tuple[int, ...], begin: Callable[[Case, int], FaultRun]
 ) -> list[tuple[int, int, Timeline, RobotProfile]]:
     """Inject a fault several times, in one walk while the robot keeps walking.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.faults import bus_sniffer, cpu_load, instrumented_robot
 from benchmarks.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
-from benchmarks.faults.fault_run import LEAST_WATCH_S, Seen, Watched
+from benchmarks.faults.fault_run import LEAST_WATCH_S, FaultRun, Observed
 from benchmarks.faults.instrumented_robot import Page, Places
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command
@@ -44,7 +44,7 @@ _RECORD_S = 0.5  # [s] between two record commands, until recording starts
 _WORDS = 40  # number of log lines kept from the processes
 
 
-class LiveWalk(Watched):
+class LiveWalk(FaultRun):
     """Processes that walk a robot, with a bus sniffer and faults; a context manager."""
 
     start_s = 60.0
@@ -131,7 +131,7 @@ class LiveWalk(Watched):
             self.note_end(ended.name, self.now_s)
             self._said.append(str(ended))
 
-    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Observed:
         """Inject the faults of the case, and observe the robot."""
         self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
         self._ordered, ends = nan, [self._begin(deed, begin, rng) for deed in self._case.deeds]
@@ -159,7 +159,7 @@ class LiveWalk(Watched):
         end = max(over() for over in ends)
         away = any(isinstance(deed, Away) and deed.service == "actuator" for deed in self._case.deeds)
         returned = (end if away else begin) if self._case.lets_go else nan
-        return Seen(
+        return Observed(
             self.now_s if np.isnan(end) else end,
             self.pulls(),
             servo=self._servo if self._case.concerns_one else -1,

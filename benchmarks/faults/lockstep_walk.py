@@ -15,7 +15,7 @@ from zlib import crc32
 import numpy as np
 
 from benchmarks.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off, OnBus
-from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
+from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, FaultRun, Observed
 from benchmarks.faults.planner_faults import PlannerFaultInjector
 from benchmarks.faults.timeline import Timeline
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
@@ -33,7 +33,7 @@ _BESIDE_S = 0.001  # [s] margin between a cycle and the outage that must skip it
 SOON_S = 0.06  # [s] in which a torque-off order should be on the bus: an outage that begins in it may block the order
 
 
-class FaultWalk(Watched):
+class FaultWalk(FaultRun):
     """A walk in lockstep, its recorded messages, and its faults."""
 
     start_s = 20.0
@@ -97,7 +97,7 @@ class FaultWalk(Watched):
         finally:
             self._latch.open()  # the copy has used the same file
 
-    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Observed:
         """Inject the faults of the case, and observe the robot."""
         case, ordered, empty, wall, fuzzed = self._case, nan, nan, time.time, self._meddler.fuzzed
         self._meddler.stamps.clear()
@@ -129,7 +129,7 @@ class FaultWalk(Watched):
             self._failed = str(error)
         finally:
             self._meddler.how, time.time = "", wall
-        return Seen(
+        return Observed(
             end_s=end,
             servo=self._servo if case.concerns_one else -1,
             pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,

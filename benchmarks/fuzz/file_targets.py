@@ -61,7 +61,7 @@ trims_deg = [1, 0, -2.5]
 """
 _FRAMES = "# timestamp filename\n0.0 depth/0.png\n1700000000.033333 depth/1.png\n"
 _POSES = "# timestamp tx ty tz qx qy qz qw\n0.0 0 0 0.5 0 0 0 1\n0.033333 0.1 0 0.5 0.0 0.6 0.0 0.8\n"
-_OWN_ERRORS = (config.ConfigError, input_file.FileError, results_store.KeptError, access.AccessError)
+_OWN_ERRORS = (config.ConfigError, input_file.FileError, results_store.ResultsError, access.AccessError)
 
 
 def file_targets() -> tuple[Target, ...]:

@@ -20,7 +20,7 @@ class _UnderWay:
     packet: bytes
 
 
-class Way:
+class Channel:
     """One direction of a radio."""
 
     def __init__(self, link: Link, seed: int):

@@ -45,7 +45,7 @@ class Heard:
         return self.mode is Mode.WALK and self.reason == "walking"
 
 
-class _Ear:
+class _Listener:
     def __init__(self) -> None:
         self._before: tuple[object, ...] = ()
 
@@ -69,7 +69,7 @@ def main() -> int:
 
     threading.Thread(target=wait, daemon=True).start()
     with ZenohLink(Endpoints((endpoint,), namespace=namespace)) as link:
-        link.subscribe(topics.ACTUATOR_STATE, _Ear().hear)
+        link.subscribe(topics.ACTUATOR_STATE, _Listener().hear)
         stop.wait()
     return 0
 

@@ -18,7 +18,7 @@ _NETMASK = "255.255.255.0"
 MTU = 1400  # [bytes]
 
 
-class BedError(OSError):
+class NetTestbedError(OSError):
     """Two machines cannot be emulated here; the text has the reason and a remedy."""
 
 
@@ -28,7 +28,7 @@ def leave_user() -> None:
     The process must have one thread.
 
     Raises:
-        BedError: The system does not allow it.
+        NetTestbedError: The system does not allow it.
     """
     if os.geteuid() == 0:
         return
@@ -43,7 +43,7 @@ def leave_network() -> None:
     """Enter a new network namespace with only a loopback device.
 
     Raises:
-        BedError: The system does not allow it.
+        NetTestbedError: The system does not allow it.
     """
     _call("unshare", _CLONE_NEWNET)
     _bring_up("lo")
@@ -55,14 +55,14 @@ def enter(pid: int) -> None:
     Its user namespace is entered first if that differs.
 
     Raises:
-        BedError: The process has ended, or the system does not allow it.
+        NetTestbedError: The process has ended, or the system does not allow it.
     """
     try:
         if not Path(f"/proc/{pid}/ns/user").samefile("/proc/self/ns/user"):
             _set(f"/proc/{pid}/ns/user", _CLONE_NEWUSER)
         _set(f"/proc/{pid}/ns/net", _CLONE_NEWNET)
     except FileNotFoundError:
-        raise BedError(f"process {pid}, whose network namespace is needed, has ended") from None
+        raise NetTestbedError(f"process {pid}, whose network namespace is needed, has ended") from None
 
 
 def wire(name: str, address: str) -> int:
@@ -72,7 +72,7 @@ def wire(name: str, address: str) -> int:
     another namespace.
 
     Raises:
-        BedError: The system does not allow it.
+        NetTestbedError: The system does not allow it.
     """
     try:
         file = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -82,7 +82,7 @@ def wire(name: str, address: str) -> int:
             fcntl.ioctl(to, _SIOCSIFNETMASK, _request(name, _inet(_NETMASK)))
             fcntl.ioctl(to, _SIOCSIFMTU, _request(name, struct.pack("i", MTU)))
     except OSError as error:
-        raise BedError(
+        raise NetTestbedError(
             f"cannot create a TUN device ({error}); check that /dev/net/tun exists (`modprobe tun`) and this user may open it"
         ) from error
     _bring_up(name)
@@ -115,7 +115,7 @@ def _call(name: str, *arguments: int) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if getattr(libc, name)(*arguments) != 0:
         why = os.strerror(ctypes.get_errno())
-        raise BedError(
+        raise NetTestbedError(
             f"{name} of a namespace: {why}; run this as root, or allow user namespaces (kernel.unprivileged_userns_clone=1, "
             "and on Ubuntu kernel.apparmor_restrict_unprivileged_userns=0)"
         )

@@ -14,8 +14,8 @@ import sys
 import time
 
 from benchmarks.net_testbed import orders
-from benchmarks.net_testbed.channel import Way
-from benchmarks.net_testbed.namespace import MTU, BedError, leave_network, leave_user, wire
+from benchmarks.net_testbed.channel import Channel
+from benchmarks.net_testbed.namespace import MTU, NetTestbedError, leave_network, leave_user, wire
 from sextant.shared.runtime.process_priority import go_first
 from sextant.shared.runtime.shutdown import end_with
 
@@ -30,12 +30,12 @@ def main() -> int:
         leave_user()
         robot, held_robot = _machine(ROBOT)
         base, held_base = _machine(BASE)
-    except BedError as error:
+    except NetTestbedError as error:
         sys.stderr.write(f"{error}\n")
         return 1
     go_first()  # high priority if permitted: a real radio is not delayed by programs
     orders.say(f"{held_robot} {held_base}")
-    _carry({robot: Way(link, seed), base: Way(link, seed + 1)}, {robot: base, base: robot})
+    _carry({robot: Channel(link, seed), base: Channel(link, seed + 1)}, {robot: base, base: robot})
     for held in (held_robot, held_base):
         os.kill(held, signal.SIGKILL)
         os.waitpid(held, 0)
@@ -58,7 +58,7 @@ def _machine(address: str) -> tuple[int, int]:
     return file, held
 
 
-def _carry(ways: dict[int, Way], other: dict[int, int]) -> None:
+def _carry(ways: dict[int, Channel], other: dict[int, int]) -> None:
     """Forward packets between two devices until standard input ends."""
     said = sys.stdin.fileno()
     while True:
@@ -77,7 +77,7 @@ def _carry(ways: dict[int, Way], other: dict[int, int]) -> None:
             return
 
 
-def _take(wire_: int, way: Way, now_ns: int) -> None:
+def _take(wire_: int, way: Channel, now_ns: int) -> None:
     while True:
         try:
             way.send(os.read(wire_, _READ), now_ns)
@@ -85,7 +85,7 @@ def _take(wire_: int, way: Way, now_ns: int) -> None:
             return
 
 
-def _obey(said: str, ways: list[Way]) -> bool:
+def _obey(said: str, ways: list[Channel]) -> bool:
     """Execute the commands in some lines; return whether to continue."""
     for order in orders.read(said):
         if order != orders.ASK:

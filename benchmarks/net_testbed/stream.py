@@ -17,7 +17,7 @@ AGAIN_NS = 200_000_000  # [ns] until a lost packet is retransmitted: the minimum
 _HEADERS = 52  # [bytes]
 
 
-class Air:
+class RadioOutages:
     """One direction of a radio, shared by several connections."""
 
     def __init__(self, link: Link, seed: int):
@@ -60,7 +60,7 @@ class _UnderWay:
 class Stream:
     """One direction of one connection."""
 
-    def __init__(self, air: Air):
+    def __init__(self, air: RadioOutages):
         """Use a channel that may be shared."""
         self.waiting = 0  # [bytes] in transit
         self._air = air

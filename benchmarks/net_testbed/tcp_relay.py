@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass, field
 
 from benchmarks.net_testbed import orders
-from benchmarks.net_testbed.stream import QUEUE_BYTES, Air, Stream
+from benchmarks.net_testbed.stream import QUEUE_BYTES, RadioOutages, Stream
 from sextant.shared.runtime.process_priority import go_first
 from sextant.shared.scenario.scenario import Link
 
@@ -39,7 +39,7 @@ class _Way:
 
 class _Relay:
     def __init__(self, link: Link, seed: int, behind: list[int]):
-        self._from_robot, self._to_robot = Air(link, seed), Air(link, seed + 1)
+        self._from_robot, self._to_robot = RadioOutages(link, seed), RadioOutages(link, seed + 1)
         self._ways: list[_Way] = []
         self._cut = False
         self._listeners = {self._listener(): port for port in behind}

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from benchmarks.net_testbed import orders
-from benchmarks.net_testbed.namespace import BedError
+from benchmarks.net_testbed.namespace import NetTestbedError
 from benchmarks.net_testbed.relay import ROBOT
 from benchmarks.net_testbed.tcp_relay import HERE
 from sextant.deploy.launch.launcher import free_port
@@ -38,7 +38,7 @@ class Carried:
     lost_to_robot: int  # packets
 
 
-class Bed(abc.ABC):
+class NetTestbed(abc.ABC):
     """The robot's machine, the base station, and the radio; a context manager."""
 
     robot_address: str  # the robot's address as seen from the base station
@@ -59,7 +59,7 @@ class Bed(abc.ABC):
         )
         try:
             self._begun(self._line("no two machines here").split())
-        except BedError:
+        except NetTestbedError:
             self.__exit__()
             raise
         return self
@@ -140,7 +140,7 @@ class Bed(abc.ABC):
         """Return the next output line.
 
         Raises:
-            BedError: There is none; the text is `otherwise` and the process's stderr.
+            NetTestbedError: There is none; the text is `otherwise` and the process's stderr.
         """
         assert self._relay.stdout is not None
         assert self._relay.stderr is not None
@@ -148,11 +148,11 @@ class Bed(abc.ABC):
         line = self._relay.stdout.readline() if ready else ""
         if not line:
             self._relay.kill()
-            raise BedError(f"{otherwise}: {self._relay.stderr.read().strip() or 'no output of the relay'}")
+            raise NetTestbedError(f"{otherwise}: {self._relay.stderr.read().strip() or 'no output of the relay'}")
         return str(line)
 
 
-class Namespaces(Bed):
+class Namespaces(NetTestbed):
     """Two network namespaces, connected by a packet relay."""
 
     robot_address = ROBOT
@@ -191,7 +191,7 @@ class Namespaces(Bed):
         self._robot, self._base = said
 
 
-class OneMachine(Bed):
+class OneMachine(NetTestbed):
     """Both machines on this one, with a relay for their connections.
 
     It serves where namespaces are not available.
@@ -250,12 +250,12 @@ class OneMachine(Bed):
 
 
 @contextlib.contextmanager
-def two_machines(link: Link, seed: int = 0) -> Iterator[Bed]:
+def two_machines(link: Link, seed: int = 0) -> Iterator[NetTestbed]:
     """Yield namespaces if available, otherwise one machine; `words` tells which."""
     with contextlib.ExitStack() as stack:
         try:
-            bed: Bed = stack.enter_context(Namespaces(link, seed))
-        except BedError as error:
+            bed: NetTestbed = stack.enter_context(Namespaces(link, seed))
+        except NetTestbedError as error:
             bed = stack.enter_context(OneMachine(link, seed, str(error)))
         yield bed
 

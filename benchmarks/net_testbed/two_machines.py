@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from benchmarks.net_testbed.listener import Heard
-from benchmarks.net_testbed.testbed import PORT, TLS_PORT, Bed
+from benchmarks.net_testbed.testbed import PORT, TLS_PORT, NetTestbed
 from sextant.deploy.launch.launcher import LAUNCHERS_GRACE_S, Launcher
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command
 
@@ -26,7 +26,7 @@ class TwoMachines:
     This is a context manager.
     """
 
-    def __init__(self, bed: Bed, keys: Path | None, scenario: str, seed: int, namespace: str = "sextant"):
+    def __init__(self, bed: NetTestbed, keys: Path | None, scenario: str, seed: int, namespace: str = "sextant"):
         """Prepare the commands.
 
         Args:

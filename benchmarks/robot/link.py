@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.net_testbed.link_outages import BACK_S, HOLD_S, Cut, judge
-from benchmarks.net_testbed.testbed import Bed, two_machines
+from benchmarks.net_testbed.testbed import NetTestbed, two_machines
 from benchmarks.net_testbed.two_machines import TwoMachines
 from benchmarks.peers.timing import machine
 from sextant.deploy.campaign.statistics import wilson
@@ -49,7 +49,7 @@ def walks(
     Return the walks, and a description of the radio.
 
     Raises:
-        BedError: Two machines cannot be emulated here.
+        NetTestbedError: Two machines cannot be emulated here.
         TimeoutError: The machines did not connect, or a walk left no report.
     """
     found: list[Walks] = []
@@ -87,7 +87,7 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
         say: Called with the result of each outage.
 
     Raises:
-        BedError: Two machines cannot be emulated here.
+        NetTestbedError: Two machines cannot be emulated here.
         TimeoutError: The machines did not connect.
     """
     rng = np.random.default_rng(seed)
@@ -110,7 +110,7 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
             return tuple(found), bed.words, ""
 
 
-def _cut(bed: Bed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
+def _cut(bed: NetTestbed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
     """Walk, interrupt the radio, and observe until the robot walks again."""
     halves.until(lambda: halves.heard[-1].walks, _WALK_S, "a walk")
     halves.pass_time(walks_s)

@@ -21,7 +21,7 @@ from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 from sextant.shared.files.whole_files import append_text, explained
 
 
-class KeptError(SextantError, ValueError):
+class ResultsError(SextantError, ValueError):
     """A file of runs that cannot be read."""
 
 
@@ -136,7 +136,7 @@ def read(path: Path, fingerprint: str | None = None) -> list[Run]:
     The file is not changed. A last line that is truncated, or is being written, counts as not run.
 
     Raises:
-        KeptError: A line is not a finished run (the message says which), or the file cannot be read.
+        ResultsError: A line is not a finished run (the message says which), or the file cannot be read.
     """
     *lines, tail = _lines(path)
     found: list[Run] = []
@@ -156,7 +156,7 @@ def mend(path: Path) -> None:
     A last line without a line break gets one if it is a run; otherwise it is removed.
 
     Raises:
-        KeptError: The file does not hold runs, so it was not changed; or it cannot be read.
+        ResultsError: The file does not hold runs, so it was not changed; or it cannot be read.
         WriteError: It cannot be written.
     """
     *lines, tail = _lines(path)
@@ -178,7 +178,7 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
     """Append runs to a file, a short line each.
 
     Raises:
-        KeptError: The existing file does not hold runs, or cannot be read.
+        ResultsError: The existing file does not hold runs, or cannot be read.
         WriteError: The runs cannot be written; the file is unchanged.
     """
     mend(path)
@@ -210,7 +210,7 @@ def files(places: Sequence[Path]) -> list[Path]:
     A place is a file, or a folder with a campaign's or else a batch's file.
 
     Raises:
-        KeptError: There is none at one of the places, or it cannot be accessed.
+        ResultsError: There is none at one of the places, or it cannot be accessed.
     """
     found = []
     for place in places:
@@ -220,7 +220,7 @@ def files(places: Sequence[Path]) -> list[Path]:
         except OSError as error:
             raise _unreadable(place, error) from None
         if path is None:
-            raise KeptError(f"{place}: a file of stored runs, or a folder with campaign.jsonl or trials.jsonl, expected")
+            raise ResultsError(f"{place}: a file of stored runs, or a folder with campaign.jsonl or trials.jsonl, expected")
         found.append(path)
     return found
 
@@ -235,7 +235,7 @@ def _lines(path: Path) -> list[bytes]:
     try:
         return read_bytes(path, _MAX_FILE_BYTES).split(b"\n")
     except FileError as error:
-        raise KeptError(f"{error}; a readable file of stored runs expected") from None
+        raise ResultsError(f"{error}; a readable file of stored runs expected") from None
 
 
 def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
@@ -269,12 +269,12 @@ def _is_run(line: bytes) -> bool:
         return False
 
 
-def _no_run(path: Path, number: int, line: bytes) -> KeptError:
-    return KeptError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
+def _no_run(path: Path, number: int, line: bytes) -> ResultsError:
+    return ResultsError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
 
 
-def _unreadable(path: Path, error: OSError) -> KeptError:
-    return KeptError(f"{path}: cannot be read ({error.strerror}); a readable file of stored runs expected")
+def _unreadable(path: Path, error: OSError) -> ResultsError:
+    return ResultsError(f"{path}: cannot be read ({error.strerror}); a readable file of stored runs expected")
 
 
 def _at(table: dict[str, Any], place: str) -> Any:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
-    from sextant.deploy.topics.passive_subscriber import Heard
+    from sextant.deploy.topics.passive_subscriber import ReceivedMessage
     from sextant.shared.runtime.service import AnyTopic
 
 _LOOK_S = 0.1
@@ -68,7 +68,7 @@ def echo(arguments: argparse.Namespace) -> int:
     return INTERRUPTED
 
 
-def _tell(heard: "Heard", as_json: bool) -> int:
+def _tell(heard: "ReceivedMessage", as_json: bool) -> int:
     """Print one message, or why it cannot be decoded; return how many were printed."""
     from sextant.deploy.topics import message_format
     from sextant.shared.wire.codec import DecodeError

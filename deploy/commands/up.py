@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: run the processes of a role until Ctrl-C."""
     from sextant.deploy.launch import process_table
-    from sextant.deploy.launch.host_launcher import Half
+    from sextant.deploy.launch.host_launcher import HostLauncher
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.process_priority import allow_many_files
 
@@ -33,7 +33,7 @@ def up(arguments: argparse.Namespace) -> int:
     allow_many_files()
     with Interrupts() as interrupts:
         gated = _apart(gate_of(arguments, rows, _usual(arguments)))
-        with Half(arguments.role, rows, chosen, extra, gated, complain) as half:
+        with HostLauncher(arguments.role, rows, chosen, extra, gated, complain) as half:
             say(half.where())
             say(f"starting {', '.join(half.names)}; Ctrl-C stops them")
             if paged:

@@ -12,7 +12,7 @@ from sextant.deploy.commands.common import SUCCESS, InputError, complain, say
 if TYPE_CHECKING:
     from sextant.deploy.video.ground import Ground
     from sextant.deploy.video.sinking import Sinking
-    from sextant.deploy.video.timeline import Story
+    from sextant.deploy.video.timeline import Timeline
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
@@ -22,8 +22,8 @@ _FEET_OFF = 0.02  # [m] median height of standing feet off the ground beyond whi
 def video(arguments: argparse.Namespace) -> int:
     """`sextant video`: draw the recorded robot on its ground."""
     from sextant.deploy.video import video_writer
-    from sextant.deploy.video.film import Cut, Film
-    from sextant.deploy.video.timeline import Story
+    from sextant.deploy.video.film import Animation, Cut
+    from sextant.deploy.video.timeline import Timeline
     from sextant.shared.recording.reader import Recording
     from sextant.shared.robot.profiles import load_profile
 
@@ -32,7 +32,7 @@ def video(arguments: argparse.Namespace) -> int:
     if out.suffix.lower() not in video_writer.SUFFIXES:
         raise InputError(f"--out: a name that ends in one of {', '.join(video_writer.SUFFIXES)} expected, found {out.name!r}")
     recording = Recording(_recording_of(run))
-    story = Story.read(recording)
+    story = Timeline.read(recording)
     for path in recording.cut_off:
         complain(f"{path} is truncated; its first {story.duration_s:.1f} s are drawn")
     about = _about(run, recording.about, story)
@@ -41,7 +41,7 @@ def video(arguments: argparse.Namespace) -> int:
     cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
     try:
         title = _title(about) if ground is not None else f"{_title(about)}, on the robot's map"
-        film = Film(recording.path, story, profile, ground, title, cut, sinking)
+        film = Animation(recording.path, story, profile, ground, title, cut, sinking)
     except ValueError as error:
         raise InputError(f"{run}: {error}") from None
     began = told = time.monotonic()
@@ -74,7 +74,7 @@ def _recording_of(run: Path) -> Path:
     return run
 
 
-def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
+def _about(run: Path, said: Mapping[str, str], story: "Timeline") -> dict[str, str]:
     """Return scenario, seed and robot of a run.
 
     They come from the recording, else from the report next to it, else from the recorded simulator.
@@ -96,7 +96,7 @@ def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]
 
 
 def _ground(
-    about: Mapping[str, str], story: "Story", profile: "RobotProfile", asked: str
+    about: Mapping[str, str], story: "Timeline", profile: "RobotProfile", asked: str
 ) -> tuple["Ground | None", "Sinking | None"]:
     """Return the true ground, or None where it is unknown.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.report import ARRIVED, Report
-from sextant.deploy.evaluation.status_log import SPEAKERS, Complaint
+from sextant.deploy.evaluation.status_log import SPEAKERS, StatusEvent
 from sextant.deploy.evaluation.trace import Trace
 from sextant.deploy.evaluation.walk_metrics import Flags, runs
 from sextant.shared.geometry import Array
@@ -30,7 +30,7 @@ _NONE = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class FailureMoment:
     """When and where the run was decided, and how."""
 
     t: float  # [s]
@@ -40,7 +40,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Sign:
+class Precursor:
     """An event before the decisive moment that may have caused the failure."""
 
     weight: int  # higher for events that more easily bring a walk down
@@ -49,7 +49,7 @@ class Sign:
     leg: int = _NONE
 
 
-def decisive_moment(report: Report, trace: Trace) -> Moment | None:
+def decisive_moment(report: Report, trace: Trace) -> FailureMoment | None:
     """Return the moment that decided that a run would not arrive.
 
     This is a fall, a shutdown, a collision, a refusal, or the last step before the robot stood still.
@@ -78,7 +78,7 @@ def decisive_moment(report: Report, trace: Trace) -> Moment | None:
     return _moment(trace, float(trace.t[-1]), ENDED)
 
 
-def refusal(trace: Trace) -> Complaint | None:
+def refusal(trace: Trace) -> StatusEvent | None:
     """Return why the planner did not go on after the last step, or None.
 
     Of several reasons, this is the one reported for the longest time. None means that it did not refuse.
@@ -91,7 +91,7 @@ def refusal(trace: Trace) -> Complaint | None:
     return max(held, key=lambda c: c.end - c.begin) if held else None
 
 
-def signs(trace: Trace, moment: Moment) -> list[Sign]:
+def signs(trace: Trace, moment: FailureMoment) -> list[Precursor]:
     """Return the most important signs before a moment, in order of time.
 
     Signs are missed footholds, lost support, joints at their limit, and the like.
@@ -103,9 +103,9 @@ def signs(trace: Trace, moment: Moment) -> list[Sign]:
     return sorted(weighty, key=lambda sign: sign.t)
 
 
-def _moment(trace: Trace, t: float, words: str, leg: int = _NONE) -> Moment:
+def _moment(trace: Trace, t: float, words: str, leg: int = _NONE) -> FailureMoment:
     k = min(int(np.searchsorted(trace.t, t)), len(trace.t) - 1)
-    return Moment(t, trace.p_true[k, :2], words, leg)
+    return FailureMoment(t, trace.p_true[k, :2], words, leg)
 
 
 def _suspect(trace: Trace, t: float) -> int:
@@ -138,45 +138,47 @@ def _drift(trace: Trace, t: Array) -> Array:
     return np.where(fresh[:, None], true - trace.p_estimate[k, :2], np.nan)
 
 
-def _of_feet(trace: Trace) -> list[Sign]:
+def _of_feet(trace: Trace) -> list[Precursor]:
     found = []
     downs, beside = trace.touchdowns, missed_by(trace)
     for t, leg, misstep, off in zip(downs.t, downs.leg, downs.misstep, beside, strict=True):
         where = f", {1000 * off:.0f} mm off the chosen foothold" if off > MISSED else ""
         if misstep:
-            found.append(Sign(4, float(t), f"{LEGS[leg]} foot touched down where the ground carries no foot{where}", int(leg)))
+            found.append(
+                Precursor(4, float(t), f"{LEGS[leg]} foot touched down where the ground carries no foot{where}", int(leg))
+            )
         elif where:
-            found.append(Sign(3, float(t), f"{LEGS[leg]} foot touched down{where.removeprefix(',')}", int(leg)))
+            found.append(Precursor(3, float(t), f"{LEGS[leg]} foot touched down{where.removeprefix(',')}", int(leg)))
     for t, leg in zip(trace.no_ground.t, trace.no_ground.leg, strict=True):
-        found.append(Sign(4, float(t), f"{LEGS[leg]} foot found no ground", int(leg)))
+        found.append(Precursor(4, float(t), f"{LEGS[leg]} foot found no ground", int(leg)))
     return found
 
 
-def _of_body(trace: Trace, t: float) -> list[Sign]:
+def _of_body(trace: Trace, t: float) -> list[Precursor]:
     found = []
     outside = _last_run(trace, trace.margin < 0, t, _OUTSIDE)
     if outside is not None:
         least = float(trace.margin[outside].min())
-        found.append(Sign(5, float(trace.t[outside.start]), f"the body left its support, by {-1000 * least:.0f} mm"))
+        found.append(Precursor(5, float(trace.t[outside.start]), f"the body left its support, by {-1000 * least:.0f} mm"))
     leaning = _last_run(trace, trace.tilt > _LEANING, t)
     if leaning is not None:
         words = f"the body tilted by {np.degrees(_LEANING):.0f} deg and more off its command"
-        found.append(Sign(4, float(trace.t[leaning.start]), words))
+        found.append(Precursor(4, float(trace.t[leaning.start]), words))
     low = _last_run(trace, trace.height_reference - trace.p_true[:, 2] > _SUNK, t)
     if low is not None:
-        found.append(Sign(2, float(trace.t[low.start]), f"the body sank {1000 * _SUNK:.0f} mm below its command"))
+        found.append(Precursor(2, float(trace.t[low.start]), f"the body sank {1000 * _SUNK:.0f} mm below its command"))
     known = trace.pose_error > _LOST
     if known.any():
         first = float(trace.t_estimate[int(np.argmax(known))])
-        found.append(Sign(2, first, f"the estimate was {1000 * _LOST:.0f} mm off"))
+        found.append(Precursor(2, first, f"the estimate was {1000 * _LOST:.0f} mm off"))
     for part in np.flatnonzero(trace.in_the_way.any(axis=0)):
         name = f"{LEGS[part]} foot" if part < len(LEGS) else "body"
         k = int(np.argmax(trace.in_the_way[:, part]))
-        found.append(Sign(5, float(trace.t[k]), f"the {name} hit an obstacle", int(part) if part < len(LEGS) else _NONE))
+        found.append(Precursor(5, float(trace.t[k]), f"the {name} hit an obstacle", int(part) if part < len(LEGS) else _NONE))
     return found
 
 
-def _of_joints(trace: Trace, begin: float, end: float) -> list[Sign]:
+def _of_joints(trace: Trace, begin: float, end: float) -> list[Precursor]:
     found = []
     period = float(np.median(np.diff(trace.t))) if len(trace.t) > 1 else np.inf
     window = (trace.t >= begin) & (trace.t <= end)
@@ -186,14 +188,14 @@ def _of_joints(trace: Trace, begin: float, end: float) -> list[Sign]:
         lasted = period * float(longest[1] - longest[0])
         if lasted >= _PULLING:
             name = f"{LEGS[leg]} {JOINTS[joint]}"
-            found.append(Sign(1, float(trace.t[longest[0]]), f"{name} at its highest torque for {lasted:.1f} s", leg))
+            found.append(Precursor(1, float(trace.t[longest[0]]), f"{name} at its highest torque for {lasted:.1f} s", leg))
     for leg, joint in np.argwhere(trace.shutdown.any(axis=0)).tolist():
         k = int(np.argmax(trace.shutdown[:, leg, joint]))
-        found.append(Sign(6, float(trace.t[k]), f"{LEGS[leg]} {JOINTS[joint]} shut down", leg))
+        found.append(Precursor(6, float(trace.t[k]), f"{LEGS[leg]} {JOINTS[joint]} shut down", leg))
     return found
 
 
-def _of_services(trace: Trace) -> list[Sign]:
+def _of_services(trace: Trace) -> list[Precursor]:
     """Return signs for silent services.
 
     The last message of planner and actuator is compared with the end of the run.
@@ -204,7 +206,7 @@ def _of_services(trace: Trace) -> list[Sign]:
         # A service that never published is not silent.
         following = [spell.begin for spell in own[1:]] + [float(trace.t[-1])] * bool(own)
         found += [
-            Sign(5, spell.end, f"{who} stopped publishing")
+            Precursor(5, spell.end, f"{who} stopped publishing")
             for spell, begin in zip(own, following, strict=True)
             if begin - spell.end > _SILENT
         ]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from sextant.deploy.evaluation.course import Course
 from sextant.deploy.evaluation.recorded_walk import Walk
 from sextant.deploy.evaluation.report import FootholdEdge, Passage, Section
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.deploy.evaluation.trace import Trace
 from sextant.deploy.evaluation.walk_metrics import runs
 from sextant.shared.geometry import Array
@@ -19,7 +19,7 @@ _FALLEN = 0.08  # [m] below the other feet: the foot stands in the gap
 _LASTING = round(0.1 * topics.TRUTH.rate_hz)  # samples of truth: shorter events occur around planned swings
 
 
-def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
+def passage_figures(walk: Walk, heard: RunLog, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
     """Return the passage part of a report.
 
     `passable` is the result of an exhaustive search, None if there is none.

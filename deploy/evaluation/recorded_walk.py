@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.deploy.evaluation.walk_metrics import debounced, in_the_way, runs, stability_margin
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import leg_points
@@ -31,7 +31,7 @@ _HANGING = 0.003  # [m] a foot this close above its ground supports the body aft
 class Walk:
     """Ground truth of a walk, aligned with the actuator's states and commands."""
 
-    def __init__(self, heard: Heard, course: Course, profile: RobotProfile):
+    def __init__(self, heard: RunLog, course: Course, profile: RobotProfile):
         self._heard, self._course, self._profile = heard, course, profile
         truth = heard.truth
         self.t_ns = heard.stamps()  # (n,)

@@ -25,7 +25,7 @@ _MOST_STEPS = 1 << 40  # upper limit of step numbers that are added up
 _REFUSED_NS = 10_000_000_000  # [ns] minimum duration of a refusal: standing and reporting the reason
 
 
-class Heard:
+class RunLog:
     """All received messages in order.
 
     Steps are counted from the run's beginning, across restarts of the actuator.

@@ -16,7 +16,7 @@ from sextant.deploy.evaluation.map_metrics import Grid, GroundHeights, MapJudge,
 from sextant.deploy.evaluation.passage_figures import passage_figures
 from sextant.deploy.evaluation.recorded_walk import Walk
 from sextant.deploy.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.deploy.evaluation.status_log import last_reason
 from sextant.deploy.evaluation.trace import Trace, trace_of
 from sextant.deploy.evaluation.walk_figures import pose_error, walk_figures
@@ -77,7 +77,7 @@ class Scorer:
         self.finished = self._looked = False
         self._profile, self._scenario, self._seed, self._passable = profile, scenario, seed, passable
         self._course = Course(scenario, seed, terrain)
-        self._heard = Heard()
+        self._heard = RunLog()
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
         self._goal_ns: int | None = None
         self._stood = False  # a robot that starts on its belly has not fallen

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PlannerStatus
 
@@ -20,7 +20,7 @@ _LONG = 0.3  # [s] minimum duration of a planner's wait or stop that matters
 
 
 @dataclass(frozen=True, slots=True)
-class Spell:
+class StatusInterval:
     """An interval in which a service reported one state."""
 
     who: Speaker
@@ -30,7 +30,7 @@ class Spell:
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
+class StatusEvent:
     """A service's reason for not going on, with the interval in which it was reported."""
 
     who: Speaker
@@ -46,22 +46,22 @@ _LEGS = re.compile(r"({0})((, | and )({0}))*".format("|".join(LEGS)))
 Word = tuple[float, str, int]  # time [s], reason, leg
 
 
-def spells(heard: Heard) -> tuple[Spell, ...]:
+def spells(heard: RunLog) -> tuple[StatusInterval, ...]:
     """Return the states of a run's services, in sequence for each service."""
-    found: list[Spell] = []
+    found: list[StatusInterval] = []
     for who in SPEAKERS:
         states = [(_seconds(heard, message.stamp_ns), _state(message)) for message in _of(heard, who)]
         for k, (t, state) in enumerate(states):
             following = states[k + 1][0] if k + 1 < len(states) else t
             end = following if following - t < _SILENT else t
             if found and found[-1].who == who and found[-1].state == state and t <= found[-1].end:
-                found[-1] = Spell(who, state, found[-1].begin, end)
+                found[-1] = StatusInterval(who, state, found[-1].begin, end)
             else:
-                found.append(Spell(who, state, t, end))
+                found.append(StatusInterval(who, state, t, end))
     return tuple(found)
 
 
-def complaints(heard: Heard) -> tuple[Complaint, ...]:
+def complaints(heard: RunLog) -> tuple[StatusEvent, ...]:
     """Return refusals and complaints of a run in order of time.
 
     Reasons that differ only in their numbers count as one.
@@ -79,7 +79,7 @@ def complaints(heard: Heard) -> tuple[Complaint, ...]:
     return tuple(sorted(said, key=lambda c: c.begin))
 
 
-def last_reason(heard: Heard) -> str:
+def last_reason(heard: RunLog) -> str:
     """Return the service that stopped the walk last, with its reason, or "".
 
     The service is the planner or the actuator: the one with the newest complaint.
@@ -91,11 +91,11 @@ def last_reason(heard: Heard) -> str:
     return f"{last.who}, {last.begin:.0f} to {last.end:.0f} s: {last.words}"
 
 
-def _seconds(heard: Heard, stamp_ns: int) -> float:
+def _seconds(heard: RunLog, stamp_ns: int) -> float:
     return (stamp_ns - heard.begin_ns) * 1e-9
 
 
-def _of(heard: Heard, who: Speaker) -> Sequence[PlannerStatus | ActuatorState | BodyPose]:
+def _of(heard: RunLog, who: Speaker) -> Sequence[PlannerStatus | ActuatorState | BodyPose]:
     said: dict[Speaker, Sequence[PlannerStatus | ActuatorState | BodyPose]] = {
         "planner": heard.statuses,
         "actuator": heard.states,
@@ -123,18 +123,18 @@ def _refusal(status: PlannerStatus, walked: bool) -> tuple[str, int]:
     return (status.reason, status.blocked_leg) if stands else ("", -1)
 
 
-def _together(who: Speaker, words: Iterable[Word]) -> list[Complaint]:
+def _together(who: Speaker, words: Iterable[Word]) -> list[StatusEvent]:
     """Merge the same reason, reported without a break, into one complaint."""
-    found: list[Complaint] = []
+    found: list[StatusEvent] = []
     running = ""
     for t, text, leg in words:
         if running and t - found[-1].end < _SILENT:  # it lasted until now
-            found[-1] = Complaint(who, found[-1].begin, t, found[-1].words, found[-1].leg)
+            found[-1] = StatusEvent(who, found[-1].begin, t, found[-1].words, found[-1].leg)
         kind = kind_of(text)
         if kind and kind == running and t - found[-1].end < _SILENT:
-            found[-1] = Complaint(who, found[-1].begin, t, text, leg)
+            found[-1] = StatusEvent(who, found[-1].begin, t, text, leg)
         elif kind:
-            found.append(Complaint(who, t, t, text, leg))
+            found.append(StatusEvent(who, t, t, text, leg))
         running = kind
     return found
 

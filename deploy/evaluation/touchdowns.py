@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.course import RAISED, Course
 from sextant.deploy.evaluation.recorded_walk import DEBOUNCE, Walk
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.deploy.evaluation.walk_metrics import is_foothold, touchdowns
 from sextant.shared.geometry import Array, apply, inverse
 from sextant.shared.robot.profile import RobotProfile
@@ -29,7 +29,7 @@ class Touchdowns:
     misstep: NDArray[np.bool_]  # (k,)
 
 
-def find_touchdowns(walk: Walk, heard: Heard, course: Course, profile: RobotProfile) -> Touchdowns:
+def find_touchdowns(walk: Walk, heard: RunLog, course: Course, profile: RobotProfile) -> Touchdowns:
     """Return the touchdowns of a walk.
 
     In a misstep, the true ground does not support a foot, or yields under it.

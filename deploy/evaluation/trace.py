@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from sextant.deploy.evaluation.course import Course
 from sextant.deploy.evaluation.map_metrics import Mosaic
 from sextant.deploy.evaluation.recorded_walk import Walk
-from sextant.deploy.evaluation.run_log import Heard
-from sextant.deploy.evaluation.status_log import Complaint, Spell, complaints, spells
+from sextant.deploy.evaluation.run_log import RunLog
+from sextant.deploy.evaluation.status_log import StatusEvent, StatusInterval, complaints, spells
 from sextant.deploy.evaluation.touchdowns import Touchdowns, find_touchdowns
 from sextant.deploy.evaluation.walk_metrics import angle_between
 from sextant.shared.geometry import Array, apply
@@ -64,8 +64,8 @@ class Trace:
     pose_error: Array  # (m,) [m] error of that position, NaN before the first step
     touchdowns: Touchdowns
     no_ground: Touches
-    spells: tuple[Spell, ...]
-    complaints: tuple[Complaint, ...]
+    spells: tuple[StatusInterval, ...]
+    complaints: tuple[StatusEvent, ...]
     plans: tuple[tuple[float, StepPlan], ...]  # newest revision of each step and its time [s]; {world}
     mosaic: Mosaic | None
     sections: tuple[PlannedSection, ...]  # of passages
@@ -83,7 +83,7 @@ class Trace:
 
 
 def trace_of(
-    walk: Walk, heard: Heard, course: Course, scenario: Scenario, profile: RobotProfile, mosaic: Mosaic | None
+    walk: Walk, heard: RunLog, course: Course, scenario: Scenario, profile: RobotProfile, mosaic: Mosaic | None
 ) -> Trace:
     """Return the run as arrays, from the messages received so far and the mosaic."""
     t_estimate = np.array([pose.stamp_ns - heard.begin_ns for pose in heard.poses]) * 1e-9
@@ -123,7 +123,7 @@ def trace_of(
     )
 
 
-def _sections(walk: Walk, heard: Heard) -> tuple[PlannedSection, ...]:
+def _sections(walk: Walk, heard: RunLog) -> tuple[PlannedSection, ...]:
     sections = []
     for plan, known in heard.passage_plans:
         k = min(int(np.searchsorted(walk.t_ns, plan.stamp_ns - heard.begin_ns)), len(walk.t_ns) - 1)
@@ -146,7 +146,7 @@ def _pose_error(walk: Walk, t: Array, p: Array) -> Array:
     return error
 
 
-def _no_ground(heard: Heard) -> Touches:
+def _no_ground(heard: RunLog) -> Touches:
     """Return the touches that found no ground, each once."""
     found: dict[tuple[int, int], Array] = {}
     for state in heard.states:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.failure_analysis import Moment
+from sextant.deploy.evaluation.failure_analysis import FailureMoment
 from sextant.deploy.evaluation.scorer import FALL_TILT_DEG
-from sextant.deploy.evaluation.status_log import SPEAKERS, Complaint, kind_of
+from sextant.deploy.evaluation.status_log import SPEAKERS, StatusEvent, kind_of
 from sextant.deploy.evaluation.trace import Trace
 
 TRUE, ESTIMATE, REFERENCE, BAD, MUTED = "#111111", "#d01c8b", "#7f7f7f", "#b3261e", "#5f6368"
@@ -42,9 +42,9 @@ def draw(
     figure: Any,
     box: tuple[float, float, float, float],
     trace: Trace,
-    moment: Moment | None,
+    moment: FailureMoment | None,
     color: str,
-    told: Sequence[Complaint],
+    told: Sequence[StatusEvent],
     truth: bool = True,
 ) -> None:
     """Draw the strips into a part of a figure.
@@ -93,7 +93,7 @@ def draw(
 # -- states
 
 
-def _said(axes: Any, trace: Trace, told: Sequence[Complaint], width: float) -> None:
+def _said(axes: Any, trace: Trace, told: Sequence[StatusEvent], width: float) -> None:
     """Draw a line of states per service, with flags at its complaints.
 
     Complaints that are shown as text have their number.
@@ -141,14 +141,14 @@ def flag(axes: Any, at: tuple[float, float], number: str) -> None:
     )
 
 
-def told_in_words(trace: Trace, moment: Moment | None) -> list[Complaint]:
+def told_in_words(trace: Trace, moment: FailureMoment | None) -> list[StatusEvent]:
     """Return the complaints to show as text, in order of time.
 
     Each kind appears once. Complaints near the decisive moment take precedence, then those of the planner, perception and
     actuator in this order, then newer ones.
     """
     latest = moment.t + _AFTERWARDS if moment is not None else np.inf
-    kinds: dict[tuple[str, str], Complaint] = {}
+    kinds: dict[tuple[str, str], StatusEvent] = {}
     for complaint in trace.complaints:
         if complaint.begin <= latest:
             kinds[complaint.who, kind_of(complaint.words)] = complaint

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.failure_analysis import ENDED, MISSED, Moment, decisive_moment, missed_by, refusal, signs
+from sextant.deploy.evaluation.failure_analysis import ENDED, MISSED, FailureMoment, decisive_moment, missed_by, refusal, signs
 from sextant.deploy.evaluation.map_metrics import Mosaic
 from sextant.deploy.evaluation.report import ARRIVED, Report
-from sextant.deploy.evaluation.status_log import Complaint
+from sextant.deploy.evaluation.status_log import StatusEvent
 from sextant.deploy.evaluation.touchdowns import Touchdowns
 from sextant.deploy.evaluation.trace import Touches, Trace
 from sextant.deploy.figures import history_picture
@@ -111,7 +111,7 @@ def moment_color(report: Report) -> str:
 # -- text
 
 
-def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) -> list[tuple[str, float, str]]:
+def verdict(report: Report, trace: Trace, moment: FailureMoment | None, most: int = 4) -> list[tuple[str, float, str]]:
     """Return the lines at the top with size [pt] and colour.
 
     They give the result, the reason in at most `most` lines, and the leg to look at.
@@ -146,7 +146,7 @@ def steps_walked(trace: Trace) -> str:
     return ", ".join(kinds) or "no steps"
 
 
-def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> list[tuple[str, float, str]]:
+def _without_verdict(report: Report, trace: Trace, moment: FailureMoment | None) -> list[tuple[str, float, str]]:
     """Return the lines at the top of a run without ground truth.
 
     They give the estimated distance and why the robot stopped.
@@ -160,7 +160,7 @@ def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> lis
     return [*found, (f"{report.robot} · {report.reason}", float(_FONT), "#5f6368")]
 
 
-def _whose(trace: Trace, moment: Moment) -> str:
+def _whose(trace: Trace, moment: FailureMoment) -> str:
     """Return which leg to look at and why; empty if none stands out."""
     of_leg = [sign for sign in signs(trace, moment) if sign.leg == moment.leg and sign.t < moment.t]
     if moment.leg < 0 or not of_leg:
@@ -191,8 +191,8 @@ def draw_words(
     figure: Any,
     box: tuple[float, float, float, float],
     trace: Trace,
-    moment: Moment | None,
-    told: Sequence[Complaint],
+    moment: FailureMoment | None,
+    told: Sequence[StatusEvent],
     numbers: Sequence[tuple[str, str]],
 ) -> None:
     """Draw precursors and messages and, in the remaining space, the figures."""
@@ -247,7 +247,7 @@ def draw_words(
 
 
 def _draw_map(
-    figure: Any, axes: Any, report: Report, trace: Trace, moment: Moment | None, told: Sequence[Complaint], truth: bool
+    figure: Any, axes: Any, report: Report, trace: Trace, moment: FailureMoment | None, told: Sequence[StatusEvent], truth: bool
 ) -> None:
     low, high = extent_of(trace)
     axes.set_facecolor(UNSEEN)  # colour of unseen ground
@@ -397,7 +397,7 @@ def draw_footholds(axes: Any, trace: Trace, size: float = 36.0) -> None:
     axes.scatter(felt[:, 0], felt[:, 1], s=2 * size, marker="v", facecolors="none", edgecolors=_BAD, linewidths=1.6, zorder=7)
 
 
-def draw_flags(axes: Any, trace: Trace, told: Sequence[Complaint]) -> None:
+def draw_flags(axes: Any, trace: Trace, told: Sequence[StatusEvent]) -> None:
     """Draw numbered flags where the robot was when it complained.
 
     Flags at the same place are combined.
@@ -419,13 +419,13 @@ def draw_flags(axes: Any, trace: Trace, told: Sequence[Complaint]) -> None:
         history_picture.flag(axes, at, ",".join(map(str, numbers)))
 
 
-def draw_moment(axes: Any, report: Report, moment: Moment | None) -> None:
+def draw_moment(axes: Any, report: Report, moment: FailureMoment | None) -> None:
     """Mark the place of the decisive moment."""
     if moment is not None:
         axes.plot(*moment.p, marker="X", ms=14, mfc=moment_color(report), mec="white", mew=1.5, zorder=9)
 
 
-def _draw_near(axes: Any, report: Report, trace: Trace, moment: Moment, colors: tuple[Any, Any]) -> None:
+def _draw_near(axes: Any, report: Report, trace: Trace, moment: FailureMoment, colors: tuple[Any, Any]) -> None:
     """Draw the robot at the decisive moment.
 
     It shows loaded legs, the support polygon, and the next footholds.
@@ -473,7 +473,7 @@ def _draw_near(axes: Any, report: Report, trace: Trace, moment: Moment, colors: 
     axes.set_xlabel("filled: carries · empty: does not · ◇ wanted", size=11, labelpad=1)
 
 
-def _instant(trace: Trace, moment: Moment) -> int:
+def _instant(trace: Trace, moment: FailureMoment) -> int:
     """Return the sample to show: of a fall, where the body left its support."""
     k = min(int(np.searchsorted(trace.t, moment.t)), len(trace.t) - 1)
     if moment.words != "fell":

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Self
 
 from sextant.deploy.launch import process_table
-from sextant.deploy.launch.host_launcher import Half
+from sextant.deploy.launch.host_launcher import HostLauncher
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.process_table import ENVIRONMENT, Choices, Command, Process
 from sextant.deploy.security.router_security import Gate
@@ -141,13 +141,13 @@ class Base:
             FleetError: A robot has no certificate, its keys are wrong, or a process or setting is unknown.
         """
         self._say = say
-        self._halves: dict[str, tuple[Half, contextlib.ExitStack]] = {}
+        self._halves: dict[str, tuple[HostLauncher, contextlib.ExitStack]] = {}
         self.pages: dict[str, int] = {}  # TCP port of each robot's own page
         self.planned = {name: self._half(name, member, fleet.page, open_) for name, member in fleet.robots.items()}
         self.lobby = _lobby(fleet.page, self.pages) if self.pages else ()
         self._lobby = Launcher(self.lobby, self._pass_on)
 
-    def _half(self, name: str, member: Member, page: Page, open_: bool) -> Half:
+    def _half(self, name: str, member: Member, page: Page, open_: bool) -> HostLauncher:
         try:
             usual = process_table.rows("offboard", simulated=False, page=True)
             rows = process_table.rearranged(usual, (), member.without, "offboard")
@@ -160,7 +160,7 @@ class Base:
             chosen, extra = self._told(name, member, page, rows)
         except ValueError as error:
             raise FleetError(f"robots.{name}: {error}") from None
-        return Half("offboard", rows, chosen, extra, gated, lambda words: self._say(f"{name}: {words}"))
+        return HostLauncher("offboard", rows, chosen, extra, gated, lambda words: self._say(f"{name}: {words}"))
 
     def _told(
         self, name: str, member: Member, page: Page, rows: Sequence[Process]
@@ -194,7 +194,7 @@ class Base:
         """The robots whose processes still run."""
         return tuple(self._halves)
 
-    def half(self, name: str) -> Half:
+    def half(self, name: str) -> HostLauncher:
         """Return the processes of one robot."""
         return self._halves[name][0]
 

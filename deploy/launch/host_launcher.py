@@ -12,7 +12,7 @@ from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
 from sextant.deploy.launch.process_table import Choices, Process, Role
 from sextant.deploy.provenance import version
-from sextant.deploy.security.peer_handshake import Meeting
+from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.router_security import Gate
 from sextant.shared.wire.endpoint import occupied
 from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
@@ -21,7 +21,7 @@ _NEEDED = ("router", "actuator", "simulator")  # the other processes are useless
 _LOOK_S = 0.05  # [s] interval of looking for other machines before anything is started
 
 
-class Half:
+class HostLauncher:
     """The processes of one machine, from entering to leaving; a context manager.
 
     Its methods belong to one thread.
@@ -64,7 +64,7 @@ class Half:
             link = stack.enter_context(ZenohLink(self._endpoints))
             machine = f"{socket.gethostname()}-{os.getpid()}"
             about = machine, self._role, version(), self.names
-            self._meeting = Meeting(link, *about, time.monotonic_ns, self._say, self._certificate_role)
+            self._meeting = PeerHandshake(link, *about, time.monotonic_ns, self._say, self._certificate_role)
             if not self._gated.upstream:  # others connect to this machine, once its router is up
                 self._launcher = stack.enter_context(Launcher(self.commands, hear=self._pass_on))
             self._held = stack.pop_all()

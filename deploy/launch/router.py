@@ -21,7 +21,7 @@ from sextant.deploy.security import refusals, router_security
 from sextant.deploy.security.access_log import CaughtOutput, RouterHealthReporter, link_to, publish
 from sextant.deploy.security.connect_probe import ConnectProbe
 from sextant.deploy.security.hosting import hosted
-from sextant.deploy.security.peer_handshake import Meeting
+from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.shared.runtime.process_priority import allow_many_files, switch_often
@@ -103,7 +103,7 @@ def _host(gated: router_security.Gate, role: str, starts: Sequence[str], told_to
             beats.append(_Guard(gated, caught, link, machine_role, connections).beat)
         if role:
             machine = f"{socket.gethostname()}-{os.getpid()}"
-            beats.append(Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell, machine_role).beat)
+            beats.append(PeerHandshake(link, machine, role, version(), starts, time.monotonic_ns, _tell, machine_role).beat)
         logging.info("listening on %s", ", ".join(gated.listen))
         silence = TcpTimeout(LEASE_MS * 1e-3)
         silence.look()

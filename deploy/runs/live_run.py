@@ -100,7 +100,7 @@ def run_live_scenario(
         profile = load_profile(scenario.robot)
         sink = _sink(out / RECORDING, about(scenario, seed, "live"), profile)
         recording = stack.enter_context(_recording(sink, endpoints))
-        attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
+        attendants = stack.enter_context(ObserverThread(attendance.services(), endpoints))
         process_table.new_robot(chosen)
         launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=log.hear)
         stack.callback(lambda: launcher.stop(interrupts.insisted))
@@ -142,7 +142,7 @@ def warm_up(progress: Progress, interrupts: Interrupts) -> str:
     return ""
 
 
-class Attendants:
+class ObserverThread:
     """Services that run in threads of this process, each over its own link.
 
     A context manager. `check` raises an exception of a service in the caller's thread.
@@ -221,7 +221,7 @@ def _recording(sink: Sink, endpoints: Endpoints) -> Iterator[LiveRecorder]:
 
 def _watch(
     attendance: RunObservers,
-    attendants: Attendants,
+    attendants: ObserverThread,
     launcher: Launcher,
     faults: Faults,
     progress: Progress,

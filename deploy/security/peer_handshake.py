@@ -103,7 +103,7 @@ class _Machine:
     away: bool = False
 
 
-class Meeting:
+class PeerHandshake:
     """Publishes this machine's presence once a second, and tracks other machines."""
 
     def __init__(

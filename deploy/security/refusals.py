@@ -28,7 +28,7 @@ _TOO_OFTEN = re.compile(r" comes too often from ")
 _INTERCEPTED = "Msg intercepted!"
 _FULL = re.compile(r"[Dd]efragmentation")
 _WORDS = {  # verb for each operation in the log
-    "Put": "put",
+    "Put": "publish",
     "Delete": "delete",
     "Declare Subscriber": "subscribe to",
     "Query": "query",

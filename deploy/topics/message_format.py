@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.topics.passive_subscriber import Heard, age_ns
+from sextant.deploy.topics.passive_subscriber import ReceivedMessage, age_ns
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire.codec import DecodeError, decode, label
 from sextant.shared.wire.messages import Message, schema
@@ -18,7 +18,7 @@ FEW = 36  # values of an array that is shown in full: a covariance, and all join
 _WIDTH = 110  # columns
 
 
-def in_words(heard: Heard) -> str:
+def in_words(heard: ReceivedMessage) -> str:
     """Format a frame's message as lines of text.
 
     Raises:
@@ -38,7 +38,7 @@ def in_words(heard: Heard) -> str:
     return "\n".join(lines)
 
 
-def for_scripts(heard: Heard) -> dict[str, Any]:
+def for_scripts(heard: ReceivedMessage) -> dict[str, Any]:
     """Return a frame's message as JSON values; NaN is null.
 
     Raises:
@@ -60,7 +60,7 @@ def refusal(topic: AnyTopic, error: DecodeError) -> str:
     return f"{topic.key}: {error}; run `sextant topics` of the sender's version, or restart the older program"
 
 
-def _decoded(heard: Heard) -> tuple[Message, int | None]:
+def _decoded(heard: ReceivedMessage) -> tuple[Message, int | None]:
     message, _ = decode(heard.frame, heard.topic.type, heard.topic.max_bytes)
     return message, age_ns(label(heard.frame), heard.at_ns)
 

@@ -60,7 +60,7 @@ def age_ns(label: Label, at_ns: int) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ReceivedMessage:
     """One received frame."""
 
     topic: AnyTopic
@@ -92,7 +92,7 @@ class Mailbox:
             queue.append((topic, frame, at_ns))
         self.news.set()
 
-    def drain(self) -> list[Heard]:
+    def drain(self) -> list[ReceivedMessage]:
         """Return the frames since the last call, in order of arrival."""
         self.news.clear()
         with self._lock:
@@ -100,4 +100,4 @@ class Mailbox:
             lost, self._lost = self._lost, {}
             self._waiting.clear()
         found.sort(key=lambda entry: entry[2])
-        return [Heard(topic, frame, at_ns, lost.pop(topic.key, 0)) for topic, frame, at_ns in found]
+        return [ReceivedMessage(topic, frame, at_ns, lost.pop(topic.key, 0)) for topic, frame, at_ns in found]

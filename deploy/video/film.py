@@ -15,9 +15,9 @@ from sextant.deploy.video.captions import Caption, lay_in
 from sextant.deploy.video.following_camera import FollowingCamera
 from sextant.deploy.video.ground import Ground
 from sextant.deploy.video.inset import FOOTHOLD, Inset
-from sextant.deploy.video.renderer import Figure, Mark, Painter, View
+from sextant.deploy.video.renderer import Figure, Mark, Renderer, View
 from sextant.deploy.video.sinking import Sinking
-from sextant.deploy.video.timeline import Maps, Moment, Story
+from sextant.deploy.video.timeline import Maps, Moment, Timeline
 from sextant.shared.geometry import Array, apply
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profile import RobotProfile
@@ -41,7 +41,7 @@ class Cut:
     from_s: float = 0.0
     to_s: float = float("inf")
 
-    def times_ns(self, story: Story) -> list[int]:
+    def times_ns(self, story: Timeline) -> list[int]:
         """Return the time [ns] of each picture.
 
         Raises:
@@ -55,13 +55,13 @@ class Cut:
         return [story.began_ns + round((self.from_s + k * self.times / self.fps) * 1e9) for k in range(count)]
 
 
-class Film:
+class Animation:
     """Pictures of a run, rendered in order by several threads."""
 
     def __init__(
         self,
         path: Path,
-        story: Story,
+        story: Timeline,
         profile: RobotProfile,
         ground: Ground | None,
         title: str,
@@ -94,9 +94,9 @@ class Film:
 
         `tell` receives the number of finished pictures.
         """
-        painters: SimpleQueue[Painter] = SimpleQueue()
+        painters: SimpleQueue[Renderer] = SimpleQueue()
         for _ in range(workers):
-            painters.put(Painter(self._profile, self._cut.size))
+            painters.put(Renderer(self._profile, self._cut.size))
         self._limits = self._limits_of_maps() if self._ground is None else self._limits_of(self._ground)
         maps = Maps(Recording(self._path))
         inset_size = max(round(_INSET * self._cut.size[1]), 1)
@@ -121,7 +121,7 @@ class Film:
                     future.cancel()
 
     def _frame(
-        self, painters: "SimpleQueue[Painter]", t_ns: int, ground: Ground, terrain: TerrainMap | None, inset: Inset | None
+        self, painters: "SimpleQueue[Renderer]", t_ns: int, ground: Ground, terrain: TerrainMap | None, inset: Inset | None
     ) -> NDArray[np.uint8]:
         moment, view = self._story.moment(t_ns), self.camera.view(t_ns)
         painter = painters.get()
@@ -140,7 +140,7 @@ class Film:
         return picture
 
     @staticmethod
-    def paint(painter: Painter, moment: Moment, view: View, sunk: Array | None = None) -> NDArray[np.uint8]:
+    def paint(painter: Renderer, moment: Moment, view: View, sunk: Array | None = None) -> NDArray[np.uint8]:
         """Return the picture of a moment, without map and text."""
         marks = []
         for p in moment.footholds:

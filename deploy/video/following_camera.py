@@ -3,7 +3,7 @@
 import numpy as np
 
 from sextant.deploy.video.renderer import View
-from sextant.deploy.video.timeline import Story, trail
+from sextant.deploy.video.timeline import Timeline, trail
 from sextant.shared.geometry import Array, transform
 from sextant.shared.robot.profile import RobotProfile
 
@@ -19,7 +19,7 @@ _AHEAD = 0.06  # [m] of the picture's middle in front of the robot
 class FollowingCamera:
     """Camera smoothed over past and future, so that it does not lag."""
 
-    def __init__(self, story: Story, profile: RobotProfile):
+    def __init__(self, story: Timeline, profile: RobotProfile):
         n = max((story.ended_ns - story.began_ns) // _STEP_NS, 1) + 1
         self._began_ns = story.began_ns
         poses = trail(story, [story.began_ns + k * _STEP_NS for k in range(n)])

@@ -52,7 +52,7 @@ class View:
     middle: float  # [m] to its target
 
 
-class Painter:
+class Renderer:
     """Renders pictures of one size; data of the ground are prepared once per ground."""
 
     def __init__(self, profile: RobotProfile, size: tuple[int, int], finer: int = 2):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sextant.deploy.video.timeline import Story
+from sextant.deploy.video.timeline import Timeline
 from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _SPEED = 0.25  # [m/s] sinking speed, as in the simulator
 class Sinking:
     """Depth of each weak box of a terrain over time."""
 
-    def __init__(self, terrain: "Terrain", story: Story, radius: float):
+    def __init__(self, terrain: "Terrain", story: Timeline, radius: float):
         """Find when each box gave way, under feet of a radius [m]."""
         self._sinks = terrain.weak.sinks
         self._gave_ns = np.full(len(terrain.weak), np.inf)

@@ -116,12 +116,12 @@ class Moment:
         return inverse(self.T_scene_world) @ self.T_scene_body
 
 
-class StoryError(SextantError, ValueError):
+class TimelineError(SextantError, ValueError):
     """A recording that cannot be drawn."""
 
 
 @dataclass(slots=True)
-class Story:
+class Timeline:
     """All messages that are drawn, except the maps, which need too much memory."""
 
     truth: Track[GroundTruth] = field(default_factory=Track)
@@ -136,11 +136,11 @@ class Story:
     ended_ns: int = 0
 
     @classmethod
-    def read(cls, recording: Recording) -> "Story":
+    def read(cls, recording: Recording) -> "Timeline":
         """Read a recording; a truncated one up to its end.
 
         Raises:
-            StoryError: It does not contain a robot.
+            TimelineError: It does not contain a robot.
         """
         story = cls()
         tracks: dict[str, Track[Any]] = {
@@ -158,7 +158,7 @@ class Story:
             track.by_stamp()
         if not (len(story.truth) or len(story.actuator)):
             words = "it has neither simulator/truth nor actuator/state, so the positions of the legs are unknown"
-            raise StoryError(f"{recording.path}: nothing to draw: {words}; `sextant recording info` lists its topics")
+            raise TimelineError(f"{recording.path}: nothing to draw: {words}; `sextant recording info` lists its topics")
         story.draw_truth(bool(len(story.truth)))
         return story
 
@@ -309,6 +309,6 @@ class Maps:
         return None
 
 
-def trail(story: Story, t_ns: Sequence[int]) -> Array:
+def trail(story: Timeline, t_ns: Sequence[int]) -> Array:
     """Return T_scene_body (n, 4, 4) at times [ns]."""
     return np.array([story.pose(t) for t in t_ns]).reshape(-1, 4, 4)

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from sextant.services.console.config import Settings
 from sextant.services.console.web import frames, view
-from sextant.services.console.web.control_arbiter import Desk
+from sextant.services.console.web.control_arbiter import ControlArbiter
 from sextant.services.console.web.recorder_client import RecorderClient
 from sextant.services.console.web.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
 from sextant.services.console.web.server import Event, PageServer
@@ -72,7 +72,7 @@ class Console:
         self.server = PageServer(settings, clock)
         self.trigger = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
-        self._desk = Desk(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
+        self._desk = ControlArbiter(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
         self._event_log = EventLog()
         self._recorder = RecorderClient(self._event_log)
         self._watched: dict[int, Watch] = {}  # page number -> what the page shows

@@ -22,5 +22,5 @@ def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.Capt
     for said in (led, alone, anew):  # the reason for rejection of each kind of replayed message
         assert "`walk` of operator refused: it is" in said
         assert "plan of step" in said
-    assert "s old" in led.partition("plan of step")[2], "it is led, so what speaks against the plan is its age"
+    assert "s old" in led.partition("plan of step")[2], "a client leads the robot, so the plan is refused for its age"
     assert around == "", "no process has received the peer"

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.net_testbed.link_outages import BACK_S, HOLD_S, OLDEST_S
-from benchmarks.net_testbed.namespace import BedError
-from benchmarks.net_testbed.testbed import PORT, TLS_PORT, Bed, Namespaces, OneMachine
+from benchmarks.net_testbed.namespace import NetTestbedError
+from benchmarks.net_testbed.testbed import PORT, TLS_PORT, Namespaces, NetTestbed, OneMachine
 from benchmarks.net_testbed.two_machines import TwoMachines
 from sextant.shared.scenario.scenario import Link
 from tests.support.commands import PATIENCE_S, ROOT, Command, skip_where_taken, write_course
@@ -26,16 +26,16 @@ CUT_S = 5.0  # longer than Zenoh waits for the other end
 
 
 @pytest.fixture
-def bed() -> Iterator[Bed]:
+def bed() -> Iterator[NetTestbed]:
     with contextlib.ExitStack() as stack:
         try:
             made = stack.enter_context(Namespaces(LINK))
-        except BedError as error:
+        except NetTestbedError as error:
             pytest.skip(str(error))
         yield made
 
 
-def test_two_bare_machines_walk_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
+def test_two_bare_machines_walk_by_the_commands_of_the_docs(bed: NetTestbed, tmp_path: Path) -> None:
     walks_by_the_commands_of_the_docs(bed, tmp_path)
 
 
@@ -45,7 +45,7 @@ def test_they_do_where_only_their_connections_can_be_relayed(tmp_path: Path) -> 
         walks_by_the_commands_of_the_docs(bed, tmp_path)
 
 
-def documented(words: list[str], bed: Bed, folder: Path) -> tuple[str, ...]:
+def documented(words: list[str], bed: NetTestbed, folder: Path) -> tuple[str, ...]:
     """Return a command of the page without its first word.
 
     The testbed's values replace the reader's own ones.
@@ -62,7 +62,7 @@ def documented(words: list[str], bed: Bed, folder: Path) -> tuple[str, ...]:
     return (command, *(own.get(word, word) for word in rest))
 
 
-def walks_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
+def walks_by_the_commands_of_the_docs(bed: NetTestbed, tmp_path: Path) -> None:
     make_keys, *up = (documented(words, bed, tmp_path) for words in islice(commands(PAGE), 3))
     with Command(*make_keys, cwd=tmp_path) as new:
         assert new.status() == 0
@@ -76,7 +76,7 @@ def walks_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
             subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
             return len({heard.step for heard in halves.heard if heard.walks}) > 2
 
-        halves.until(walked, PATIENCE_S, "a walk that is led from the base")
+        halves.until(walked, PATIENCE_S, "a walk commanded by the base")
         assert bed.carried().from_robot > 0
 
 
@@ -126,7 +126,7 @@ with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))
 """
 
 
-def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: Bed) -> None:
+def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: NetTestbed) -> None:
     """Connect again soon after a cut that killed the connection.
 
     Its sockets were closed with unsent data and must not delay the new ones. Without a limit they do so for 3 s.

@@ -361,7 +361,7 @@ def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_eac
                     subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
                     return len(ear.steps) > 2
 
-                eventually(walks, "a walk that is led from the base", alive=onboard.running)
+                eventually(walks, "a walk commanded by the base", alive=onboard.running)
             assert launcher.poll() == [], "\n".join(said[-30:])
             for command in commands:
                 check = [

@@ -79,7 +79,7 @@ class open_page:  # noqa: N801 - it reads as what it does
     def __exit__(self, *_: object) -> None:
         self._context.close()
         assert self.errors == []
-        assert {url for url in self.asked if not url.startswith(("blob:", self._robot.url))} == set(), "no other page is asked"
+        assert {url for url in self.asked if not url.startswith(("blob:", self._robot.url))} == set(), "no other page answers"
 
 
 def walk(robot: PageRobot, hand: Hand) -> None:

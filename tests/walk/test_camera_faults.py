@@ -83,7 +83,7 @@ def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen(imu: bool) -
     assert found.report.falls == 0
     assert any("by touch" in status.reason for status in found.statuses())
     stood = [status for status in found.statuses(AT_S, AT_S + 4.0) if status.state == "waiting"]
-    assert any(REASONS["absent"] in status.reason for status in stood), "it had stopped and said why before it was asked"
+    assert any(REASONS["absent"] in status.reason for status in stood), "it had stopped with a reason before the question"
     if imu:
         up = [truth.T_world_body[2, 2] for truth in found.heard.of(topics.TRUTH, AT_S)]
         assert np.degrees(np.arccos(np.percentile(up, 5))) < 6.0, "with an IMU its tilt does not drift away"

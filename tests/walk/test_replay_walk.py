@@ -15,7 +15,7 @@ from sextant.deploy.replay.walk import Change, replay_recording
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.deploy.runs.run_observers import about
 from sextant.deploy.terminal.progress import Silent
-from sextant.deploy.video.timeline import Story
+from sextant.deploy.video.timeline import Timeline
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import transform
 from sextant.shared.recording.foxglove.translation import Foxglove
@@ -140,7 +140,7 @@ def test_only_some_topics_are_fed_where_that_is_asked_for(recorded: Path, tmp_pa
 
 
 def test_in_a_film_of_it_feet_stand_on_the_ground_and_come_down_where_they_were_drawn_to(recorded: Path) -> None:
-    story, radius = Story.read(Recording(recorded)), load_profile(STEPS.robot).foot.radius
+    story, radius = Timeline.read(Recording(recorded)), load_profile(STEPS.robot).foot.radius
     terrain = build_terrain(STEPS, np.random.default_rng([1000, 0]))
     assert story.true
     assert story.feet_off(terrain.height_at, radius) < 0.005

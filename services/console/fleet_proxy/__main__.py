@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 
 from sextant.services.console.fleet_proxy.config import Settings
-from sextant.services.console.fleet_proxy.proxy import HEAD_BYTES, Front
+from sextant.services.console.fleet_proxy.proxy import HEAD_BYTES, FleetProxy
 from sextant.shared.runtime.process import load_settings
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.runtime.watchdog import Watchdog
@@ -55,7 +55,7 @@ async def _serve(settings: Settings) -> None:
     over = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, over.set)
-    front = Front(settings)
+    front = FleetProxy(settings)
     server = await asyncio.start_server(front.meet, settings.host, settings.port, limit=HEAD_BYTES)
     with Watchdog(os.environ) as watchdog:
         while not over.is_set():

@@ -42,7 +42,7 @@ class _Way(NamedTuple):
     head: bytes
 
 
-class Front:
+class FleetProxy:
     """Request handler: serves the overview and forwards requests for one robot."""
 
     def __init__(self, settings: Settings):

@@ -66,7 +66,7 @@ class _Errand:
     begun_ns: int = 0
 
 
-class Desk:
+class ControlArbiter:
     """Arbiter between pages: takes their requests and returns the messages to publish.
 
     Call `beat` every few hundredths of a second.

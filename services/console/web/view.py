@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sextant.services.console.config import Settings
-from sextant.services.console.web.control_arbiter import SEATS, Desk
+from sextant.services.console.web.control_arbiter import SEATS, ControlArbiter
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.recording.event_log import Entry
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
@@ -57,7 +57,7 @@ def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any
 
 
 def state(
-    desk: Desk,
+    desk: ControlArbiter,
     legs: ActuatorState | None,
     pose: BodyPose | None,
     plan: StepPlan | None,
@@ -140,7 +140,7 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
 
 
 def glance(
-    robot: str, desk: Desk, legs: ActuatorState | None, status: PlannerStatus | None, silent_services: Iterable[str]
+    robot: str, desk: ControlArbiter, legs: ActuatorState | None, status: PlannerStatus | None, silent_services: Iterable[str]
 ) -> dict[str, Any]:
     """Return the summary of the robot for the fleet page."""
     return {

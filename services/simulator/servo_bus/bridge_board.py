@@ -8,13 +8,13 @@ from typing import Protocol
 
 from sextant.services.simulator.servo_bus.bridge_firmware import Firmware
 from sextant.services.simulator.servo_bus.bus import BusTiming
-from sextant.services.simulator.servo_bus.host_link import Outbox, Outlet, Reply, Wire
+from sextant.services.simulator.servo_bus.host_link import HostLink, Outbox, Outlet, Reply
 
 _OUTBOX = 8  # maximum number of frames that wait for a host that does not read; the oldest are dropped
 _START_NS = 300_000_000  # [ns] boot time of the microcontroller
 
 
-class Servos(Wire, Protocol):
+class Servos(HostLink, Protocol):
     """Protocol of the bus behind the board."""
 
     def advance(self, now_ns: int) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from sextant.services.simulator.servo_bus.host_link import AnswersOnly, Outbox, Outlet, Reply, Wire
+from sextant.services.simulator.servo_bus.host_link import AnswersOnly, HostLink, Outbox, Outlet, Reply
 from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
@@ -393,7 +393,7 @@ class MemoryPort:
     """
 
     def __init__(
-        self, bus: Wire, clock: Callable[[], int], timeout: float | None = 0.006, name: int | None = None, start_ns: int = 0
+        self, bus: HostLink, clock: Callable[[], int], timeout: float | None = 0.006, name: int | None = None, start_ns: int = 0
     ) -> None:
         """Open the port.
 

@@ -26,7 +26,7 @@ class Outlet(NamedTuple):
     times: int = 0  # number of times the adapter was unplugged
 
 
-class Wire(Protocol):
+class HostLink(Protocol):
     """Protocol of a device at a host port: the servo bus, or a board in front of it."""
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
@@ -44,7 +44,7 @@ class Wire(Protocol):
 
 
 class AnswersOnly:
-    """Mixin for a `Wire` that only responds to requests."""
+    """Mixin for a `HostLink` that only responds to requests."""
 
     @property
     def due_ns(self) -> int | None:

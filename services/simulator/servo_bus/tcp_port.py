@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
-from sextant.services.simulator.servo_bus.host_link import Outbox, Outlet, Reply, Wire
+from sextant.services.simulator.servo_bus.host_link import HostLink, Outbox, Outlet, Reply
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
 
@@ -33,7 +33,7 @@ class TcpBusServer:
 
     def __init__(
         self,
-        bus: Wire,
+        bus: HostLink,
         *,
         host: str = "127.0.0.1",
         port: int = 0,

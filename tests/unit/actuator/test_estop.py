@@ -96,7 +96,7 @@ def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_h
 
     put("walk", 8 * second, 9 * second)
     put("off", 7 * second, 6 * second)
-    assert not latch.closed, "recorded, and put again"
+    assert not latch.closed, "recorded, and published again"
     put("off", 7 * second, 8 * second)
     assert latch.since_ns == 9 * second
     latch.open()

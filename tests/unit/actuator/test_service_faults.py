@@ -89,7 +89,7 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     state = rig.cycle(36)
     assert state.mode is Mode.FAULT
     assert (rig.air(state) == (np.arange(6) == leg)).all(), "the others have come down"
-    np.testing.assert_allclose(rig.goals[leg], goals[leg], atol=1e-9, err_msg="a leg that hangs is led nowhere")
+    np.testing.assert_allclose(rig.goals[leg], goals[leg], atol=1e-9, err_msg="a hanging leg is not commanded")
     while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
         state = rig.cycle()
     del rig.stuck[row]

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.net_testbed.channel import QUEUE_BYTES, Way
+from benchmarks.net_testbed.channel import QUEUE_BYTES, Channel
 from benchmarks.net_testbed.link_outages import judge
 from benchmarks.net_testbed.listener import Heard
-from benchmarks.net_testbed.namespace import BedError
-from benchmarks.net_testbed.stream import AGAIN_NS, SEGMENT, Air, Stream
+from benchmarks.net_testbed.namespace import NetTestbedError
+from benchmarks.net_testbed.stream import AGAIN_NS, SEGMENT, RadioOutages, Stream
 from benchmarks.net_testbed.testbed import Namespaces, OneMachine, two_machines
 from sextant.deploy.launch.launcher import free_port
 from sextant.shared.scenario.scenario import Link
@@ -27,7 +27,7 @@ _FOREVER = 10**15
 def test_packets_arrive_whole_in_their_order_and_never_before_rate_and_delay_allow(
     sent: list[tuple[int, int]], delay_ms: float, mbit: float
 ) -> None:
-    way, now_ns, due = Way(Link(delay_ms, mbit), 0), 0, []
+    way, now_ns, due = Channel(Link(delay_ms, mbit), 0), 0, []
     for number, (after_ms, size) in enumerate(sent):
         now_ns += after_ms * _MS
         packet = number.to_bytes(2, "big").ljust(size, b"x")[:size]
@@ -48,7 +48,7 @@ def test_packets_arrive_whole_in_their_order_and_never_before_rate_and_delay_all
 
 
 def test_a_radio_that_is_full_drops_what_comes_last() -> None:
-    way = Way(Link(0.0, 1.0), 0)
+    way = Channel(Link(0.0, 1.0), 0)
     packets = 2 * QUEUE_BYTES // 1000
     for _ in range(packets):
         way.send(bytes(1000), 0)
@@ -57,7 +57,7 @@ def test_a_radio_that_is_full_drops_what_comes_last() -> None:
 
 
 def test_as_many_are_lost_as_asked_for_and_the_same_ones_by_the_same_seed() -> None:
-    ways = [Way(Link(1.0, 0.0, 0.05), seed) for seed in (4, 4, 5)]
+    ways = [Channel(Link(1.0, 0.0, 0.05), seed) for seed in (4, 4, 5)]
     for way in ways:
         for number in range(20_000):
             way.send(number.to_bytes(4, "big"), number)
@@ -67,7 +67,7 @@ def test_as_many_are_lost_as_asked_for_and_the_same_ones_by_the_same_seed() -> N
 
 
 def test_nothing_comes_through_a_cut_neither_what_is_under_way_nor_what_is_sent() -> None:
-    way = Way(Link(10.0), 0)
+    way = Channel(Link(10.0), 0)
     way.send(b"under way", 0)
     way.cut = True
     way.send(b"sent", 1)
@@ -89,7 +89,7 @@ def test_nothing_comes_through_a_cut_neither_what_is_under_way_nor_what_is_sent(
 def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before_rate_and_delay_allow(
     sent: list[tuple[int, int]], delay_ms: float, mbit: float, loss: float, seed: int
 ) -> None:
-    air = Air(Link(delay_ms, mbit, loss), seed)
+    air = RadioOutages(Link(delay_ms, mbit, loss), seed)
     stream, now_ns, out, said = Stream(air), 0, 0, b""
     first_ns: list[int] = []  # earliest arrival of each byte
     for number, (after_ms, size) in enumerate(sent):
@@ -114,12 +114,12 @@ def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before
 
 
 def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
-    air = Air(Link(0.0, 8.0), 0)  # one byte per microsecond
+    air = RadioOutages(Link(0.0, 8.0), 0)  # one byte per microsecond
     one, other = Stream(air), Stream(air)
     one.send(bytes(SEGMENT), 0)
     other.send(bytes(SEGMENT), 0)
     assert (one.due_ns, other.due_ns) == (1_400_000, 2_800_000)
-    lossy = Stream(Air(Link(0.0, 0.0, 0.5), 1))
+    lossy = Stream(RadioOutages(Link(0.0, 0.0, 0.5), 1))
     for now_ns in range(20):
         lossy.send(b"x", now_ns)
     early = lossy.arrived(AGAIN_NS - 1)
@@ -128,7 +128,7 @@ def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
 
 
 def test_a_cut_holds_a_stream_up_and_loses_nothing_of_it() -> None:
-    air = Air(Link(10.0), 0)
+    air = RadioOutages(Link(10.0), 0)
     stream = Stream(air)
     stream.send(b"under way, ", 0)
     air.cut()
@@ -207,7 +207,7 @@ def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afte
     with contextlib.ExitStack() as stack:
         try:
             bed = stack.enter_context(Namespaces(Link(5.0, 0.0, 0.0)))
-        except BedError as error:
+        except NetTestbedError as error:
             pytest.skip(str(error))
         listen = (
             "import socket; s = socket.create_server(('10.77.0.2', 9000)); print('up', flush=True); "
@@ -272,7 +272,7 @@ def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
 
 def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "benchmarks.net_testbed.not_there"))
-    with pytest.raises(BedError, match=r"no two machines here: .*not_there"):
+    with pytest.raises(NetTestbedError, match=r"no two machines here: .*not_there"):
         Namespaces(Link()).__enter__()
     # The test then uses one machine, and a report states it.
     with two_machines(Link()) as bed:

@@ -6,7 +6,6 @@ Each ends with status 1 or 2 and one sentence, never with a traceback.
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -158,17 +157,16 @@ OF_BENCHMARKS = [
     ("faults limp_servo", "limp_servo"),
     ("fuzz --only camera/dept", "did you mean 'camera/depth'?"),
 ]
-CASES = [(cli.main, "sextant", *case) for case in MISTAKES] + [
-    (benchmarks.main, benchmarks.PROGRAM, *case) for case in OF_BENCHMARKS
-]
+MAINS = {"sextant": cli.main, benchmarks.PROGRAM: benchmarks.main}
+CASES = [*(("sextant", *case) for case in MISTAKES), *((benchmarks.PROGRAM, *case) for case in OF_BENCHMARKS)]
 
 
-@pytest.mark.parametrize(("main", "program", "line", "message"), CASES, ids=lambda value: str(value)[:60])
+@pytest.mark.parametrize(("program", "line", "message"), CASES, ids=lambda value: value[:60])
 def test_a_mistake_is_named_in_one_sentence(
-    main: Callable[[Sequence[str]], int], program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
+    program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
-        status = main(line.split())
+        status = MAINS[program](line.split())
     except SystemExit as ended:
         status = int(str(ended.code))
     printed = capsys.readouterr()

@@ -154,19 +154,19 @@ def router_says(desk: Desk, refused: int, last: str, name: str = "router of robo
 
 def test_whom_a_router_on_the_way_keeps_back_is_told_by_its_word() -> None:
     desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
-    router_says(desk, 3, "refused: viewer may not put operator/mode")
+    router_says(desk, 3, "refused: viewer may not publish operator/mode")
     desk.beats(1)
     assert not desk.order.finished, "that was another client, before"
-    router_says(desk, 4, "refused: viewer may not put operator/mode")
+    router_says(desk, 4, "refused: viewer may not publish operator/mode")
     desk.beats(1)
-    assert desk.order.failed.startswith("the router of robot refused: viewer may not put operator/mode; use the keys")
+    assert desk.order.failed.startswith("the router of robot refused: viewer may not publish operator/mode; use the keys")
 
 
 def test_who_leads_takes_no_notice_of_others_being_kept_back() -> None:
     desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
     router_says(desk, 3, "")
     desk.beats(2, mode=Mode.STAND, reason="standing up", lease="me")
-    router_says(desk, 4, "refused: viewer may not put operator/mode")
+    router_says(desk, 4, "refused: viewer may not publish operator/mode")
     desk.beats(1, mode=Mode.STAND, reason="standing up", lease="me")
     assert not desk.order.finished
 

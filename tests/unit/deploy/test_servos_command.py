@@ -138,7 +138,7 @@ def test_where_nobody_answers_that_is_said_once(bench: BenchEmulator, url: str, 
     assert told[1] == "none of 3 servos answers"
     assert len(told) == 3
     assert cli.main([*words, "--json"]) == 1
-    assert len(json.loads(capsys.readouterr().out)["problems"]) == 3, "a script is told of each"
+    assert len(json.loads(capsys.readouterr().out)["problems"]) == 3, "a script receives each"
     assert cli.main(["servos", "off", "--port", url]) == 1
     told = capsys.readouterr().out.splitlines()
     assert told[0] == "each of 18 servos does not answer, or refuses the order"

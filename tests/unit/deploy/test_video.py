@@ -13,12 +13,12 @@ from PIL import Image
 from sextant.deploy import cli
 from sextant.deploy.video import ground, video_writer
 from sextant.deploy.video.captions import Caption
-from sextant.deploy.video.film import Cut, Film
+from sextant.deploy.video.film import Animation, Cut
 from sextant.deploy.video.rasterizer import blank, draw_faces, draw_field, draw_limbs
-from sextant.deploy.video.renderer import Figure, Mark, Painter, View
+from sextant.deploy.video.renderer import Figure, Mark, Renderer, View
 from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
 from sextant.deploy.video.sinking import Sinking
-from sextant.deploy.video.timeline import Maps, Moment, Story, Track
+from sextant.deploy.video.timeline import Maps, Moment, Timeline, Track
 from sextant.services.simulator.physics.solids import Boxes
 from sextant.services.simulator.physics.terrain import Terrain, Weak
 from sextant.shared.files.whole_files import WriteError
@@ -135,8 +135,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def story(run: Path) -> Story:
-    return Story.read(Recording(run))
+def story(run: Path) -> Timeline:
+    return Timeline.read(Recording(run))
 
 
 def level(way: Array | None = None) -> ground.Ground:
@@ -146,13 +146,13 @@ def level(way: Array | None = None) -> ground.Ground:
 
 
 @pytest.fixture(scope="module")
-def film(run: Path, story: Story) -> Film:
-    return Film(run, story, PROFILE, level(), "flat, seed 0", SMALL)
+def film(run: Path, story: Timeline) -> Animation:
+    return Animation(run, story, PROFILE, level(), "flat, seed 0", SMALL)
 
 
 @pytest.fixture(scope="module")
-def painter() -> Painter:
-    painter = Painter(PROFILE, (320, 192))
+def painter() -> Renderer:
+    painter = Renderer(PROFILE, (320, 192))
     painter.stand_on(level())
     return painter
 
@@ -163,7 +163,7 @@ def pixel(view: View, size: tuple[int, int], p: Array) -> Array:
     return np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]) + view.focal * size[1] * np.array([x, y]) / z
 
 
-def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Story) -> None:
+def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Timeline) -> None:
     for fps, times, from_s, to_s in ((25.0, 1.0, 0.0, 4.0), (12.5, 2.0, 0.5, 3.3), (10.0, 0.25, 3.0, 99.0)):
         cut = Cut(fps=fps, times=times, from_s=from_s, to_s=to_s)
         shown = cut.times_ns(story)
@@ -176,7 +176,7 @@ def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Story
             Cut(from_s=from_s, to_s=to_s).times_ns(story)
 
 
-def test_pictures_are_the_same_however_many_paint_them(film: Film) -> None:
+def test_pictures_are_the_same_however_many_paint_them(film: Animation) -> None:
     alone, together = list(film.frames(1)), list(film.frames(3))
     assert len(alone) == len(together) == len(film.times_ns) == 20
     for one, other in zip(alone, together, strict=True):
@@ -184,7 +184,7 @@ def test_pictures_are_the_same_however_many_paint_them(film: Film) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_robot_stays_in_the_middle_and_moves(film: Film, story: Story) -> None:
+def test_the_robot_stays_in_the_middle_and_moves(film: Animation, story: Timeline) -> None:
     size = np.array(SMALL.size)
     for t_ns in film.times_ns:
         body = pixel(film.camera.view(t_ns), SMALL.size, story.pose(t_ns)[:3, 3])
@@ -210,7 +210,7 @@ def from_aside(p: Array, yaw: float, away: float = 1.2) -> View:
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_foot_is_drawn_where_the_kinematics_say_and_tells_whether_it_carries(painter: Painter, leg: int) -> None:
+def test_a_foot_is_drawn_where_the_kinematics_say_and_tells_whether_it_carries(painter: Renderer, leg: int) -> None:
     hue = {}
     for state in (CARRIES, SWINGS):
         figure, feet = still(np.full(6, state == CARRIES))
@@ -224,7 +224,7 @@ def test_a_foot_is_drawn_where_the_kinematics_say_and_tells_whether_it_carries(p
     assert np.abs(hue[CARRIES] - hue[SWINGS]).max() > 0.1
 
 
-def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Painter) -> None:
+def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Renderer) -> None:
     figure, _ = still(np.ones(6, dtype=bool))
     view, p = from_aside(np.zeros(3), 0.7, 1.6), np.array([0.30, 0.25, 0.0])
     bare = painter.paint(figure, view).astype(int)
@@ -307,7 +307,7 @@ def test_a_rounded_box_keeps_within_its_size() -> None:
     assert (np.einsum("ij,ij->i", normals, faces.mean(axis=1)) > 0).all()  # outward
 
 
-def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Film, story: Story) -> None:
+def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Animation, story: Timeline) -> None:
     said = [story.moment(round(t_s * S)) for t_s in (2.0, 3.5)]
     assert [m.trouble for m in said] == ["", f"planner blocked: {BLOCKED}"]
     assert said[0].mode == "walk"
@@ -328,7 +328,7 @@ def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Film, story: 
     assert (picture[:20] == 128).all()
 
 
-def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(story: Story) -> None:
+def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(story: Timeline) -> None:
     moment = story.moment(story.began_ns + 2 * S)
     np.testing.assert_allclose(moment.T_scene_body, at(2.0), atol=1e-6)
     np.testing.assert_allclose(moment.T_world_body, at(2.0), atol=1e-6)
@@ -340,7 +340,7 @@ def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(st
 def test_without_truth_it_is_drawn_where_it_believed_to_be_on_its_own_map(tmp_path: Path) -> None:
     said = [m for m in a_walk() if not isinstance(m, GroundTruth)]
     path = record(tmp_path / "recording.mcap", said, {"robot": PROFILE.name})
-    story = Story.read(Recording(path))
+    story = Timeline.read(Recording(path))
     assert not story.true
     np.testing.assert_allclose(story.moment(story.began_ns + S).T_scene_body, at(1.0), atol=2e-3)
     out = tmp_path / "walk.gif"
@@ -349,7 +349,7 @@ def test_without_truth_it_is_drawn_where_it_believed_to_be_on_its_own_map(tmp_pa
         assert (image.size, image.n_frames) == ((160, 96), 8)  # type: ignore[attr-defined]
 
 
-def test_what_gives_way_sinks_when_a_foot_that_carries_has_told_so(story: Story, painter: Painter) -> None:
+def test_what_gives_way_sinks_when_a_foot_that_carries_has_told_so(story: Timeline, painter: Renderer) -> None:
     """Sink the pillar under the left middle foot by the recorded contact.
 
     The pillar is assumed to reach 1 cm higher than the foot, so it has sunk.
@@ -367,7 +367,7 @@ def test_what_gives_way_sinks_when_a_foot_that_carries_has_told_so(story: Story,
         assert (later[0], later[-1]) == (0.0, 0.06 if gave else 0.0)
     ground_ = ground.of_terrain(terrain, np.array([[-0.5, 0.0], [0.5, 0.0]]))
     assert (len(ground_.faces), ground_.sinking.shape) == (0, (1, 6, 4, 3))
-    one = Painter(PROFILE, (160, 96))
+    one = Renderer(PROFILE, (160, 96))
     one.stand_on(ground_)
     figure, _ = still(np.ones(6, dtype=bool))
     view = from_aside(foot, 1.6, 0.8)
@@ -546,7 +546,7 @@ def test_wrong_options_are_refused(option: list[str], capsys: pytest.CaptureFixt
     assert "expected" in capsys.readouterr().err
 
 
-def test_a_film_asks_for_no_moment_it_does_not_show(film: Film) -> None:
+def test_a_film_asks_for_no_moment_it_does_not_show(film: Animation) -> None:
     shown: list[Moment] = [film._story.moment(t_ns) for t_ns in film.times_ns]
     assert shown[0].time_s == 0.0
     assert [round(m.time_s, 6) for m in shown] == [round(k / SMALL.fps, 6) for k in range(len(shown))]

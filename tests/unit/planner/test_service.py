@@ -152,7 +152,7 @@ def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(m
         rig.inbox.receive(topics.CAMERA_STATE, codec.encode(state), rig.now_ns)
         assert ("the camera sends no images: no device found" in rig.status().reason) is named
     rig.plans(50)
-    assert "camera" not in rig.status().reason, "it has not been heard of for a second"
+    assert "camera" not in rig.status().reason, "no message for a second"
 
 
 def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:

@@ -142,7 +142,7 @@ def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> No
     feet[4:, 2] += 0.02
     np.testing.assert_allclose(by_loads(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9)
     assert not by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
-    assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "no plane is told from feet in one place"
+    assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "feet in one place define no plane"
 
 
 @pytest.mark.parametrize(("out_m", "bears"), [(0.004, True), (0.006, False)])

@@ -196,7 +196,7 @@ def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -
         assert robot.guard.handle_stop(order, robot.now) == (Act.TORQUE_OFF,)
     assert robot.guard.handle_stop(words[0], robot.now) == (), "a repetition is nothing new"
     assert robot.guard.handle_stop(words[16], robot.now) == (Act.TORQUE_OFF,)
-    assert robot.guard.handle_stop(words[0], robot.now) == (), "it was heard since"
+    assert robot.guard.handle_stop(words[0], robot.now) == (), "a message has arrived since"
     assert robot.guard.handle_stop(words[1], robot.now) == (Act.TORQUE_OFF,), "forgotten: in doubt it is obeyed"
 
 

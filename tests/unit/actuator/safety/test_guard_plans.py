@@ -39,7 +39,7 @@ def test_a_bad_plan_is_refused_in_words_and_changes_nothing(bad: str) -> None:
     assert robot.mode is Mode.WALK
     robot.now += DEADLINE_NS - CYCLE
     assert robot.cycle(0) == ()
-    assert robot.cycle(1) == (Act.SET_DOWN,), "it has not put the deadline off"
+    assert robot.cycle(1) == (Act.SET_DOWN,), "it has not moved the deadline"
 
 
 @pytest.mark.parametrize("nonsense", [np.nan, np.inf, -np.inf])

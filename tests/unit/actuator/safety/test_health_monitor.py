@@ -111,7 +111,7 @@ def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
     assert Patient().cycle(silent).broken == "no servo answers; check the power of the bus, its cable and the adapter"
     assert Patient().cycle(replace(silent, newest=np.inf)).broken.startswith("no servo answers")
     assert "with 17 more" in Patient().cycle(replace(silent, newest=0.10)).broken
-    assert Patient().cycle(replace(WELL, newest=np.inf)).broken == "", "none has been asked often enough"
+    assert Patient().cycle(replace(WELL, newest=np.inf)).broken == "", "no servo has enough requests"
 
 
 def test_too_many_lost_answers_are_nothing_to_walk_on() -> None:
@@ -443,7 +443,7 @@ def test_a_servo_that_cannot_be_heard_is_not_reset_and_that_counts_for_nothing(q
     for verdict in patient.live(10.0, away):
         assert not verdict.restore_torque
         assert not verdict.sit
-    assert any(verdict.restore_torque == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it is heard again"
+    assert any(verdict.restore_torque == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it answers again"
 
 
 def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down() -> None:

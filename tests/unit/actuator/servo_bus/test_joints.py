@@ -180,7 +180,7 @@ def test_an_order_to_let_go_that_comes_while_servos_are_asked_does_not_wait_for_
     ordered = asked[40]
     words = [(packet.servo_id, packet.code, packet.parameters) for packet in rig.bus.said[ordered : ordered + 2]]
     assert words == [(dxl.BROADCAST_ID, Instruction.WRITE, bytes((dxl.TORQUE_ENABLE.address, 0)))] * 2
-    assert len(rig.bus.said) > ordered + 20, "there were more to be asked"
+    assert len(rig.bus.said) > ordered + 20, "more servos were due"
     rig.bus.advance(rig.clock() + PERIOD)
     assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
 

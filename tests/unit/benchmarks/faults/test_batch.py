@@ -51,7 +51,7 @@ def test_lines_of_another_program_do_not_count_and_other_lines_are_told(tmp_path
     assert len(list(read(path, mark))) == 1
     assert not list(read(path, "another"))
     path.write_text(path.read_text() + "{}\n")
-    with pytest.raises(results_store.KeptError, match="line 2"):
+    with pytest.raises(results_store.ResultsError, match="line 2"):
         list(read(path, mark))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.faults.cases import BY_NAME, Case
-from benchmarks.faults.fault_run import NoWalkError, Seen, Watched, in_walks
+from benchmarks.faults.fault_run import FaultRun, NoWalkError, Observed, in_walks
 from benchmarks.faults.timeline import Timeline
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import Mode
@@ -15,7 +15,7 @@ from tests.support.states import actuator_state
 from tests.support.timelines import timeline
 
 
-class Walk(Watched):
+class Walk(FaultRun):
     """A walk that goes on for a given number of injections, then stands or is stuck."""
 
     start_s = 1.0
@@ -36,7 +36,7 @@ class Walk(Watched):
     def walks(self) -> bool:
         return self._left > 0 or self.stuck
 
-    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Observed:
         raise AssertionError("nothing is broken")
 
     def look(self, until_s: float = float("inf")) -> None:
@@ -81,7 +81,7 @@ def test_a_robot_whose_actuator_says_nothing_does_not_walk() -> None:
 
         @property
         def walks(self) -> bool:
-            return Watched.walks.fget(self)  # type: ignore[attr-defined,no-any-return]
+            return FaultRun.walks.fget(self)  # type: ignore[attr-defined,no-any-return]
 
     Walk.lasts, Walk.stuck, Walk.seeds = [0], False, []
     walk = Silent(BY_NAME["planner-killed"], 0)

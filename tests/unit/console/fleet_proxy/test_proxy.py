@@ -16,7 +16,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from sextant.services.console.config import Settings as ConsoleSettings
 from sextant.services.console.fleet_proxy.config import Settings
-from sextant.services.console.fleet_proxy.proxy import HEAD_BYTES, Front
+from sextant.services.console.fleet_proxy.proxy import HEAD_BYTES, FleetProxy
 from sextant.services.console.web.origin_policy import PROTOCOL
 from sextant.services.console.web.requests import Command
 from sextant.services.console.web.server import PageServer
@@ -48,7 +48,7 @@ class Site:
             ports = {name: server.port for name, server in self.consoles.items()}
             self._loop = asyncio.new_event_loop()
             stack.callback(self._loop.close)
-            front = Front(Settings(token=self.token, robots={**ports, "away": _closed_port()}))
+            front = FleetProxy(Settings(token=self.token, robots={**ports, "away": _closed_port()}))
             made = asyncio.start_server(front.meet, "127.0.0.1", 0, limit=HEAD_BYTES)
             server_ = self._loop.run_until_complete(made)
             self.port = server_.sockets[0].getsockname()[1]

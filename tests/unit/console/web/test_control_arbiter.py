@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, Desk
+from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, ControlArbiter
 from sextant.services.console.web.requests import CancelGoal, Command, Drive, GoTo, Heartbeat, Name, Release, TakeOver, Walk
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
@@ -29,7 +29,7 @@ class Office:
     """A desk, its pages, and an actuator that grants the lease as the guard does."""
 
     def __init__(self) -> None:
-        self.desk = Desk(max_speed=0.12, place="here")
+        self.desk = ControlArbiter(max_speed=0.12, place="here")
         self.now = 1000 * MS
         self.lease = ""
         self.mode = Mode.HOLD
@@ -119,7 +119,7 @@ def test_a_page_that_falls_silent_has_let_go_and_its_press_counts_no_more(office
     assert DEAD_MAN_NS - 50 * MS < stopped.stamp_ns - begun <= DEAD_MAN_NS + 20 * MS
     assert "press it again" in office.ask(1, drive(1)), "it was frozen, and goes on where it was"
     for _ in range(10):
-        assert office.ask(1, drive(1)) == "", "which is said once"
+        assert office.ask(1, drive(1)) == "", "which is reported once"
         assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
     assert any(v.velocity.any() for v in velocities(office.hold(1, press=2)))
 
@@ -181,7 +181,7 @@ def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: O
 
 
 def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
-    there = Desk(max_speed=0.12, place="there")
+    there = ControlArbiter(max_speed=0.12, place="there")
     there.arrive(1, office.now)
     office.hold(1, press=1)
     assert office.lease == "console 1 at here"

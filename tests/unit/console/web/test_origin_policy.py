@@ -19,7 +19,7 @@ def test_refusals_are_said_at_most_once_a_second_and_each_is_counted(waits: list
         now += wait / 8  # [s]
         if words := porter.words(REFUSAL, now):
             said.append((now, words))
-    assert said[0][1] == f"a page was refused: {REFUSAL}", "the first is said at once"
+    assert said[0][1] == f"a page was refused: {REFUSAL}", "the first is reported at once"
     assert all(b - a >= 1.0 for (a, _), (b, _) in pairwise(said))
     left_out = [int(found[1]) for _, words in said if (found := re.search(r"and (\d+) more", words))]
     assert len(said) + sum(left_out) == len(waits) + 1

@@ -118,12 +118,12 @@ def test_reading_writes_nothing_and_keeping_loses_nothing_but_a_cut_off_run(tmp_
     path = tmp_path_factory.mktemp("kept") / "any"
     before = b"\n".join(lines)
     path.write_bytes(before)
-    with contextlib.suppress(results_store.KeptError):
+    with contextlib.suppress(results_store.ResultsError):
         results_store.read(path)
     assert path.read_bytes() == before
     try:
         results_store.keep(path, [Run.read(_entry())])
-    except results_store.KeptError:
+    except results_store.ResultsError:
         assert path.read_bytes() == before
     else:
         end = before.rfind(b"\n") + 1
@@ -135,7 +135,7 @@ def test_reading_writes_nothing_and_keeping_loses_nothing_but_a_cut_off_run(tmp_
 def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
     path = tmp_path / "other"
     path.write_bytes(before)
-    with pytest.raises(results_store.KeptError, match=r"other, line 1"):
+    with pytest.raises(results_store.ResultsError, match=r"other, line 1"):
         results_store.keep(path, [Run.read(_entry())])
     assert path.read_bytes() == before
 
@@ -143,7 +143,7 @@ def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
 def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
     (tmp_path / "campaign.jsonl").mkdir()
     with pytest.raises(
-        results_store.KeptError, match=r"campaign\.jsonl: a file expected, found a folder.*readable file of stored runs"
+        results_store.ResultsError, match=r"campaign\.jsonl: a file expected, found a folder.*readable file of stored runs"
     ):
         results_store.read(tmp_path / "campaign.jsonl")
 
@@ -152,7 +152,7 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
 
     for name, reading in (("is_file", lambda path: results_store.files([path])), ("exists", results_store.read)):
         monkeypatch.setattr(type(tmp_path), name, forbidden)
-        with pytest.raises(results_store.KeptError, match=r"mine: cannot be read \(Permission denied\)"):
+        with pytest.raises(results_store.ResultsError, match=r"mine: cannot be read \(Permission denied\)"):
             reading(tmp_path / "mine")
 
 
@@ -165,7 +165,7 @@ def test_a_line_that_is_no_run_is_named(tmp_path, line):
     path = tmp_path / "campaign.jsonl"
     results_store.keep(path, [Run.read(_entry())])
     path.write_text(path.read_text() + line + "\n")
-    with pytest.raises(results_store.KeptError, match=r"line 2.*remove the line"):
+    with pytest.raises(results_store.ResultsError, match=r"line 2.*remove the line"):
         results_store.read(path)
 
 
@@ -178,5 +178,5 @@ def test_a_folder_stands_for_what_it_keeps(tmp_path):
         tmp_path / "campaign.jsonl",
         tmp_path / "trials.jsonl",
     ]
-    with pytest.raises(results_store.KeptError, match=r"campaign\.jsonl or trials\.jsonl, expected"):
+    with pytest.raises(results_store.ResultsError, match=r"campaign\.jsonl or trials\.jsonl, expected"):
         results_store.files([tmp_path / "nothing"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.run_log import Heard
+from sextant.deploy.evaluation.run_log import RunLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics
@@ -18,7 +18,7 @@ def counted(*steps: int) -> list[int]:
     """Return the steps of received states as a scorer counts them."""
     flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
     truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
-    heard, inbox = Heard(), Inbox(topics.TOPICS, Stages())
+    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
     for step in steps:
         inbox.receive(topics.ACTUATOR_STATE, codec.encode(actuator_state(PROFILE, step=step, mode=Mode.WALK)), 0)
         heard.take_in(truth, inbox)
@@ -35,4 +35,4 @@ def test_steps_count_on_where_an_actuator_began_again() -> None:
 def test_a_claimed_step_of_any_size_leaves_numbers_that_a_message_can_hold(claimed: int) -> None:
     steps = counted(3, claimed, 4, claimed, LARGEST, 5, 6)
     assert np.array(steps, dtype=np.int64).shape == (7,)
-    assert steps[-1] == steps[-2] + 1, "what comes after is told apart"
+    assert steps[-1] == steps[-2] + 1, "later messages are counted separately"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sextant.deploy.launch import host_launcher, process_table
-from sextant.deploy.launch.host_launcher import Half
+from sextant.deploy.launch.host_launcher import HostLauncher
 from sextant.deploy.launch.launcher import Ended
 from sextant.deploy.launch.process_table import Choices, Role
 from sextant.deploy.provenance import version
@@ -87,9 +87,9 @@ def claim(link: FakeLink, role: str, *services: str) -> None:
     link.frames[topics.PRESENCE_OF[role].key] = [codec.encode(made)]
 
 
-def a_half(role: Role, upstream: tuple[str, ...]) -> Half:
+def a_half(role: Role, upstream: tuple[str, ...]) -> HostLauncher:
     rows = process_table.rows(role, simulated=False)
-    return Half(role, rows, Choices(), {}, Gate((OWN,), upstream=upstream, open=True), lambda _: None)
+    return HostLauncher(role, rows, Choices(), {}, Gate((OWN,), upstream=upstream, open=True), lambda _: None)
 
 
 @pytest.mark.parametrize("role", topics.ROLE_NAMES)

@@ -85,7 +85,7 @@ def test_a_dead_child_is_named_with_its_last_words_and_started_again_as_often_as
             Ended("a", "exit status 1", "RuntimeError: no more ground", restarted=False),
         ]
         assert str(endings[0]) == "a ended (exit status 1); last output: RuntimeError: no more ground; started again"
-        assert launcher.poll() == [], "an ending is told once"
+        assert launcher.poll() == [], "an end is reported once"
 
 
 def test_a_process_that_stayed_up_has_all_of_its_restarts_again(ear: Ear, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from sextant.deploy.evaluation import report as reports
 from sextant.deploy.launch.launcher import host_router
-from sextant.deploy.runs.live_run import Attendants, Faults, ServiceLog, Speed
+from sextant.deploy.runs.live_run import Faults, ObserverThread, ServiceLog, Speed
 from sextant.deploy.runs.run_observers import RunObservers
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
@@ -61,7 +61,7 @@ class Listener:
 
 def test_attendants_hear_each_other_and_end() -> None:
     listener = Listener()
-    with host_router() as endpoints, Attendants({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+    with host_router() as endpoints, ObserverThread({"caller": Caller(), "listener": listener}, endpoints) as attendants:
         assert listener.heard.wait(PATIENCE_S)
         attendants.check()
     assert not [t for t in threading.enumerate() if t.name in ("caller", "listener")]
@@ -69,7 +69,7 @@ def test_attendants_hear_each_other_and_end() -> None:
 
 def test_what_breaks_in_an_attendant_comes_out_where_the_run_is_watched() -> None:
     listener = Listener(breaks=True)
-    with host_router() as endpoints, Attendants({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+    with host_router() as endpoints, ObserverThread({"caller": Caller(), "listener": listener}, endpoints) as attendants:
         assert listener.heard.wait(PATIENCE_S)
         for thread in threading.enumerate():
             if thread.name == "listener":

@@ -38,7 +38,7 @@ def test_bulk_that_finds_no_room_is_dropped() -> None:
     radio = Radio(Link(delay_ms=20.0, mbit=2.0), 0)
     came = [radio.arrival_ns(topics.SCAN, "perception", 50_000, k * 66 * MS) for k in range(150)]
     taken = [(k, at) for k, at in enumerate(came) if at is not None]
-    assert 2e6 / 8 * 10 / 50_000 * 0.9 < len(taken) < 2e6 / 8 * 10 / 50_000 * 1.1 + 4, "as many as the rate carries"
+    assert 2e6 / 8 * 10 / 50_000 * 0.9 < len(taken) < 2e6 / 8 * 10 / 50_000 * 1.1 + 4, "the number that the rate allows"
     assert max(at - k * 66 * MS for k, at in taken) < 900 * MS
 
 

@@ -42,7 +42,7 @@ KEPT = logged("Msg intercepted!", target="")
     [
         (
             logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/operator/mode") + KEPT,
-            "viewer may not put operator/mode",
+            "viewer may not publish operator/mode",
         ),
         (
             logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Query (ingress) on here/camera/depth")
@@ -138,7 +138,7 @@ def test_it_speaks_once_a_second_and_soon_when_there_is_news() -> None:
     assert said[-1].doing == "listening; refused: a client without a certificate: 1 times"
     log.append("")
     connections.add("a client without a certificate")
-    assert keeper.look(300_000_000) == "", "a kind is told of once, on the terminal"
+    assert keeper.look(300_000_000) == "", "each kind is reported once on the terminal"
     log.append("")
     keeper.look(600_000_000)
     assert len(said) == 2
@@ -199,7 +199,7 @@ def router(keys: Path) -> Iterator[tuple[str, str]]:
         assert process.wait(PATIENCE_S) == 0
         said = process.stderr.read()
     assert "router: refused: " in said
-    assert "viewer may not put operator/mode" in said
+    assert "viewer may not publish operator/mode" in said
 
 
 def test_whom_a_router_refuses_is_said_in_its_health(router: tuple[str, str], keys: Path) -> None:
@@ -208,7 +208,7 @@ def test_whom_a_router_refuses_is_said_in_its_health(router: tuple[str, str], ke
 
     def hear(_topic: object, frame: bytes) -> None:
         words.append(codec.decode(frame, Health)[0])
-        if "a certificate of a foreign authority" in words[-1].doing and "viewer may not put" in words[-1].doing:
+        if "a certificate of a foreign authority" in words[-1].doing and "viewer may not publish" in words[-1].doing:
             told.set()
 
     with ZenohLink(Endpoints((plain,), namespace=NAMESPACE)) as link:
@@ -218,5 +218,5 @@ def test_whom_a_router_refuses_is_said_in_its_health(router: tuple[str, str], ke
             with pytest.raises(zenoh.ZError):
                 stranger(secure, tls_of(keys / "foreign", trusted=keys / "robot"))
             assert told.wait(PATIENCE_S), [word.doing for word in words[-3:]]
-    assert "viewer may not put operator/mode: 1 times" in words[-1].doing
+    assert "viewer may not publish operator/mode: 1 times" in words[-1].doing
     assert words[-1].service == "router of robot"

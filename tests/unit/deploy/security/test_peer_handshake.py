@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.deploy.security import peer_handshake
-from sextant.deploy.security.peer_handshake import Meeting, objection
+from sextant.deploy.security.peer_handshake import PeerHandshake, objection
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health, Presence
@@ -82,7 +82,7 @@ class Machine:
         self.said: list[str] = []
         self.link = wire.link()
         certificate = certificate or ("base" if role == "offboard" else "robot")
-        self.meeting = Meeting(self.link, name, role, version, services, lambda: clock[0], self.said.append, certificate)
+        self.meeting = PeerHandshake(self.link, name, role, version, services, lambda: clock[0], self.said.append, certificate)
 
     def hear(self, role: str, claim: Presence) -> None:
         """Receive a presence under the key of a role."""

@@ -248,7 +248,7 @@ def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
             inside.link.send(topics.ACTUATOR_STATE, b"state")
             if heard.wait(0.02):
                 break
-        assert heard.is_set(), "the robot is heard at the other side"
+        assert heard.is_set(), "the robot's messages arrive at the other side"
         if role == "base":
             put_until(inside, process, topics.STEP_PLAN, b"plan")
         else:

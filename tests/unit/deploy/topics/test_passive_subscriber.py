@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.topics import message_format, topic_stats
-from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
+from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, Mailbox, ReceivedMessage, age_ns, listen, topics_named
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import DecodeError, Timing
 from sextant.shared.wire.messages import CameraState, Odometry, TerrainMap, VelocityCommand
@@ -111,27 +111,27 @@ def test_a_label_of_wild_bytes_is_one_or_a_refusal(data: bytes) -> None:
     assert (row.frames, row.refused) == (1, 1)
     assert row.refusal
     with pytest.raises(DecodeError):
-        message_format.in_words(Heard(topics.IMU, data, NOW, 0))
+        message_format.in_words(ReceivedMessage(topics.IMU, data, NOW, 0))
 
 
 # ---------------------------------------------------------------------------------------------------------------- shown
 
 
 def test_a_small_array_is_shown_in_full_and_a_large_one_by_what_lies_in_it() -> None:
-    words = message_format.in_words(Heard(topics.TERRAIN, frame_of(terrain()), NOW, 3))
+    words = message_format.in_words(ReceivedMessage(topics.TERRAIN, frame_of(terrain()), NOW, 3))
     assert "mapper/terrain  TerrainMap" in words
     assert "3 skipped" in words
     assert "float32 (8, 8)  50 % finite, 0.14254 to 0.3" in words
     assert "bool (8, 8)  0 % true" in words
     assert "float64 (2,)  [0. 0.]" in words
-    odometry = message_format.in_words(Heard(topics.ODOMETRY, frame_of(ODOMETRY), NOW, 0))
+    odometry = message_format.in_words(ReceivedMessage(topics.ODOMETRY, frame_of(ODOMETRY), NOW, 0))
     assert "20 ms old" in odometry
     assert odometry.count("[") - 1 >= 4, "a row of the pose on each line"
     assert "skipped" not in odometry
 
 
 def test_for_scripts_it_is_json_without_nan() -> None:
-    found = message_format.for_scripts(Heard(topics.TERRAIN, frame_of(terrain()), NOW, 0))
+    found = message_format.for_scripts(ReceivedMessage(topics.TERRAIN, frame_of(terrain()), NOW, 0))
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert found["message"]["elevation"] == {
         "dtype": "float32",
@@ -140,7 +140,7 @@ def test_for_scripts_it_is_json_without_nan() -> None:
         "min": pytest.approx(0.14254, abs=1e-5),
         "max": pytest.approx(0.3),
     }
-    again = message_format.for_scripts(Heard(topics.ODOMETRY, frame_of(ODOMETRY), NOW, 2))
+    again = message_format.for_scripts(ReceivedMessage(topics.ODOMETRY, frame_of(ODOMETRY), NOW, 2))
     assert np.array_equal(again["message"]["T_odom_body"], ODOMETRY.T_odom_body)
     assert (again["age_ms"], again["passed_over"], again["message"]["stance"]) == (20.0, 2, [True] * 6)
 

@@ -54,7 +54,7 @@ def test_what_is_left_counts_the_inputs_of_one_step() -> None:
     assert ages.left_ns() is None
     legs = InputAges({topics.ACTUATOR_STATE.key: 0.45})
     legs.note(topics.ACTUATOR_STATE.key, 20 * MS)
-    assert legs.left_ns() == pytest.approx(80 * MS), "legs do not wait for a plan as long as that"
+    assert legs.left_ns() == pytest.approx(80 * MS), "legs do not wait that time for a plan"
 
 
 def test_maps_that_are_old_on_arrival_name_the_computer() -> None:

@@ -232,7 +232,7 @@ def test_health_tells_of_frames_that_went_astray() -> None:
     assert words[0] == "imu: a frame that was sent to a/mode has come"
     assert words[1].startswith("operator/mode: ")
     assert words[2] == words[1]
-    assert words[3] == astray[1], "the newest is told"
+    assert words[3] == astray[1], "the newest is reported"
 
 
 def test_health_tells_of_refusals() -> None:

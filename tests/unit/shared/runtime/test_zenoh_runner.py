@@ -147,7 +147,7 @@ def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire)
     assert [c.sequence for c in seen] == [1]
     assert wire.receivers == {}, "no thread hands anything over"
     (health,) = (codec.decode(frame, Health)[0] for topic, frame in wire.sent if topic is HEALTH)
-    assert (health.refused, health.last_refusal) == (3, "sent to another"), "what the link has dropped is told of"
+    assert (health.refused, health.last_refusal) == (3, "sent to another"), "messages dropped by the link are reported"
     assert all(9.0 < length_s <= 10.0 for length_s in waits)
 
 
@@ -232,7 +232,7 @@ def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire
     first, second = (tick.stamp_ns for _, tick in service.seen[:2])
     assert first >= 50 * MS
     assert second >= 100 * MS
-    assert len(lives) > 8, "it is told while it waits, and not at each beat alone"
+    assert len(lives) > 8, "it is reported while it waits, not only at each cycle"
 
 
 def test_live_a_service_beats_by_the_machine_while_the_time_stands(wire: Wire) -> None:
