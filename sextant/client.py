@@ -90,7 +90,7 @@ class Client:
         Args:
             endpoint: Of the robot's router, e.g. tcp/127.0.0.1:7447 or tls/robot.local:7448.
             namespace: Of the robot, if several share a network.
-            keys: Folder with the certificate of this machine, for a tls endpoint.
+            keys: Folder with this machine's certificate; a tls endpoint requires it.
             name: Under which this client leads.
             take: Whether to lead in place of another client or operator.
 
