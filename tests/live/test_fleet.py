@@ -206,4 +206,4 @@ def test_a_base_is_loaded_with_a_recorded_robot(tmp_path: Path) -> None:
     assert load.memory_mb > 100.0
     assert set(load.cores) == {"mapper", "planner", "console", "recorder", "routers"}
     assert (tmp_path / "out" / "fleet.png").read_bytes().startswith(b"\x89PNG")
-    assert "carries" in bench.text()
+    assert "supports" in bench.text()

@@ -102,10 +102,10 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
 
 _SPEAKS = """
 import sys, threading
-from sextant.deploy.security.tcp_timeout import SilenceLimit
+from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.shared.wire import topics
 from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
-silence = SilenceLimit(1e-3 * LEASE_MS)
+silence = TcpTimeout(1e-3 * LEASE_MS)
 here = "tcp/127.0.0.1:7447"
 over = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
@@ -116,11 +116,11 @@ with Router((here,), (sys.argv[1],)), ZenohLink(Endpoints((here,))) as link:
 """
 _HEARS = """
 import sys, time
-from sextant.deploy.security.tcp_timeout import SilenceLimit
+from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.shared.wire import topics
 from sextant.shared.wire.transport import LEASE_MS, Endpoints, Router, ZenohLink
 with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))) as link:
-    SilenceLimit(1e-3 * LEASE_MS).look()
+    TcpTimeout(1e-3 * LEASE_MS).look()
     link.subscribe(topics.STEP_PLAN, lambda topic, frame: print(time.monotonic_ns(), flush=True))
     sys.stdin.read()
 """
