@@ -40,6 +40,7 @@ _EXPLAINED = 0.85  # ratio of misfits below which another pose fits better
 _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] possible slip of the legs between two frames
 _TRUSTING = 2  # iterations after a slip in which distant matches keep full weight
+_UNOBSERVED_SHIFT = 0.02  # [m, rad] largest shift by a search along a direction that the frame does not observe
 _SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
 _REST_SIGMA = 1e-4  # [m] and [rad] sigma of x, y and yaw of a camera at rest
 _REST_MOVED = 0.001  # [m] and [rad] along the ground beyond which a pose is not the rest pose
@@ -213,9 +214,12 @@ class Registration:
         self._doubtful = self._doubtful + 1 if doubted else 0
         self._away = self._away if doubted else None
         if self._is_time_to_search():
-            better = self._search(T_world_camera_prior if reason else found.T)
-            confirmed = bool(reason) or self._acceptance.legless
-            if isinstance(better, _Aligned) and not (confirmed or self._is_confirmed(error_twist(better.T, found.T))):
+            T_expected = T_world_camera_prior if reason else found.T
+            better = self._search(T_expected)
+            confirmed = self._acceptance.legless or (
+                isinstance(better, _Aligned) and self._is_confirmed(error_twist(better.T, T_expected))
+            )
+            if isinstance(better, _Aligned) and not confirmed:
                 pass  # wait for the next search to confirm it: a passing person is gone by then
             elif isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
@@ -336,10 +340,24 @@ class Registration:
             better = self._align(T, np.eye(6) / _LOST_SIGMA**2, _TRUSTING)
             T = better.T
             if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
-                objection = self._objection(better.match) or self._worsening(better.match, overlap=1.0)
+                objection = (
+                    self._objection(better.match)
+                    or self._worsening(better.match, overlap=1.0)
+                    or self._unobserved_shift(better, T_expected)
+                )
                 return _Nowhere(objection, is_elsewhere=True) if objection else better
         words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the best-fitting pose"
         return _Nowhere(words, is_elsewhere=True)
+
+    def _unobserved_shift(self, better: "_Aligned", T_expected: NDArray[np.float64]) -> str:
+        """Return why a pose found by a search is rejected for a shift that the frame does not observe, or an empty string.
+
+        With legs, their odometry is better evidence in these directions than the search.
+        """
+        shift = np.abs(better.degenerate @ error_twist(better.T, T_expected))
+        if self._acceptance.legless or not (shift > _UNOBSERVED_SHIFT).any():
+            return ""
+        return "the best-fitting pose is shifted in a direction that the frame does not observe"
 
     def _remember(self, T: NDArray[np.float64]) -> None:
         """Store the loaded frame as a keyframe and add it to the map."""

@@ -258,7 +258,8 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
     assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
-def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_register(world, monkeypatch):
+@pytest.mark.parametrize("objection", ["", "too little overlap"], ids=["frames register", "frames are refused"])
+def test_a_place_that_only_one_search_finds_is_not_believed(world, monkeypatch, objection):
     """Check a person who walks by: one place fits now, another half a second later."""
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
@@ -274,10 +275,24 @@ def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_registe
         return _Aligned(moved(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match)
 
     monkeypatch.setattr(Registration, "_search", search)
+    monkeypatch.setattr(Registration, "_objection", lambda *_: objection)
     registration._match = registration._align(T, np.linalg.inv(WIDE)).match
     for i in range(40):
         found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
         assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+def test_a_search_shifts_no_direction_that_the_frame_does_not_observe(world):
+    """Check flat ground in front of the camera: nothing shows whether a pose further ahead is right."""
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.0)
+    registration.update(world.depth_image(T, world.scenes["flat"], rng), 0, T, TIGHT)
+    registration.update(world.depth_image(T, world.scenes["flat"], rng), 1, T, TIGHT)
+    for along, refused in ((0.0, False), (0.18, True)):
+        better = registration._align(moved(T, np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])), np.linalg.inv(WIDE))
+        assert len(better.degenerate) == 3
+        assert bool(registration._unobserved_shift(better, T)) is refused
 
 
 @pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
