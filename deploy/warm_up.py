@@ -22,30 +22,30 @@ _Rehearsal = Callable[[RobotProfile, str], None]  # each imports its service its
 
 def _perception(profile: RobotProfile, _: str) -> None:
     from sextant.services.perception.config import Settings
-    from sextant.services.perception.warmup import rehearse
+    from sextant.services.perception.warmup import compile_functions
 
-    rehearse(profile, Settings())
+    compile_functions(profile, Settings())
 
 
 def _mapper(profile: RobotProfile, _: str) -> None:
     from sextant.services.mapper.config import Settings
-    from sextant.services.mapper.warmup import rehearse
+    from sextant.services.mapper.warmup import compile_functions
 
-    rehearse(profile, Settings())
+    compile_functions(profile, Settings())
 
 
 def _planner(profile: RobotProfile, _: str) -> None:
     from sextant.services.planner.config import Settings
-    from sextant.services.planner.warmup import rehearse
+    from sextant.services.planner.warmup import compile_functions
 
-    rehearse(profile, Settings())
+    compile_functions(profile, Settings())
 
 
 def _simulator(profile: RobotProfile, scenario: str) -> None:
     from sextant.services.simulator.config import Settings
-    from sextant.services.simulator.warmup import rehearse
+    from sextant.services.simulator.warmup import compile_functions
 
-    rehearse(profile, Settings(scenario))
+    compile_functions(profile, Settings(scenario))
 
 
 _SHARES = ((_planner,), (_perception, _mapper, _simulator))  # both take about equally long when nothing is compiled
@@ -75,7 +75,7 @@ def _compiled_before() -> bool:
     return any(Path(compiled.stats.cache_path).glob("search.*.nbi"))
 
 
-def rehearse(profile: RobotProfile, scenario: str) -> None:
+def compile_functions(profile: RobotProfile, scenario: str) -> None:
     """Compile all services for a robot on a course."""
     for share in _SHARES:
         for rehearsal in share:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sextant.deploy import cli
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.perception import tum
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
-from sextant.services.perception.registration.projective_icp import Registered, Registration
+from sextant.services.perception.registration.projective_icp import Registration, RegistrationResult
 from sextant.shared.geometry import Array, inverse, log_so3, rotation_from_quaternion, transform
 from sextant.shared.robot.camera import DepthSensor
 from tests.support.recordings import recording
@@ -71,7 +71,7 @@ def test_treads_are_mapped_at_their_height() -> None:
         assert found.ok
         T = found.T_world_camera
         scan = reduce_scan(stairs.depth(index), intrinsics, sensor, T, max_range=4.0, max_points=100_000)
-        grid.fuse(CheckedScan.of(scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, T[:3, 3]))
+        grid.fuse(ValidatedScan.of(scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, T[:3, 3]))
     snapshot = grid.snapshot()
     y = snapshot.origin[1] + snapshot.resolution * np.arange(snapshot.elevation.shape[1])
     staircase = snapshot.elevation[:, (y > 0.5) & (y < 1.3)]  # furniture stands next to it
@@ -92,7 +92,7 @@ def test_pairs_agree_with_motion_capture(pair: str, turn_deg: float) -> None:
     folder = recording("rgbd_pairs")
     camera = tum.read_camera(folder / "camera.toml")
     registration = Registration(camera.intrinsics, DepthSensor(depth_scale=camera.depth_scale))
-    found: list[Registered] = []
+    found: list[RegistrationResult] = []
     for name in ("prev", "curr"):
         depth = cv2.imread(str(folder / pair / f"dep_{name}.png"), cv2.IMREAD_UNCHANGED)
         found.append(registration.update(np.asarray(depth), len(found), np.eye(4), SOMEWHERE_NEAR))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.perception.reduction.scan_reduction import JUMP, NOISE
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import Camera
@@ -58,7 +58,7 @@ class FullFrames:
         points = apply(T, self._camera.intrinsics.points(z)[np.isfinite(z)])
         points = points[np.hypot(*(points[:, :2] - T[:2, 3]).T) <= self._max_range]
         ones = np.ones(len(points))
-        self.grid.fuse(CheckedScan.of(points, ones, 0.0 * ones, T[:3, 3], pose_covariance=pose.covariance))
+        self.grid.fuse(ValidatedScan.of(points, ones, 0.0 * ones, T[:3, 3], pose_covariance=pose.covariance))
 
 
 def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:

@@ -125,7 +125,7 @@ class NumpyGrid:
             self._drift += max(-RATE, min(RATE, gap))
 
     def _look_through(self, ends: Array, camera: Array) -> None:
-        """`sextant.services.mapper.elevation.ray_clearing.SightLines.look`.
+        """`sextant.services.mapper.elevation.ray_clearing.RayClearing.look`.
 
         Each line is a row, each of its steps a column.
         """

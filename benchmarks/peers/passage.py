@@ -29,10 +29,10 @@ from sextant.deploy.evaluation.passage_fields import (
     thesis_blocks,
 )
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -92,13 +92,13 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
         for case in CASES:
             race = Race("crossing", case)
             race.start({OURS: _planned_by(roadmap), **{name: peer.plan for name, peer in peers.items()}})
-            plans: list[tuple[Field, Crossing]] = []  # plans that can be walked; some do not reach the goal
+            plans: list[tuple[StripMap, SectionPlan]] = []  # plans that can be walked; some do not reach the goal
             counts: list[tuple[int, int]] = []
             for seed in seeds:
                 field = ground(case, seed)
                 found = race.run(field, stance, NEAR + GAP + BEYOND)[OURS]
                 counts.append((found.generated, found.expanded))
-                if isinstance(found, Crossing):
+                if isinstance(found, SectionPlan):
                     plans.append((field, found))
                 _race_expansions(expansion, roadmap, profile, settings, field, seed)
             found_wrong = [violations(profile, field, stance, plan.steps) for field, plan in plans]
@@ -110,7 +110,7 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
     return Measured(expansion.timings(rates) + timings, missing, sections, wrong)
 
 
-def ground(case: str, seed: int) -> Field:
+def ground(case: str, seed: int) -> StripMap:
     """Return the strip of a case; the seed displaces its pillars a little."""
     rng = np.random.default_rng(seed)
     if case == "strewn pillars":
@@ -147,8 +147,8 @@ def sections_for_scripts(measured: Measured) -> list[dict[str, object]]:
     return [json.loads(json.dumps(asdict(section))) for section in measured.sections]
 
 
-def _planned_by(roadmap: Roadmap) -> Callable[[Field, Stance, float], object]:
-    def plan(field: Field, stance: Stance, goal_x: float) -> object:
+def _planned_by(roadmap: Roadmap) -> Callable[[StripMap, Stance, float], object]:
+    def plan(field: StripMap, stance: Stance, goal_x: float) -> object:
         roadmap.begin(field, stance, goal_x, seed=1)
         return roadmap.grow(10**9)
 
@@ -161,7 +161,7 @@ def _compile(roadmap: Roadmap, stance: Stance) -> None:
 
 
 def _race_expansions(
-    race: Race, roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, field: Field, seed: int
+    race: Race, roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, field: StripMap, seed: int
 ) -> None:
     """Time the tests for expansions of stances from the newest search."""
     legs, rules, strip = legs_of(profile, settings), rules_of(profile, settings), ground_of(field)
@@ -202,7 +202,7 @@ def _expansions(
 
 
 def _section(
-    case: str, ms: Array, counts: Sequence[tuple[int, int]], plans: Sequence[tuple[Field, Crossing]], wrong: int
+    case: str, ms: Array, counts: Sequence[tuple[int, int]], plans: Sequence[tuple[StripMap, SectionPlan]], wrong: int
 ) -> Section:
     crossings = [(field, plan) for field, plan in plans if plan.complete]
     edges = [edge for field, crossing in crossings for edge in _edges(field, crossing)]
@@ -223,7 +223,7 @@ def _section(
     )
 
 
-def _edges(field: Field, crossing: Crossing) -> Iterator[float]:
+def _edges(field: StripMap, crossing: SectionPlan) -> Iterator[float]:
     """Yield distances [m] of footholds in the gap to the nearest lower cell."""
     i, j = np.nonzero(field.elevation < -0.1)
     low = np.column_stack([i, j]) * field.resolution + field.corner

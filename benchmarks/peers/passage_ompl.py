@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sextant.services.planner.gap_crossing.roadmap import Stance
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_inverse
 from sextant.shared.robot.profile import RobotProfile
@@ -33,7 +33,7 @@ class BodyPlanner:
         util.setLogLevel(util.LogLevel.LOG_ERROR)
         self._base, self._geometric, self._profile = base, geometric, profile
 
-    def plan(self, field: Field, stance: Stance, goal_x: float) -> bool:
+    def plan(self, field: StripMap, stance: Stance, goal_x: float) -> bool:
         """Return whether the body can get from a stance to x [m] along the strip."""
         i, j = np.nonzero(field.evaluation <= _STRONG)
         places = np.column_stack([i, j]) * field.resolution + field.corner

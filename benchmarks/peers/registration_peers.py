@@ -22,7 +22,7 @@ _THESIS_NEIGHBOURS = 12
 _CONVERGED = 1e-5
 
 
-class Registers(Protocol):
+class RegistrationMethod(Protocol):
     """One method on one sequence."""
 
     def update(self, depth: NDArray[np.uint16], index: int, T_prior: Array, covariance: Array) -> Array:
@@ -153,7 +153,7 @@ def _centroids(points: Array, voxel: float) -> Array:
     return np.asarray(np.stack([np.bincount(which, points[:, k]) for k in range(3)], axis=1) / count[:, None])
 
 
-METHODS: Mapping[str, Callable[[Intrinsics, DepthSensor], Registers]] = {
+METHODS: Mapping[str, Callable[[Intrinsics, DepthSensor], RegistrationMethod]] = {
     "projective (default)": lambda i, s: _Ours(Registration(i, s)),
     "kiss-icp": lambda i, s: _Ours(KissRegistration(i, s)),
     "small_gicp VGICP": _Vgicp,

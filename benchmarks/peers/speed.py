@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.registration_peers import METHODS, Registers
+from benchmarks.peers.registration_peers import METHODS, RegistrationMethod
 from benchmarks.peers.scenes import REGISTERED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from benchmarks.peers.timing import Race, Timing, installed, one_core
@@ -25,7 +25,7 @@ HEADINGS = {"drift_m": ("drift mm", 1e3, 1)}
 class _Tracked:
     """A method on one ride."""
 
-    def __init__(self, method: Registers, T_first: Array):
+    def __init__(self, method: RegistrationMethod, T_first: Array):
         self.T_world_camera = T_first
         self._method = method
 

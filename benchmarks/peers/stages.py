@@ -22,7 +22,7 @@ from benchmarks.peers.timing import Race, Timing, held_against_first, installed,
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.mapper.footholds.foothold_map import FootholdRules
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
@@ -195,7 +195,7 @@ def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
         grid.fuse(
-            CheckedScan.of_millimetres(
+            ValidatedScan.of_millimetres(
                 scan.origin, scan.points, scan.count, scan.spread, p_world_camera, pose_covariance=_POSE_COVARIANCE
             )
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
 from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
 from sextant.shared.robot.profile import GRAVITY, JOINTS, LEGS, RobotProfile
@@ -41,7 +41,7 @@ class Demands:
 
 
 def violations(
-    profile: RobotProfile, field: Field, start: Stance, steps: Sequence[PassageStep], demands: Demands | None = None
+    profile: RobotProfile, field: StripMap, start: Stance, steps: Sequence[PassageStep], demands: Demands | None = None
 ) -> list[str]:
     """Return the violations of a plan as text; empty for a valid plan.
 
@@ -69,7 +69,7 @@ def violations(
 class _Check:
     """All checks of one step."""
 
-    def __init__(self, profile: RobotProfile, field: Field, demands: Demands):
+    def __init__(self, profile: RobotProfile, field: StripMap, demands: Demands):
         self._profile, self._field, self._demands = profile, field, demands
 
     def step(self, body: Array, feet: Array, planned: NDArray[np.bool_], step: PassageStep) -> Iterator[str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.planner.gap_crossing.roadmap import Stance
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 
@@ -99,11 +99,11 @@ def heights(blocks: Sequence[Block], gap: float) -> NDArray[np.float32]:
     return h
 
 
-def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> Field:
+def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> StripMap:
     """Return the field that the mapper computes from true heights."""
     layers = FootholdLayers(elevation.shape, RESOLUTION, Margin(0.01))
     F = layers.update(elevation, np.zeros_like(elevation), np.zeros(2, dtype=np.int64), body_height, 0.0).evaluation
-    return Field(elevation, F, RESOLUTION, np.eye(4))
+    return StripMap(elevation, F, RESOLUTION, np.eye(4))
 
 
 def stance_at(profile: RobotProfile, x: float, body_height: float) -> Stance:

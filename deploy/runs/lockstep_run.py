@@ -56,7 +56,7 @@ Tap = Callable[[AnyTopic, bytes, int], object]
 
 @cache
 def _rehearse_passage(robot: str) -> None:
-    warmup.rehearse(load_profile(robot), PlannerSettings())
+    warmup.compile_functions(load_profile(robot), PlannerSettings())
 
 
 class LockstepRun:

@@ -2,7 +2,7 @@
 
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
-from sextant.services.mapper.warmup import rehearse
+from sextant.services.mapper.warmup import compile_functions
 from sextant.shared.runtime import process
 
-process.main("mapper", Settings, Mapper, rehearse)
+process.main("mapper", Settings, Mapper, compile_functions)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.validated_scan import FAR, CheckedScan
-from sextant.services.mapper.footholds.foothold_feedback import TouchWatch
+from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M, ValidatedScan
+from sextant.services.mapper.footholds.foothold_feedback import FirstStanceDetector
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.mapper.footholds.score import ScoreWeights
 from sextant.services.mapper.footholds.terrain_type import TerrainType
 from sextant.services.mapper.passage_map.passage_grid import cell_centres, cells_of, feet_plane
-from sextant.services.mapper.passage_map.passage_mapping import Outlook, Survey
+from sextant.services.mapper.passage_map.passage_mapping import PassageMapping, ViewProposal
 from sextant.services.mapper.passage_map.voxel_cloud import Strip
 from sextant.shared.color import from_codes
 from sextant.shared.geometry import Array, apply, is_rigid
@@ -40,17 +40,19 @@ _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
 _SLACK_NS = 10_000_000  # [ns] jitter allowed between scans
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] a scan older than the newest by less than this is late; by more, the clock has changed
-_FROM_BODY = 1.0  # [m] largest distance from body to camera; beyond it, pose and scan do not belong together
-_FROM_CAMERA = 1.0  # [m] largest distance from camera to scan origin, which is a corner of the camera's cell
+_MAX_BODY_DISTANCE_M = 1.0  # [m] largest distance from body to camera; beyond it, pose and scan do not belong together
+_MAX_ORIGIN_DISTANCE_M = 1.0  # [m] largest distance from camera to scan origin, which is a corner of the camera's cell
 _NARROWEST = 3  # [cells] smallest length and width of a passage; fewer have no slope
 _BOX = 10  # largest ratio of the cells in the box around an oblique passage to the cells allowed in a passage
 _EVEN = 5  # feet that must carry load before the first step
 _FIRST_SEEN = 0.20  # [m] beyond the assumed ground; the most common colour there is taken as that of the start ground
 _NEAR = 1.2  # times the camera's minimum range; a ray without a return carries no information up to there
-_REACH = 0.30  # [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
+_MAX_HEIGHT_ERROR_M = (
+    0.30  # [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
+)
 _CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
-_SOLE, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
-_TOUCH_SIGMA = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
+_SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
+_TOUCH_SIGMA_M = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
 _WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] largest valid covariance of a pose
 _MAX_SCAN_AGE_S = 0.6  # [s] largest age of a scan, because the planner does not use an older map
 _LEVEL = 0.01  # [m] largest deviation from a plane for ground that continues it
@@ -79,7 +81,7 @@ class Mapper:
         self._type: TerrainType | None = None  # created at the first scan with colour
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
         self._touch_ns = np.full(6, -1, dtype=np.int64)  # stamps of the newest touchdowns in the map
-        self._touches = TouchWatch(profile.foot.radius)
+        self._touches = FirstStanceDetector(profile.foot.radius)
         self._stands = False  # whether the colour of the ground at the start is known
         self._seeded = False
         self._contradicted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
@@ -89,7 +91,7 @@ class Mapper:
         self._refused = ""  # why the newest scan was not mapped
         self._unpublished, self._published_ns = 0, -1  # scans since the newest map, and the stamp of that map
         self._known = 0.0  # share of known cells
-        self._survey: Survey | None = None
+        self._mapping: PassageMapping | None = None
         self._surveyed = 0  # scans since the mapping of this strip began
 
     def doing(self) -> str:
@@ -98,7 +100,7 @@ class Mapper:
             return f"the newest scan is not mapped: {self._refused}"
         drift = self._grid.height_drift
         risen = f", the map compensates {1e3 * drift:+.1f} mm of height drift of the pose" if drift else ""
-        surveying = ", mapping a gap" if self._survey is not None else ""
+        surveying = ", mapping a gap" if self._mapping is not None else ""
         again = (
             f", restarted {self._restarts} times because the feet stood where the map had no ground" if self._restarts else ""
         )
@@ -112,12 +114,12 @@ class Mapper:
         yield ScanReceipt(scan.stamp_ns)
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
-        self._refused = self._objection(scan, pose, centre)
+        self._refused = self._rejection_reason(scan, pose, centre)
         if self._refused:
             return  # an old map must not be published as a new one
         with self.stages("fuse"):
             try:
-                checked = CheckedScan.of_millimetres(
+                checked = ValidatedScan.of_millimetres(
                     scan.origin,
                     scan.points_mm,
                     scan.count,
@@ -134,9 +136,9 @@ class Mapper:
             self._grid.fuse(checked)
         self._newest_ns = scan.stamp_ns
         if pose is not None and legs is not None:
-            self._feel(pose, legs)
+            self._apply_touchdowns(pose, legs)
             if self._is_refuted(scan.stamp_ns, pose, legs):
-                self._begin_again(centre)
+                self._reset_map(centre)
                 return
         if not self._seeded and pose is not None and legs is not None and _stand(legs):
             self._assume_ground(pose, legs)
@@ -153,53 +155,55 @@ class Mapper:
             yield self._terrain(scan.stamp_ns, pose)
         request = inbox.fresh(topics.PASSAGE_REQUEST)
         if request is None:
-            self._survey = None  # the request has ended: discard the passage map
+            self._mapping = None  # the request has ended: discard the passage map
         else:
-            yield from self._survey_passage(request, scan, inbox)
+            yield from self._map_passage(request, scan, inbox)
 
-    def _survey_passage(self, request: PassageRequest, scan: Scan, inbox: Inbox) -> Iterator[PassageMap]:
+    def _map_passage(self, request: PassageRequest, scan: Scan, inbox: Inbox) -> Iterator[PassageMap]:
         """Merge the scan into the passage map; publish it every `passage_every` scans."""
         try:
             strip = self._strip(request)
         except ValueError as error:
-            self._survey = None
+            self._mapping = None
             if self._scans % self._settings.passage_every == 0:
                 yield _no_passage(scan.stamp_ns, request, self._settings.resolution, f"invalid map request: {error}")
             return
         with self.stages("merge"):
-            if self._survey is None:
-                self._survey = Survey(self._profile, strip, self._grid.snapshot(), self._settings.scan_range, _WEIGHTS)
+            if self._mapping is None:
+                self._mapping = PassageMapping(self._profile, strip, self._grid.snapshot(), self._settings.scan_range, _WEIGHTS)
                 self._surveyed = 0
-            elif self._survey.strip != strip:
-                self._survey.move_to(strip, self._grid.snapshot())
+            elif self._mapping.strip != strip:
+                self._mapping.move_to(strip, self._grid.snapshot())
                 self._surveyed = 0
-            self._survey.add(scan.points, scan.count, self._grid.height_drift)
+            self._mapping.add(scan.points, scan.count, self._grid.height_drift)
         self._surveyed += 1
         if self._surveyed % self._settings.passage_every == 0:
-            yield self._passage(scan.stamp_ns, self._survey, inbox)
+            yield self._passage(scan.stamp_ns, self._mapping, inbox)
 
-    def _passage(self, stamp_ns: int, survey: Survey, inbox: Inbox) -> PassageMap:
+    def _passage(self, stamp_ns: int, mapping: PassageMapping, inbox: Inbox) -> PassageMap:
         """Return the passage map as a message."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.fresh(topics.ACTUATOR_STATE)
         T_world_body = np.eye(4) if pose is None else pose.T_world_body
         with self.stages("passage"):
-            grid = survey.grid(self._grid.snapshot())
-            evaluation = survey.evaluation(
+            grid = mapping.grid(self._grid.snapshot())
+            evaluation = mapping.evaluation(
                 grid,
                 math.inf if pose is None else float(T_world_body[2, 3]),
                 0.0 if pose is None else _position_sigma(pose),
             )
         if self._hazards is not None:
-            evaluation = _without(evaluation, survey.of_map(*self._hazards, 0))
+            evaluation = _without(evaluation, mapping.of_map(*self._hazards, 0))
         unseen = grid.unseen
         if pose is None or legs is None or legs.swing.any():
             # A view is only computed for known feet that all stand.
             words = f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen"
-            outlook = Outlook(f"{words}; no view is proposed while legs swing or send no state" if unseen.any() else "", None)
+            view_proposal = ViewProposal(
+                f"{words}; no view is proposed while legs swing or send no state" if unseen.any() else "", None
+            )
         else:
             with self.stages("look"):
-                outlook = survey.outlook(grid, T_world_body, legs.feet)
-        view = outlook.view
+                view_proposal = mapping.view_proposal(grid, T_world_body, legs.feet)
+        view = view_proposal.view
         return PassageMap(
             stamp_ns=stamp_ns,
             resolution=grid.resolution,
@@ -211,7 +215,7 @@ class Mapper:
             assumed=grid.assumed,
             evaluation=evaluation,
             unseen=float(unseen.mean()),
-            reason=outlook.words,
+            reason=view_proposal.words,
             T_world_look=T_world_body if view is None else view.T_world_body,
             look_shows=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
         )
@@ -238,7 +242,7 @@ class Mapper:
             )
         return strip
 
-    def _objection(self, scan: Scan, pose: BodyPose | None, centre: Array) -> str:
+    def _rejection_reason(self, scan: Scan, pose: BodyPose | None, centre: Array) -> str:
         """Return why a scan cannot be mapped, or an empty string.
 
         Args:
@@ -248,28 +252,28 @@ class Mapper:
         """
         if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # an older stamp is from another clock
             return "the scan is not newer than the previous one"
-        if not (np.abs(centre) < FAR).all():
-            return f"a body within {FAR:g} m of the world's origin expected"
+        if not (np.abs(centre) < MAX_COORDINATE_M).all():
+            return f"a body within {MAX_COORDINATE_M:g} m of the world's origin expected"
         if pose is not None and not is_rigid(pose.T_world_body):
             return f"a rotation and a translation expected for the body's pose, found {pose.T_world_body.tolist()}"
         worst = 0.0 if pose is None else float(np.abs(pose.covariance).max())
         if worst > _WORST_COVARIANCE:
             return f"a pose's covariance of at most {_WORST_COVARIANCE:g} m^2 and rad^2 expected, found {worst:.3g}"
         away = float(np.abs(scan.p_world_camera - centre).max())
-        if away > _FROM_BODY:
+        if away > _MAX_BODY_DISTANCE_M:
             return f"the scan was taken {away:.3g} m away from the body"
         off = float(np.abs(scan.origin - scan.p_world_camera).max())
-        if off > _FROM_CAMERA:
+        if off > _MAX_ORIGIN_DISTANCE_M:
             return f"the scan's origin is {off:.3g} m away from its camera"
         return ""
 
-    def _feel(self, pose: BodyPose, legs: ActuatorState) -> None:
+    def _apply_touchdowns(self, pose: BodyPose, legs: ActuatorState) -> None:
         """Correct the map at the newest touchdowns, with or without ground."""
         new = np.flatnonzero(legs.touch_ns > self._touch_ns)
         self._touch_ns = legs.touch_ns.copy()
         for p in apply(pose.T_world_odom, legs.touch[new]):
-            if abs(float(self._grid.heights(p[:2])) - p[2]) <= _REACH:  # and not NaN
-                self._grid.touch(p, _TOUCH_SIGMA, self._profile.foot.radius)
+            if abs(float(self._grid.heights(p[:2])) - p[2]) <= _MAX_HEIGHT_ERROR_M:  # and not NaN
+                self._grid.touch(p, _TOUCH_SIGMA_M, self._profile.foot.radius)
 
     def _is_refuted(self, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
         """Return whether stance feet have refuted the map for `_CONTRADICTED_NS`.
@@ -282,7 +286,7 @@ class Mapper:
             self._contradicted_ns = -1
             return False
         feet = apply(pose.T_world_body, legs.feet)[carrying] - [0.0, 0.0, self._profile.foot.radius]
-        refuted = np.count_nonzero([self._is_nowhere(foot) for foot in feet])
+        refuted = np.count_nonzero([self._disagrees_with_foot(foot) for foot in feet])
         if refuted < max(3, len(feet) - 1):
             self._contradicted_ns = -1
             return False
@@ -290,19 +294,19 @@ class Mapper:
             self._contradicted_ns = stamp_ns
         return stamp_ns - self._contradicted_ns >= _CONTRADICTED_NS
 
-    def _is_nowhere(self, foot: Array) -> bool:
+    def _disagrees_with_foot(self, foot: Array) -> bool:
         """Return whether the map around a foot's underside (3,) [m] {world} is wrong."""
-        offsets = np.arange(-_SOLE, _SOLE + 1e-9, self._settings.resolution)
+        offsets = np.arange(-_SOLE_RADIUS_M, _SOLE_RADIUS_M + 1e-9, self._settings.resolution)
         around = foot[:2] + np.stack(np.meshgrid(offsets, offsets), axis=-1)
         above = self._grid.heights(around) - foot[2]
         known = above[np.isfinite(above)]
         return bool(len(known)) and float(np.mean(np.abs(known) < _CONTRADICTED)) < _SOLE_AGREES
 
-    def _begin_again(self, centre: Array) -> None:
+    def _reset_map(self, centre: Array) -> None:
         """Reset the map; it is rebuilt from the next scans and the feet."""
         self._grid = ElevationGrid(self._settings.shape, self._settings.resolution, self._model)
         self._grid.move_to(centre[:2])
-        self._type = self._hazards = self._survey = None
+        self._type = self._hazards = self._mapping = None
         self._seeded = self._stands = False
         self._contradicted_ns = -1
         self._restarts += 1
@@ -314,14 +318,14 @@ class Mapper:
         known = self._type
         known.move_to(self._grid.low)
         if len(scan.color):
-            known.see(scan.points[:, :2], from_codes(scan.color))
+            known.add_colors(scan.points[:, :2], from_codes(scan.color))
         if pose is None or legs is None:
             return
         if not self._stands:
-            self._stands = known.stand_on(self._first_seen(pose.T_world_body))
+            self._stands = known.learn_start_ground(self._first_seen(pose.T_world_body))
         for touch in self._touches.update(legs, pose):
             sink = float(self._grid.heights(touch.p_world[:2])) - float(touch.p_world[2])
-            if abs(sink) <= _REACH:  # and not NaN
+            if abs(sink) <= _MAX_HEIGHT_ERROR_M:  # and not NaN
                 known.touch(touch.p_world[:2], sink if touch.carries else None)
 
     def _first_seen(self, T_world_body: Array) -> NDArray[np.bool_]:
@@ -405,7 +409,7 @@ def _stand(legs: ActuatorState) -> bool:
     """
     carrying = legs.contact & ~legs.swing
     enough = _EVEN if legs.step == 0 and not legs.swing.any() else 3
-    near = np.abs(legs.feet).max() < _FROM_BODY
+    near = np.abs(legs.feet).max() < _MAX_BODY_DISTANCE_M
     return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= enough and near)
 
 

@@ -20,7 +20,7 @@ _BEYOND = np.array([0.3, 0.0, 0.1])  # [m] from a seen point to the end of a fre
 _STEP = 0.03  # [m] distance walked per scan
 
 
-def rehearse(profile: RobotProfile, settings: Settings) -> None:
+def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that the mapper calls for a robot's camera."""
     stage = Rehearsal(Mapper(profile, settings))
     period_ns = round(1e9 / SCAN.rate_hz)

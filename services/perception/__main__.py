@@ -2,7 +2,7 @@
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
-from sextant.services.perception.warmup import rehearse
+from sextant.services.perception.warmup import compile_functions
 from sextant.shared.runtime import process
 
-process.main("perception", Settings, Perception, rehearse)
+process.main("perception", Settings, Perception, compile_functions)

@@ -12,7 +12,7 @@ _LATE_NS, _SOON_NS = 100_000_000, 50_000_000  # [ns] above the shortest delay: a
 _IN_A_ROW = 3  # receipts whose shortest delay counts, because a mapper that is busy for a moment is not a queue
 _SILENT_NS = 300_000_000  # [ns] above the shortest delay, after which a receipt is overdue
 _LESS, _MORE = 0.7, 1.07  # factors that reduce and increase the share
-_ANEW = 1.3  # factor that increases it after a silence, until a queue grows
+_RECOVERY_FACTOR = 1.3  # factor that increases it after a silence, until a queue grows
 _CHANGE_NS = 250_000_000  # [ns] between two changes, because scans in transit were sent before the last one
 _WINDOW_NS = 60_000_000_000  # [ns] window of the shortest delay, which is the minimum over this window and the previous one
 _FEWER, _SMALLER, _LEAST = 0.5, 0.125, 0.067  # shares of all points at which scans, points, and again scans stop to be reduced
@@ -20,14 +20,14 @@ _KEPT = 64  # scans kept until their receipt arrives
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class SendBudget:
     """Share of the scans and points that may be sent."""
 
     scans: float  # share of the scans, 0 to 1
     points: float  # share of a scan's points, the nearest ones
 
 
-class LinkCare:
+class RateControl:
     """Rate control based on scan receipts; all times are from the same clock."""
 
     def __init__(self) -> None:
@@ -42,14 +42,14 @@ class LinkCare:
         self._credit = 1.0
 
     @property
-    def allowance(self) -> Allowance:
+    def budget(self) -> SendBudget:
         """Share of scans and points that may be sent now."""
         scans = min(max(self.share, _FEWER), 1.0) * min(self.share / _SMALLER, 1.0)
-        return Allowance(scans, min(max(self.share / _FEWER, _SMALLER / _FEWER), 1.0))
+        return SendBudget(scans, min(max(self.share / _FEWER, _SMALLER / _FEWER), 1.0))
 
-    def wants(self) -> bool:
+    def should_send(self) -> bool:
         """Return whether to send the next scan; call once per scan."""
-        self._credit += self.allowance.scans
+        self._credit += self.budget.scans
         if self._credit < 1.0 - 1e-9:
             return False
         self._credit = min(self._credit - 1.0, 1.0)
@@ -59,7 +59,7 @@ class LinkCare:
         """Register a scan that was sent."""
         self._sent.append((stamp_ns, now_ns))
 
-    def received(self, stamp_ns: int, now_ns: int) -> None:
+    def record_receipt(self, stamp_ns: int, now_ns: int) -> None:
         """Register the receipt of a scan, which also covers all older ones."""
         took_ns = next((now_ns - at_ns for stamp, at_ns in self._sent if stamp == stamp_ns), -1)
         while self._sent and self._sent[0][0] <= stamp_ns:
@@ -75,7 +75,7 @@ class LinkCare:
         self._took_ns.append(took_ns)
         self._judge(min(self._took_ns) - min(self._shortest_ns), now_ns)
 
-    def look(self, now_ns: int) -> None:
+    def check_overdue(self, now_ns: int) -> None:
         """Reduce the rate if the receipt of a scan is overdue."""
         if not (self._shortest_ns and self._sent):
             return
@@ -91,4 +91,4 @@ class LinkCare:
         elif queued_ns > _SOON_NS:
             return  # keep the current rate
         elif self.share < 1.0 and since_ns >= _CHANGE_NS:
-            self.share, self._changed_ns = min((_ANEW if self._anew else _MORE) * self.share, 1.0), now_ns
+            self.share, self._changed_ns = min((_RECOVERY_FACTOR if self._anew else _MORE) * self.share, 1.0), now_ns

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from sextant.services.perception.cameras.image_quality import EMPTY, is_noise, measured_share
 from sextant.services.perception.config import Settings
 from sextant.services.perception.preview import preview
-from sextant.services.perception.rate_control import LinkCare
-from sextant.services.perception.reduction.free_space_rays import free_sights
+from sextant.services.perception.rate_control import RateControl
+from sextant.services.perception.reduction.free_space_rays import compute_free_rays
 from sextant.services.perception.reduction.scan_color import Coloring
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
 from sextant.services.perception.registration.motion_prior import Motion, OdometryHistory
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
-from sextant.services.perception.registration.projective_icp import HAND_HELD, Registered, Registration, refused
+from sextant.services.perception.registration.projective_icp import HAND_HELD, Registration, RegistrationResult, refused_result
 from sextant.shared.geometry import (
     Array,
     inverse,
@@ -37,7 +37,7 @@ _MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # [m] [rad] upper bounds of the prio
 _PREVIEW_NS = 180_000_000  # [ns] minimum time between two previews
 _SAMPLED = 8  # [px] row and column spacing of the pixels compared to detect a frozen image
 _EMPTY_EVERY = 3  # [scans] interval at which pixels without a return count as free rays, because these are less reliable
-_BLIND_WAY = 0.6  # [m] largest distance walked over mapped ground while nothing is in the camera's range
+_MAX_BLIND_TRAVEL_M = 0.6  # [m] largest distance walked over mapped ground while nothing is in the camera's range
 _SILENT_S = 0.5  # [s] without odometry, after which directions that the scene does not constrain are unknown
 _MOVED = 0.01  # [m] or [rad] body motion after which two identical images show a frozen camera
 _MOST_TILT = 1.0  # [rad] largest tilt of a body on its legs; a pose with more is wrong
@@ -84,12 +84,12 @@ class Perception:
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # pixel sample, first stamp, and motion then
-        self._link = LinkCare()
+        self._link = RateControl()
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
         """Return the status of the registration and of the link to the mapper."""
-        allowed = self._link.allowance
+        allowed = self._link.budget
         if self._link.share == 1.0:
             return self._words
         carries = f"the link to the mapper carries {allowed.scans:.0%} of the scans, and {allowed.points:.0%} of their points"
@@ -103,8 +103,8 @@ class Perception:
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
         for receipt in inbox.drain(topics.SCAN_RECEIPT):
-            self._link.received(receipt.stamp_ns, inbox.now_ns)
-        self._link.look(inbox.now_ns)
+            self._link.record_receipt(receipt.stamp_ns, inbox.now_ns)
+        self._link.check_overdue(inbox.now_ns)
         self._frames += 1
         used = self._frames % self._every == 0
         if self._coloring is not None and not used:
@@ -137,13 +137,13 @@ class Perception:
         covariance = _seen_from(covariance, T_camera[:3, 3] - prior[:3, 3])
         with self.stages("registration"):
             if useless:  # a frozen image would match its old pose and hold the estimate there
-                found = refused(image.stamp_ns, T_camera, covariance, None, useless)
+                found = refused_result(image.stamp_ns, T_camera, covariance, None, useless)
             else:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
                 if motion.silence_s > _SILENT_S and len(found.degenerate) and found.ok:
-                    found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
+                    found = refused_result(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
             if self._is_overturned(found, motion):
-                found = self._begin_again(found, motion)
+                found = self._restart_registration(found, motion)
         # The rotation from odometry may not be exactly orthonormal; the error must not accumulate over frames.
         self._T_world_body = orthonormal(found.T_world_camera @ self._T_camera_body)
         self._T_world_odom = orthonormal(self._T_world_body @ inverse(motion.T_odom_body))
@@ -153,7 +153,7 @@ class Perception:
         yield self._pose(found, motion)
         if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
             return  # points at an unknown pose would corrupt the map; the map ages and the planner stops the robot
-        if not self._link.wants():
+        if not self._link.should_send():
             return
         with self.stages("reduction"):
             scan = self._scan(image, found)
@@ -163,13 +163,13 @@ class Perception:
             scan = self._colored(scan, inbox.latest(topics.COLOR), self._coloring)
         yield scan
 
-    def _is_overturned(self, found: Registered, motion: Motion) -> bool:
+    def _is_overturned(self, found: RegistrationResult, motion: Motion) -> bool:
         """Return whether the pose has the body on its side, but odometry upright."""
         carried = self._settings.legs and motion.reliable and motion.T_odom_body[2, 2] > np.cos(_MOST_TILT)
         upright = (found.T_world_camera @ self._T_camera_body)[2, 2] > np.cos(_MOST_TILT)
         return bool(carried and not upright)
 
-    def _begin_again(self, found: Registered, motion: Motion) -> Registered:
+    def _restart_registration(self, found: RegistrationResult, motion: Motion) -> RegistrationResult:
         """Restart the registration with the tilt and height of leg odometry."""
         T = found.T_world_camera @ self._T_camera_body
         R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
@@ -178,7 +178,7 @@ class Perception:
         self._registration = _make_registration(self._profile, self._settings)
         self._stamp_ns = -1  # restarts the tilt average of {odom}
         reason = "the pose shows the body on its side, but it stands on its legs: the registration restarts"
-        return refused(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
+        return refused_result(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Preview:
         with self.stages("preview"):
@@ -217,7 +217,7 @@ class Perception:
         if self._last is None or motion.silence_s > _SILENT_S:
             return False
         empty = measured_share(image.depth, self._camera.sensor) < EMPTY
-        return bool(empty and motion.travelled - self._last.travelled < _BLIND_WAY)
+        return bool(empty and motion.travelled - self._last.travelled < _MAX_BLIND_TRAVEL_M)
 
     def _has_wrong_size(self, image: DepthImage) -> str:
         """Return why an image does not have the profile's size, or an empty string."""
@@ -284,8 +284,8 @@ class Perception:
         R = rotation_from_rpy([*self._tilt, yaw_of(self._T_world_odom)])
         return transform(R, self._T_world_body[:3, 3] - R @ T_odom_body[:3, 3])
 
-    def _pose(self, found: Registered, motion: Motion) -> BodyPose:
-        self._words = in_words(found)
+    def _pose(self, found: RegistrationResult, motion: Motion) -> BodyPose:
+        self._words = describe_registration(found)
         return BodyPose(
             stamp_ns=found.stamp_ns,
             T_world_body=self._T_world_body,
@@ -297,7 +297,7 @@ class Perception:
             degenerate=_twists_from(found.degenerate, self._T_world_body[:3, 3] - found.T_world_camera[:3, 3]),
         )
 
-    def _scan(self, image: DepthImage, found: Registered) -> Scan:
+    def _scan(self, image: DepthImage, found: RegistrationResult) -> Scan:
         settings = self._settings
         reduced = reduce_scan(
             image.depth,
@@ -306,7 +306,7 @@ class Perception:
             found.T_world_camera,
             resolution=settings.scan_resolution,
             max_range=settings.scan_range,
-            max_points=max(1, round(self._link.allowance.points * settings.scan_points)),
+            max_points=max(1, round(self._link.budget.points * settings.scan_points)),
             ceiling=settings.scan_ceiling,
         )
         return Scan(
@@ -320,10 +320,10 @@ class Perception:
             sights_mm=self._sights(image, found, reduced.origin),
         )
 
-    def _sights(self, image: DepthImage, found: Registered, origin: Array) -> NDArray[np.int16]:
+    def _sights(self, image: DepthImage, found: RegistrationResult, origin: Array) -> NDArray[np.int16]:
         """Return free rays of an image that end beyond the scan, [mm] from its origin."""
         self._looks += 1
-        points = free_sights(
+        points = compute_free_rays(
             image.depth,
             self._camera.intrinsics,
             self._camera.sensor,
@@ -366,7 +366,7 @@ def _silent(motion: Motion) -> str:
     )
 
 
-def in_words(found: Registered) -> str:
+def describe_registration(found: RegistrationResult) -> str:
     """Return the status of a registration for the operator."""
     if not found.ok:
         return f"leg odometry only: {found.reason}"
@@ -377,17 +377,17 @@ def in_words(found: Registered) -> str:
     return f"{words}; {', '.join(unobservable)} unobservable (leg odometry only)" if unobservable else words
 
 
-class Registers(Protocol):
+class RegistrationMethod(Protocol):
     """Interface of a registration; `sextant.Registration` documents the arguments."""
 
     def update(
         self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
-    ) -> Registered:
+    ) -> RegistrationResult:
         """Register one frame."""
         ...
 
 
-def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
+def _make_registration(profile: RobotProfile, settings: Settings) -> RegistrationMethod:
     camera = profile.camera
     if settings.method == "kiss-icp":
         from sextant.services.perception.registration.kiss_icp_adapter import (

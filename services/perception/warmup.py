@@ -21,7 +21,7 @@ _AWAY = 0.15  # [m] distance walked, and then displaced without odometry
 _LOOKS = 10  # frames used per place: enough to settle, and to search while in doubt
 
 
-def rehearse(profile: RobotProfile, settings: Settings) -> None:
+def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that perception calls for a robot's camera."""
     camera = profile.camera
     stage = Rehearsal(Perception(profile, settings))

@@ -2,7 +2,7 @@
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.service import Planner
-from sextant.services.planner.warmup import rehearse
+from sextant.services.planner.warmup import compile_functions
 from sextant.shared.runtime import process
 
-process.main("planner", Settings, Planner, rehearse)
+process.main("planner", Settings, Planner, compile_functions)

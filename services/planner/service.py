@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.approach import PassageMode
-from sextant.services.planner.gap_crossing.state_machine import Move, Over, Refused, Standing
-from sextant.services.planner.locomotion.blind_walking import ByTouch
+from sextant.services.planner.gap_crossing.approach import GapCrossingController
+from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, NextStep, WorldStance
+from sextant.services.planner.locomotion.blind_walking import BlindStepPlanner
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
-from sextant.services.planner.locomotion.missing_ground import Holes
-from sextant.services.planner.locomotion.replan_attempts import Refusals, Way
-from sextant.services.planner.locomotion.step_planner import Blocked, Situation, Stride, StridePlanner
-from sextant.services.planner.navigation.path_follower import Heading, Pilot, objection
-from sextant.services.planner.navigation.path_planner import NoWay
+from sextant.services.planner.locomotion.missing_ground import MissingGround
+from sextant.services.planner.locomotion.replan_attempts import RefusedSteps, StepVariant
+from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
+from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, validation_error
+from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.terrain import Terrain, plane_of
 from sextant.shared.geometry import Array, apply, inverse, yaw_of
 from sextant.shared.robot.profile import RobotProfile
@@ -80,17 +80,17 @@ class Planner:
         self.stages = Stages()
         self._profile = profile
         self._settings = settings
-        self._strides = StridePlanner(profile, settings)
-        self._by_touch = ByTouch(profile, settings)
-        self._holes = Holes()
-        self._pilot = Pilot(profile)
-        self._passage = PassageMode(profile, settings)
+        self._strides = StepPlanner(profile, settings)
+        self._by_touch = BlindStepPlanner(profile, settings)
+        self._holes = MissingGround()
+        self._pilot = PathFollower(profile)
+        self._passage = GapCrossingController(profile, settings)
         self._led = False  # whether the robot follows a goal
         self._sent: list[_Sent] = []  # plans that the actuator may still execute, the newest last
         self._running: _Sent | None = None  # the plan that is being executed, or was last
-        self._refusals = Refusals()
+        self._refusals = RefusedSteps()
         self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
-        self._looked_at: tuple[Stride, TerrainMap] | None = None  # step and map of the last retargeting
+        self._looked_at: tuple[PlannedStep, TerrainMap] | None = None  # step and map of the last retargeting
         self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # poses of the last seconds
         self._stepped_ns = 0
         self._due_ns = 0
@@ -179,7 +179,7 @@ class Planner:
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if command is not None and command.by_touch:
-            return self._feel_ahead(state, command, inbox)
+            return self._plan_blind_step(state, command, inbox)
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         if command is None and goal is None:
@@ -188,31 +188,31 @@ class Planner:
         if state.step == 0 and _rests(state):
             self._put_down = pose.T_world_body[:2, 3].copy()
         terrain = self._terrain(state, pose, inbox)
-        if goal is not None and self._passage.crosses(goal):
+        if goal is not None and self._passage.is_crossing(goal):
             if state.stamp_ns - self._sure_ns > _DOUBT_NS:
                 return self._hold("waiting", f"the robot's pose has been uncertain for {_DOUBT_NS * 1e-9:.0f} s: {pose.reason}")
-            return self._across(goal, state, pose, terrain, inbox)
+            return self._cross_gap(goal, state, pose, terrain, inbox)
         if terrain is None:
             blind = f"; perception reports: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
             return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
-        nonsense = terrain.nonsense()
-        if nonsense:
-            return self._hold("waiting", f"the terrain map is invalid: {nonsense}")
+        invalid_reason = terrain.invalid_reason()
+        if invalid_reason:
+            return self._hold("waiting", f"the terrain map is invalid: {invalid_reason}")
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
-        if goal is not None and self._passage.under_way(goal):
-            return self._across(goal, state, pose, terrain, inbox)
+        if goal is not None and self._passage.is_active(goal):
+            return self._cross_gap(goal, state, pose, terrain, inbox)
         if command is not None and _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "the commanded velocity is zero")
         if state.phase < self._settings.plan_from:
             return None
         if command is not None:
-            return self._first_that_goes((command,), state, pose, terrain)
+            return self._plan_first_feasible((command,), state, pose, terrain)
         assert goal is not None
-        return self._towards(goal, state, pose, terrain, inbox)
+        return self._plan_towards_goal(goal, state, pose, terrain, inbox)
 
-    def _feel_ahead(self, state: ActuatorState, command: VelocityCommand, inbox: Inbox) -> "_Sent | None":
+    def _plan_blind_step(self, state: ActuatorState, command: VelocityCommand, inbox: Inbox) -> "_Sent | None":
         """Return the next step by touch alone.
 
         It uses no map. Leg odometry gives the body pose since the last pose of perception.
@@ -230,12 +230,12 @@ class Planner:
         situations = self._situations(state, pose, self._by_touch.asked(command))
         if not situations:
             return self._hold("waiting", _NOT_MINE)
-        nonsense = self._strides.objection(situations[0].command)
-        if nonsense:
-            return self._hold("blocked", nonsense)
+        invalid_reason = self._strides.validation_error(situations[0].command)
+        if invalid_reason:
+            return self._hold("blocked", invalid_reason)
         with self.stages("plan step"):
             found, way = self._by_touch.choose(situations, terrain, self._refusals.of(0))
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             if self._refusals.count:
                 self._refusals.give_up()
@@ -245,7 +245,9 @@ class Planner:
         self._reason = "by touch: the feet search for the ground"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way), stop=True)
 
-    def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
+    def _plan_towards_goal(
+        self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox
+    ) -> "_Sent | None":
         """Return the next step on the way to a goal.
 
         If no step follows the path, the robot walks without turning or turns on the spot.
@@ -255,17 +257,17 @@ class Planner:
             return self._hold("waiting", _NOT_MINE)
         body, _ = standing
         asked = VelocityCommand(state.stamp_ns, np.zeros(2), 0.0, goal.body_height, goal.lift, goal.gait)
-        nonsense = objection(goal) or self._strides.objection(asked)
-        if nonsense:
-            return self._hold("blocked", nonsense)
+        invalid_reason = validation_error(goal) or self._strides.validation_error(asked)
+        if invalid_reason:
+            return self._hold("blocked", invalid_reason)
         if self._passage.ordered(goal):
-            return self._across(goal, state, pose, terrain, inbox)
+            return self._cross_gap(goal, state, pose, terrain, inbox)
         if self._is_unanswered(state):
             self._pilot.pause()
         with self.stages("find a way"):
             found = self._pilot.lead(goal, terrain, self._looked_from(terrain, pose), body, state.stamp_ns)
-        if isinstance(found, NoWay):
-            return self._across(goal, state, pose, terrain, inbox, found.reason)
+        if isinstance(found, NoPath):
+            return self._cross_gap(goal, state, pose, terrain, inbox, found.reason)
         if not found.commands:
             return self._hold("arrived", found.words)
         sent = self._walk_by(found, state, pose, terrain)
@@ -290,14 +292,14 @@ class Planner:
         stamp_ns = terrain.map.stamp_ns
         return min(self._poses, key=lambda known: abs(known.stamp_ns - stamp_ns), default=pose).T_world_body
 
-    def _walk_by(self, found: Heading, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
+    def _walk_by(self, found: MotionCommand, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """Return the step of the first feasible command and add the path to the reason."""
-        sent = self._first_that_goes(found.commands, state, pose, terrain)
+        sent = self._plan_first_feasible(found.commands, state, pose, terrain)
         if sent is not None:
             self._reason = f"{found.words}; {self._reason}"
         return sent
 
-    def _first_that_goes(
+    def _plan_first_feasible(
         self, commands: tuple[VelocityCommand, ...], state: ActuatorState, pose: BodyPose, terrain: Terrain
     ) -> "_Sent | None":
         """Return the step of the first command that ground and actuator allow.
@@ -321,7 +323,7 @@ class Planner:
             return self._hold("blocked", self._refusals.words())
         return None
 
-    def _across(
+    def _cross_gap(
         self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain | None, inbox: Inbox, no_way: str = ""
     ) -> "_Sent | None":
         """Return the next step of a gap crossing, where walking finds no path."""
@@ -333,19 +335,19 @@ class Planner:
             self._refusals.forget()
         map_ = inbox.latest(topics.PASSAGE)
         with self.stages("cross a passage"):
-            led = self._passage.lead(goal, state, Standing(*found), pose.T_world_body, terrain, map_, refused)
-        if isinstance(led, Heading):
+            led = self._passage.lead(goal, state, WorldStance(*found), pose.T_world_body, terrain, map_, refused)
+        if isinstance(led, MotionCommand):
             assert terrain is not None
             return None if state.phase < self._settings.plan_from else self._walk_by(led, state, pose, terrain)
-        if isinstance(led, Move):
+        if isinstance(led, NextStep):
             self._state, self._reason, self._blocked_leg = "stepping", led.words, -1
             return self._send(state, pose.T_world_odom, led.stride, led.number, (0, 0), stop=led.stop)
-        if isinstance(led, Refused):
+        if isinstance(led, CannotCross):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             both = f"{no_way}; no gap crossing: {led.reason}" if no_way else f"no gap crossing: {led.reason}"
             return self._hold("blocked", both)
-        if isinstance(led, Over):
-            self._pilot = Pilot(self._profile)  # its knowledge of the path does not hold here
+        if isinstance(led, Completed):
+            self._pilot = PathFollower(self._profile)  # its knowledge of the path does not hold here
         return self._hold("stepping" if state.phase < 1.0 else "waiting", led.words)
 
     def _terrain(self, state: ActuatorState, pose: BodyPose, inbox: Inbox) -> Terrain | None:
@@ -362,20 +364,20 @@ class Planner:
         situations = self._situations(state, pose, command)
         if not situations:
             return self._hold("waiting", _NOT_MINE)
-        nonsense = self._strides.objection(command)
-        if nonsense:
-            return self._hold("blocked", nonsense)
+        invalid_reason = self._strides.validation_error(command)
+        if invalid_reason:
+            return self._hold("blocked", invalid_reason)
         with self.stages("plan step"):
             found, way = self._strides.choose(situations, terrain, self._refusals.of(number))
         feels = self._running is not None and self._running.plan.stop  # a step by touch leaves an unusual stance
-        if isinstance(found, Blocked) and (found.unseen or feels) and self._put_down is not None:
+        if isinstance(found, NoStep) and (found.unseen or feels) and self._put_down is not None:
             course = yaw_of(pose.T_world_body) + math.atan2(command.velocity[1], command.velocity[0])
-            ground = self._by_touch.underfoot(terrain, situations[0].feet, self._put_down, course)
+            ground = self._by_touch.fill_unseen_start(terrain, situations[0].feet, self._put_down, course)
             if ground is not None:
-                sent = self._feel_out(state, pose, command, ground, number)
+                sent = self._plan_blind_start_step(state, pose, command, ground, number)
                 if sent is not None or self._state == "stepping":
                     return sent
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares takes the most time
             return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
         if self._refusals.given_up:
@@ -383,7 +385,7 @@ class Planner:
         else:
             self._state, self._blocked_leg = "stepping", -1
             shorter = "" if found.share == 1.0 else f", stride shortened to {found.share:.0%}"
-            slower = self._strides.short_of(command, found)
+            slower = self._strides.describe_slowdown(command, found)
             instead = f"; the legs due first are blocked: {found.instead}" if found.instead else ""
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
             moved = moved if found.swing.any() else "moving only the body, to make room for a leg"
@@ -395,16 +397,16 @@ class Planner:
 
         It brings stretched legs back under the body, because no step may be possible from there. The status stays blocked.
         """
-        if self._strides.objection(command):
+        if self._strides.validation_error(command):
             return None
         with self.stages("gather feet"):
             found, way = self._strides.gather(self._situations(state, pose, command), terrain, self._refusals.of(0))
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             return None
         self._reason = f"moving the feet back under the body: {self._reason}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way))
 
-    def _feel_out(
+    def _plan_blind_start_step(
         self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, ground: Terrain, number: int
     ) -> "_Sent | None":
         """Return the next step by touch, from the start position onto ground that is seen."""
@@ -413,13 +415,13 @@ class Planner:
         situations = self._situations(state, pose, self._by_touch.asked(command))
         with self.stages("plan step"):
             found, way = self._by_touch.choose(situations, ground, self._refusals.of(number))
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             return self._hold("blocked", found.reason, found.leg)  # the caller replaces it by the reason by sight
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "walking by touch over unseen ground, until the feet reach seen ground"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way), stop=True)
 
-    def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
+    def _where_to_look(self, found: NoStep, command: VelocityCommand) -> str:
         """Return advice to turn first if the ground ahead was never in view, else "".
 
         With a goal, the path follower turns the robot itself.
@@ -431,7 +433,7 @@ class Planner:
             return ""
         return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to see it"
 
-    def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[Situation]:
+    def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[StepStart]:
         """Return the possible starts of the next step, most due legs first; [] if unknown."""
         standing = self._standing(state, pose)
         if standing is None:
@@ -441,7 +443,7 @@ class Planner:
         along = directions(command.velocity, command.yaw_rate, rest)
         order = swing_order(GAITS[command.gait], along, apply(inverse(body), feet), rest)
         order = sorted(order, key=lambda swing: bool((swing & self._taken_back).any()))  # other groups first
-        return [Situation(body, feet, swing, command) for swing in order]
+        return [StepStart(body, feet, swing, command) for swing in order]
 
     def _standing(self, state: ActuatorState, pose: BodyPose) -> tuple[Array, Array] | None:
         """Return body (4, 4) and feet (6, 3) [m] {world} at the end of the running step.
@@ -492,7 +494,7 @@ class Planner:
         return self._send(state, T_world_odom, stride, plan.step, running.way, plan.stop)
 
     def _send(
-        self, state: ActuatorState, T_world_odom: Array, stride: Stride, number: int, way: Way, stop: bool = False
+        self, state: ActuatorState, T_world_odom: Array, stride: PlannedStep, number: int, way: StepVariant, stop: bool = False
     ) -> "_Sent":
         """Return a plan of a step, as its next revision."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
@@ -567,8 +569,8 @@ class _Sent:
     """A sent plan with its step."""
 
     plan: StepPlan
-    stride: Stride
-    way: Way  # way of taking the step
+    stride: PlannedStep
+    way: StepVariant  # way of taking the step
 
 
 def _paced(command: VelocityCommand | None, pace: float) -> VelocityCommand | None:

@@ -20,7 +20,7 @@ _AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
 DEEP = -100  # [cells] evaluation function on unlimited level ground
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest plausible cells
-LONGEST = 20.0  # [m] maximum length of a line that is sampled cell by cell; longer ones are sampled more coarsely
+MAX_SAMPLED_LINE_M = 20.0  # [m] maximum length of a line that is sampled cell by cell; longer ones are sampled more coarsely
 _FAR = 1e6  # [m] beyond it a cell index is no longer exact
 
 
@@ -31,7 +31,7 @@ class Terrain:
     map: TerrainMap
     layer: Layer = "score"  # layer of the map that decides which cells carry a foot
 
-    def nonsense(self) -> str:
+    def invalid_reason(self) -> str:
         """Return why the map is invalid, or ""."""
         low, high = _RESOLUTIONS
         if not low <= self.map.resolution <= high:
@@ -133,7 +133,8 @@ class Terrain:
         length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
         aside = np.column_stack([-way[:, 1], way[:, 0]]) / length
         along, across = (
-            int(np.ceil(reach / self.map.resolution)) + 1 for reach in (min(float(length.max()), LONGEST), 2.0 * half_width)
+            int(np.ceil(reach / self.map.resolution)) + 1
+            for reach in (min(float(length.max()), MAX_SAMPLED_LINE_M), 2.0 * half_width)
         )
         s = np.linspace(0.0, 1.0, along)[:, None, None, None]
         offset = np.linspace(-half_width, half_width, across)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
@@ -148,7 +149,8 @@ class Terrain:
         origin, along, aside = corners
         spacing = self.map.resolution
         n, m = (
-            max(2, int(np.ceil(min(float(np.linalg.norm(side - origin)), LONGEST) / spacing)) + 1) for side in (along, aside)
+            max(2, int(np.ceil(min(float(np.linalg.norm(side - origin)), MAX_SAMPLED_LINE_M) / spacing)) + 1)
+            for side in (along, aside)
         )
         u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
         heights = self.heights(origin + u.reshape(-1, 1) * (along - origin) + v.reshape(-1, 1) * (aside - origin))

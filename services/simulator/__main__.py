@@ -2,7 +2,7 @@
 
 from sextant.services.simulator.config import Settings
 from sextant.services.simulator.service import Simulator
-from sextant.services.simulator.warmup import rehearse
+from sextant.services.simulator.warmup import compile_functions
 from sextant.shared.runtime import process
 
-process.main("simulator", Settings, Simulator, rehearse)
+process.main("simulator", Settings, Simulator, compile_functions)

@@ -9,7 +9,7 @@ from sextant.shared.servo import dynamixel as dxl
 _FOR_S = 0.2  # [s] simulated time, long enough for several depth frames
 
 
-def rehearse(profile: RobotProfile, settings: Settings) -> None:
+def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile the functions of the simulator by a short run with a standing robot.
 
     Raises:

@@ -43,12 +43,12 @@ def main(
     name: str,
     schema: type[S],
     make: Callable[[RobotProfile, S], Service],
-    rehearse: Callable[[RobotProfile, S], None] | None = None,
+    compile_functions: Callable[[RobotProfile, S], None] | None = None,
 ) -> NoReturn:
     """Run one service and end the process."""
     leave_at_errors()
     with ShutdownRequested() as told:
-        leave(run(name, schema, make, told, rehearse=rehearse))
+        leave(run(name, schema, make, told, compile_functions=compile_functions))
 
 
 def run(
@@ -57,7 +57,7 @@ def run(
     make: Callable[[RobotProfile, S], Service],
     told: ShutdownRequested,
     argv: Sequence[str] | None = None,
-    rehearse: Callable[[RobotProfile, S], None] | None = None,
+    compile_functions: Callable[[RobotProfile, S], None] | None = None,
 ) -> int:
     """Run one service with the settings of the command line, until shutdown.
 
@@ -88,8 +88,8 @@ def run(
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
             keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
-            if rehearse is not None:
-                _patiently(lambda: rehearse(profile, settings))
+            if compile_functions is not None:
+                _patiently(lambda: compile_functions(profile, settings))
             if arguments.simulated_time:
                 if arguments.elsewhere:
                     raise ValueError("--simulated-time works on one machine only; remove --elsewhere")
@@ -117,7 +117,7 @@ def run(
     return 0
 
 
-def _patiently(rehearse: Callable[[], None]) -> None:
+def _patiently(compile_functions: Callable[[], None]) -> None:
     """Run the warm-up, and log a notice if it has to compile."""
     telling = threading.Timer(
         _PATIENCE_S, logging.info, ["compiling the inner loops takes about a minute, the first time only"]
@@ -125,7 +125,7 @@ def _patiently(rehearse: Callable[[], None]) -> None:
     telling.daemon = True
     telling.start()
     try:
-        rehearse()
+        compile_functions()
     finally:
         telling.cancel()
 

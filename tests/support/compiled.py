@@ -8,7 +8,7 @@ python -m tests.support.compiled steps 5.0     needs a separate process: other t
 import sys
 
 from sextant.deploy.runs.lockstep_run import assemble
-from sextant.deploy.warm_up import rehearse
+from sextant.deploy.warm_up import compile_functions
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 
@@ -26,7 +26,7 @@ def main() -> None:
     """Warm up, walk, and print the new signatures."""
     scenario, until_s = load_scenario(sys.argv[1]), float(sys.argv[2])
     profile = load_profile(scenario.robot)
-    rehearse(profile, sys.argv[1])
+    compile_functions(profile, sys.argv[1])
     before = signatures()
     print(*sorted({signature.partition("(")[0] for signature in before}))
     assemble(scenario, 1000, profile).run(round(until_s * 1e9))

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, FusionCount
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 
-scan_of = CheckedScan.of
+scan_of = ValidatedScan.of
 CAMERA = np.array([0.0, 0.0, 0.25])
 
 

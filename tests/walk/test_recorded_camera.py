@@ -33,7 +33,7 @@ PROFILE = load_profile("phantomx_mk2")
 T_BODY = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
 
 
-class Standing:
+class WorldStance:
     """Standing legs, and an operator that wants them to walk."""
 
     name = "legs"
@@ -71,7 +71,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     camera = CameraService(PROFILE, CameraSettings(device=str(folder)), None, clock)
     run = Lockstep(
         {
-            "legs": Standing,
+            "legs": WorldStance,
             "camera": lambda: camera,
             "perception": lambda: Perception(PROFILE, PerceptionSettings()),
             "mapper": lambda: Mapper(PROFILE, MapperSettings()),

@@ -10,7 +10,7 @@ ESTABLISHED = 3  # scans after which a height counts as the first seen height of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cells:
+class CellLayers:
     """Layers (nx, ny) in the order of the buffer."""
 
     height: NDArray[np.float32]  # [m] current estimate, NaN where never seen

@@ -20,12 +20,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, Cells
+from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, CellLayers
 from sextant.services.mapper.elevation.fusion import FusionModel, merge, update_cells
 from sextant.services.mapper.elevation.height_drift import HeightDrift, height_sigma
-from sextant.services.mapper.elevation.ray_clearing import FOLLOWED, SETTLED, WELL_BELOW, SightLines
-from sextant.services.mapper.elevation.validated_scan import FAR, CheckedScan
-from sextant.services.mapper.elevation.vertical_surfaces import heed_faces
+from sextant.services.mapper.elevation.ray_clearing import FOLLOWED, SETTLED, WELL_BELOW, RayClearing
+from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M, ValidatedScan
+from sextant.services.mapper.elevation.vertical_surfaces import limit_surface_updates
 from sextant.shared.runtime.compiled import compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -87,9 +87,9 @@ class ElevationGrid:
         self.model = model or FusionModel()
         self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
         self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
-        self._cells = Cells.unseen(shape)
+        self._cells = CellLayers.unseen(shape)
         self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # entry of the scan for each cell, -1 outside fuse()
-        self._drift, self._sights = HeightDrift(), SightLines(shape)
+        self._drift, self._ray_clearing = HeightDrift(), RayClearing(shape)
 
     @property
     def low(self) -> NDArray[np.int64]:
@@ -118,8 +118,8 @@ class ElevationGrid:
             ValueError: The argument is not two finite coordinates within 1000 km.
         """
         centre = np.asarray(p_world_xy, dtype=np.float64)
-        if centre.shape != (2,) or not (np.abs(centre) < FAR).all():
-            raise ValueError(f"two coordinates within {FAR:g} m expected, found {p_world_xy!r}")
+        if centre.shape != (2,) or not (np.abs(centre) < MAX_COORDINATE_M).all():
+            raise ValueError(f"two coordinates within {MAX_COORDINATE_M:g} m expected, found {p_world_xy!r}")
         before, n = self._low.tolist(), self.shape
         low = [math.floor(centre[axis] / self.resolution) - n[axis] // 2 for axis in range(2)]
         for axis in range(2):
@@ -130,7 +130,7 @@ class ElevationGrid:
                 self._cells.forget(axis, first % n[axis], leaving)
         self._low = np.array(low, dtype=np.int64)
 
-    def fuse(self, scan: CheckedScan) -> FusionCount:
+    def fuse(self, scan: ValidatedScan) -> FusionCount:
         """Fuse a reduced scan; each cell counts at most once per scan.
 
         1. Compute the variance of each point from the sensor model and from the pose covariance and the map's slope. The part
@@ -157,8 +157,8 @@ class ElevationGrid:
             self._drift.follow(cells, touched, z, ray, scan.pose_covariance)
             z -= self._drift.value
             sigma = height_sigma(ray, scan.pose_covariance)
-            merged = heed_faces(cells, touched, z, random, systematic, self._slot, sigma, self._low)
-            self._sights.raised(float(z.max()))
+            merged = limit_surface_updates(cells, touched, z, random, systematic, self._slot, sigma, self._low)
+            self._ray_clearing.note_height(float(z.max()))
             silent = len(touched) - merged
             touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         # 3. Update the filters.
@@ -171,9 +171,9 @@ class ElevationGrid:
         )  # fmt: skip
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
-        cleared = self._sights.look(*at, scan.points, every=FOLLOWED)
-        cleared += self._sights.look(*at, scan.sights, nearest=scan.nearest)
-        self._sights.scanned()
+        cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=FOLLOWED)
+        cleared += self._ray_clearing.clear_along_rays(*at, scan.sights, nearest=scan.nearest)
+        self._ray_clearing.end_scan()
         return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
 
     def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
@@ -232,7 +232,7 @@ class ElevationGrid:
         """
         corners = np.asarray(polygon, dtype=np.float64)
         coefficients = np.asarray(plane, dtype=np.float64)
-        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not (np.abs(corners) < FAR).all():
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not (np.abs(corners) < MAX_COORDINATE_M).all():
             raise ValueError(f"polygon of at least 3 finite corners (k, 2) expected, found {polygon!r}")
         if coefficients.shape != (3,) or not np.isfinite(coefficients).all():
             raise ValueError(f"plane of 3 finite coefficients expected, found {plane!r}")
@@ -266,7 +266,7 @@ class ElevationGrid:
         p = np.asarray(p_world_xy, dtype=np.float64)
         if p.ndim == 0 or p.shape[-1] != 2:
             raise ValueError(f"points (..., 2) expected, found shape {p.shape}")
-        near = np.where(np.abs(p) < FAR, p, 2 * FAR).reshape(-1, 2)  # NaN too lies outside
+        near = np.where(np.abs(p) < MAX_COORDINATE_M, p, 2 * MAX_COORDINATE_M).reshape(-1, 2)  # NaN too lies outside
         # Lotriet 2024, eq. 4.11
         cell = _cell_indices(near, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         height = np.where(cell >= 0, self._cells.height.ravel()[cell] + self._drift.value, np.nan)  # -1 is masked

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.runtime.compiled import compiled
@@ -110,7 +110,7 @@ class FusionModel:
         return _variances(x, y, z, number, width, slope_x, slope_y, covariance, self._noise)
 
     def measure(
-        self, scan: CheckedScan, height: NDArray[np.float32], resolution: float, low_i: int, low_j: int
+        self, scan: ValidatedScan, height: NDArray[np.float32], resolution: float, low_i: int, low_j: int
     ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
         """Compute the measurements that a scan contains for the cells of a map.
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.elevation.cell_layers import Cells
+from sextant.services.mapper.elevation.cell_layers import CellLayers
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
@@ -36,7 +36,7 @@ class HeightDrift:
         self.value = 0.0  # [m]
         self._lasts = 0  # consecutive scans with an offset, negative if downward
 
-    def follow(self, cells: Cells, touched: NDArray[np.int64], z: Array, ray: Array, covariance: Array) -> None:
+    def follow(self, cells: CellLayers, touched: NDArray[np.int64], z: Array, ray: Array, covariance: Array) -> None:
         """Update the drift with a scan.
 
         Args:

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.elevation.cell_layers import Cells
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.cell_layers import CellLayers
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
@@ -21,7 +21,7 @@ SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # measuring scans after which a cleared 
 _REFRESHED = 16  # [scans] between searches for the highest cell
 
 
-class SightLines:
+class RayClearing:
     """Clearing of map cells by rays."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -29,17 +29,17 @@ class SightLines:
         self._highest, self._scans = -math.inf, 0
         self._marked = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # marks the cells counted in a scan; -1 between scans
 
-    def raised(self, z: float) -> None:
+    def note_height(self, z: float) -> None:
         """Register a new height [m] of a cell."""
         self._highest = max(self._highest, z)
 
-    def look(
+    def clear_along_rays(
         self,
-        cells: Cells,
+        cells: CellLayers,
         low: NDArray[np.int64],
         resolution: float,
         drift: float,
-        scan: CheckedScan,
+        scan: ValidatedScan,
         points: NDArray[Any],
         *,
         every: int = 1,
@@ -75,7 +75,7 @@ class SightLines:
         )  # fmt: skip
         return int(cleared)
 
-    def scanned(self) -> None:
+    def end_scan(self) -> None:
         """End a scan."""
         self._scans += 1
 

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] larger coordinates are refused, so that cell indices stay exact
+MAX_COORDINATE_M = 1e6  # [m] larger coordinates are refused, so that cell indices stay exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CheckedScan:
+class ValidatedScan:
     """Validated scan, created by `of` or `of_millimetres`; see `ElevationGrid.fuse`.
 
     Lengths stay in metres or in the millimetres of the message. They are converted to 8-byte numbers only where they are
@@ -58,8 +58,8 @@ class CheckedScan:
         p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
         covariance = _checked_covariance(pose_covariance)
         ends = np.empty((0, 3)) if sights is None else np.ascontiguousarray(sights, dtype=np.float64)
-        if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < FAR).all():
-            raise ValueError(f"sights (m, 3), finite and within {FAR:g} m, expected, found shape {ends.shape}")
+        if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < MAX_COORDINATE_M).all():
+            raise ValueError(f"sights (m, 3), finite and within {MAX_COORDINATE_M:g} m, expected, found shape {ends.shape}")
         return cls(p, n, s, c, covariance, ends, _checked_nearest(nearest), np.zeros(3), 1.0)
 
     @classmethod
@@ -104,8 +104,8 @@ class CheckedScan:
 def _checked_place(name: str, p: ArrayLike) -> NDArray[np.float64]:
     """Return three coordinates [m], or raise a ValueError."""
     place = np.asarray(p, dtype=np.float64)
-    if place.shape != (3,) or not all(abs(v) < FAR for v in place.tolist()):
-        raise ValueError(f"{name} of 3 coordinates within {FAR:g} m expected, found {p!r}")
+    if place.shape != (3,) or not all(abs(v) < MAX_COORDINATE_M for v in place.tolist()):
+        raise ValueError(f"{name} of 3 coordinates within {MAX_COORDINATE_M:g} m expected, found {p!r}")
     return place
 
 
@@ -131,9 +131,9 @@ def _checked_scan(
     if n.shape != (len(p),) or s.shape != (len(p),):
         raise ValueError(f"count and spread of shape {(len(p),)} expected, found {n.shape} and {s.shape}")
     c = _checked_place("camera position", p_world_camera)
-    near, filled, spread_out = _all_in_range(p, n, s, FAR)
+    near, filled, spread_out = _all_in_range(p, n, s, MAX_COORDINATE_M)
     if not near:
-        raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing")
+        raise ValueError(f"points finite and within {MAX_COORDINATE_M:g} m expected: drop invalid pixels before fusing")
     if not filled:
         raise ValueError("counts of at least 1 expected: drop empty cells before fusing")
     if not spread_out:

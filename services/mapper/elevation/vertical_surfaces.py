@@ -10,7 +10,7 @@ height needs no such protection, and keeps its measured width.
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.elevation.cell_layers import Cells
+from sextant.services.mapper.elevation.cell_layers import CellLayers
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
@@ -21,8 +21,8 @@ REACH = 8  # [cells] searched to a side of a face; the nearest measured cell rep
 _ALL_SIDES = 0xFF
 
 
-def heed_faces(
-    cells: Cells,
+def limit_surface_updates(
+    cells: CellLayers,
     touched: NDArray[np.int64],
     z: Array,
     random: Array,
@@ -57,7 +57,7 @@ def heed_faces(
     """
     rows, columns = cells.height.shape
     wrap = int(low[0] % rows), int(low[1] % columns)
-    left = _heed(
+    left = _limit_updates(
         touched, z, random, systematic, TALL**2 + 9.0 * sigma**2, cells.height, cells.height.ravel(), cells.variance.ravel(),
         cells.assumed.ravel(), cells.face.ravel(), cells.below.ravel(), slot, wrap,
     )  # fmt: skip
@@ -65,7 +65,7 @@ def heed_faces(
 
 
 @compiled
-def _heed(
+def _limit_updates(
     touched: NDArray[np.int64],
     z: Array,
     random: Array,

@@ -14,14 +14,14 @@ _FROM, _UNTIL = 0.2, 0.8  # phases of a step between which the stance feet carry
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class StanceResult:
     """Result of one stance of a foot."""
 
     p_world: Array  # (3,) [m] lowest position of the underside of the foot
     carries: bool  # whether it carried load at any time; a foot that shares the load may carry too little to detect
 
 
-class TouchWatch:
+class FirstStanceDetector:
     """Detector of completed first stances of the feet."""
 
     def __init__(self, foot_radius: float):
@@ -33,11 +33,11 @@ class TouchWatch:
         self._carried = np.zeros(6, dtype=bool)
         self._lowest = np.full((6, 3), np.inf)
 
-    def update(self, state: ActuatorState, pose: BodyPose) -> list[Touch]:
+    def update(self, state: ActuatorState, pose: BodyPose) -> list[StanceResult]:
         """Return the feet whose first stance has ended, from the newest state and pose."""
         found = []
         if state.step != self._step or state.phase > _UNTIL:
-            found = [Touch(self._lowest[leg].copy(), bool(self._carried[leg])) for leg in np.flatnonzero(self._watched)]
+            found = [StanceResult(self._lowest[leg].copy(), bool(self._carried[leg])) for leg in np.flatnonzero(self._watched)]
             self._swung &= ~self._watched
             self._watched[:] = self._carried[:] = False
             self._lowest[:] = np.inf

@@ -36,7 +36,7 @@ Layer = NDArray[np.float32]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-class Type(IntEnum):
+class GroundType(IntEnum):
     """Ground types, in the order of all arrays over types."""
 
     FIRM = 0
@@ -44,7 +44,7 @@ class Type(IntEnum):
     LOOSE = 2
 
 
-_TYPES = len(Type)
+_TYPES = len(GroundType)
 _FIRMLY = np.array([1.0, 0.0, 0.0])
 _SETTLED = 16  # colour images that a cell's colour is averaged over
 _DARKEST = 4.0  # [1/255] luma below which chroma is meaningless
@@ -176,7 +176,7 @@ class TerrainType:
         self._touch = _shifted(self._touch, shift, 0.0)
         self._low = low.copy()
 
-    def see(self, p_world_xy: Array, color: Layer) -> None:
+    def add_colors(self, p_world_xy: Array, color: Layer) -> None:
         """Add colours Y, Co, Cg (n, 3) to the cells at (n, 2) [m] {world}.
 
         A colour is NaN if there is none. Each cell occurs at most once.
@@ -187,7 +187,7 @@ class TerrainType:
             np.ascontiguousarray(p_world_xy, dtype=np.float64), color, self._resolution, self._low, self._color, self._pictures
         )
 
-    def stand_on(self, cells: NDArray[np.bool_]) -> bool:
+    def learn_start_ground(self, cells: NDArray[np.bool_]) -> bool:
         """Learn the median colour of cells (nx, ny) as that of the ground under the robot.
 
         Returns False while too few cells have a colour.
@@ -227,7 +227,7 @@ class TerrainType:
             self._teach(color, likely / likely.sum(), 1.0)
             if not sank:
                 # On firm ground, a foot occasionally seems to sink. Feet that do not sink undo the effect of these errors.
-                for kind in (Type.WATER, Type.LOOSE):
+                for kind in (GroundType.WATER, GroundType.LOOSE):
                     self.palette.take_back(kind, color, self._falsely, np.array(self.model.same_sigma))
 
     def sink_log_likelihood(self, sink: float | None) -> Array:
@@ -247,7 +247,7 @@ class TerrainType:
 
     def _sank(self, said: Array) -> bool:
         """Return whether log likelihoods (3,) are evidence against firm ground."""
-        return bool(said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio))
+        return bool(said[1:].max() > said[GroundType.FIRM] + math.log(self.model.sank_ratio))
 
     def _sinks_on_firm_ground(self) -> float:
         """Return the rate of apparent sinking on firm ground, per foot that does not sink."""
@@ -256,8 +256,8 @@ class TerrainType:
         told = np.array([self._sank(self.sink_log_likelihood(float(sink))) for sink in sinks])
         error = np.exp(-0.5 * (sinks / m.firm_sink_sigma) ** 2) / (m.firm_sink_sigma * math.sqrt(2.0 * math.pi))
         density = (1.0 - m.firm_outlier) * error + m.firm_outlier / m.deepest
-        falsely = float((density * told).sum() * (sinks[1] - sinks[0])) * (1.0 - m.nothing_found[Type.FIRM])
-        falsely += m.nothing_found[Type.FIRM] * self._sank(self.sink_log_likelihood(None))
+        falsely = float((density * told).sum() * (sinks[1] - sinks[0])) * (1.0 - m.nothing_found[GroundType.FIRM])
+        falsely += m.nothing_found[GroundType.FIRM] * self._sank(self.sink_log_likelihood(None))
         return falsely / (1.0 - falsely)
 
     def classify(self, slope: Layer, roughness: Layer) -> TypeMap:
@@ -288,8 +288,8 @@ class TerrainType:
     def _prior(self) -> Array:
         """Return the frequency (3,) of each type, as assumed and from the feet that sank."""
         count = self.model.prior_touches * np.array(self.model.prior)
-        count[Type.WATER] += self.palette.weight[Type.WATER].sum()
-        count[Type.LOOSE] += self.palette.weight[Type.LOOSE].sum()
+        count[GroundType.WATER] += self.palette.weight[GroundType.WATER].sum()
+        count[GroundType.LOOSE] += self.palette.weight[GroundType.LOOSE].sum()
         return np.asarray(count / count.sum())
 
     def _known_colors(self) -> tuple[Array, Array, Array]:
@@ -318,10 +318,10 @@ class TerrainType:
 
     def _teach(self, color: Array, share: Array, weight: float) -> None:
         """Add a colour (3,) to the types by their shares (3,) of one or more touches."""
-        for kind in Type:
+        for kind in GroundType:
             if share[kind] > 0.05:
                 self.palette.add(kind, color, weight * float(share[kind]), np.array(self.model.same_sigma))
-        weight *= float(share[Type.FIRM])
+        weight *= float(share[GroundType.FIRM])
         if weight > 0.0:
             self._carried += weight
             before = color if self._reference is None else self._reference
@@ -337,7 +337,7 @@ class TerrainType:
             i, j = np.nonzero(cost > 1.0)
             if len(i):
                 near = cv2.dilate(np.ascontiguousarray(p[..., 1:]), self._near)[i, j]
-                hazard[i, j] = np.where(near[:, 0] >= near[:, 1], Type.WATER, Type.LOOSE)
+                hazard[i, j] = np.where(near[:, 0] >= near[:, 1], GroundType.WATER, GroundType.LOOSE)
         return TypeMap(p, cost, hazard, confidence)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] larger coordinates are refused
+MAX_COORDINATE_M = 1e6  # [m] larger coordinates are refused
 _FEWEST = 5  # minimum number of neighbours for a plane, including the point
 _FLAT = 1e-3  # [1] of the largest spread; points whose second spread is smaller form a line
 _EVEN = 0.2  # times `edge`; if points deviate less than this from their plane, all belong to one surface
@@ -56,8 +56,8 @@ def smooth(points: ArrayLike, weight: ArrayLike, radius: float = 0.025, *, edge:
     w = np.ascontiguousarray(weight, dtype=np.float64)
     if p.ndim != 2 or p.shape[1] != 3 or w.shape != (len(p),):
         raise ValueError(f"points (n, 3) and weights (n,) expected, found {p.shape} and {w.shape}")
-    if not (np.abs(p) < FAR).all() or not ((w > 0) & (w < math.inf)).all():
-        raise ValueError(f"points within {FAR:g} m and positive weights expected, found some that are not")
+    if not (np.abs(p) < MAX_COORDINATE_M).all() or not ((w > 0) & (w < math.inf)).all():
+        raise ValueError(f"points within {MAX_COORDINATE_M:g} m and positive weights expected, found some that are not")
     if not (1e-3 <= radius < math.inf and edge > 0 and passes >= 1):
         raise ValueError(
             f"a radius of at least 1 mm, a positive edge and one pass or more expected, found {radius}, {edge}, {passes}"

@@ -19,10 +19,10 @@ from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import Camera, RobotProfile
 from sextant.shared.runtime.compiled import compiled
 
-Cells = NDArray[np.bool_]
+CellMask = NDArray[np.bool_]
 
 SEEN, NEAR, FAR, BESIDE, HIDDEN = 0, 1, 2, 3, 4
-WHY: Mapping[int, str] = {
+UNSEEN_REASONS: Mapping[int, str] = {
     NEAR: "closer than the camera's minimum range",
     FAR: "too far away or seen at too flat an angle",
     BESIDE: "outside the image",
@@ -35,7 +35,7 @@ _CLEAR = 0.005  # [m] by which known ground must exceed the ray to hide cells be
 _JUMP = 0.02  # [m] height of an occluder above the cell that it hides
 _LOWER = 0.03  # [m] below the expected height: different ground
 _AROUND = 3  # [cells] around cells that were not seen at their expected height, treated the same way
-_WORTH = 20  # minimum number of cells that a view must show
+_MIN_VIEW_CELLS = 20  # minimum number of cells that a view must show
 _AS_GOOD = 0.98  # times the cells of the best view: sufficient for a view with less effort
 _PITCHES = np.radians([0.0, -8.0, 8.0])  # [rad] positive is nose down
 _YAWS = np.radians([0.0, -12.0, 12.0])
@@ -48,11 +48,11 @@ class View:
     """Body pose for a view."""
 
     T_world_body: Array  # (4, 4)
-    sees: Cells  # (nx, ny) unseen cells that the view will show
+    sees: CellMask  # (nx, ny) unseen cells that the view will show
 
 
-def sights(
-    grid: PassageGrid, heights: Array, wanted: Cells, T_world_camera: Array, camera: Camera, reach: float
+def check_visibility(
+    grid: PassageGrid, heights: Array, wanted: CellMask, T_world_camera: Array, camera: Camera, reach: float
 ) -> NDArray[np.uint8]:
     """Determine whether a camera sees cells with given heights, or why not.
 
@@ -70,7 +70,7 @@ def sights(
     Returns:
         (n,) uint8, one of SEEN, NEAR, FAR, BESIDE and HIDDEN per wanted cell, row by row.
     """
-    return _Ground(grid, heights, wanted).sights(T_world_camera, camera, reach)
+    return _Ground(grid, heights, wanted).check_visibility(T_world_camera, camera, reach)
 
 
 class _Ground:
@@ -79,7 +79,7 @@ class _Ground:
     The x axis points along the strip, y to the left of its right side, z up.
     """
 
-    def __init__(self, grid: PassageGrid, heights: Array, wanted: Cells):
+    def __init__(self, grid: PassageGrid, heights: Array, wanted: CellMask):
         strip = grid.strip
         at = local_centres(strip, grid.resolution)[wanted] + [0.0, strip.width / 2]
         self._targets = np.column_stack([at, heights[wanted]])
@@ -89,7 +89,7 @@ class _Ground:
         right = strip.world([0.0, -strip.width / 2])
         self._T_strip_world = inverse(from_xyz_rpy((*right, 0.0), (0.0, 0.0, strip.heading)))
 
-    def sights(self, T_world_camera: Array, camera: Camera, reach: float) -> NDArray[np.uint8]:
+    def check_visibility(self, T_world_camera: Array, camera: Camera, reach: float) -> NDArray[np.uint8]:
         intrinsics, sensor = camera.intrinsics, camera.sensor
         lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, intrinsics.width, intrinsics.height])
         out = np.empty(len(self._targets), dtype=np.uint8)
@@ -100,7 +100,7 @@ class _Ground:
         return out
 
 
-def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reach: float, level: float) -> Array:
+def expected_heights(grid: PassageGrid, view_poses: Array, camera: Camera, reach: float, level: float) -> Array:
     """Estimate the heights (nx, ny) [m] {world} of the ground; known heights are kept.
 
     1. A hidden cell has the height of the ground seen beyond it: the floor behind a block continues the floor beyond its
@@ -116,7 +116,7 @@ def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reac
         reach: [m] maximum horizontal distance of scan points from the camera.
         level: [m] {world} height of the ground under the robot.
     """
-    towards = local_centres(grid.strip, grid.resolution) - grid.strip.local(looked_from[-1, :2, 3])
+    towards = local_centres(grid.strip, grid.resolution) - grid.strip.local(view_poses[-1, :2, 3])
     towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-9)
     unseen = grid.unseen
     heights = np.where(unseen, _beyond(grid.elevation, np.ascontiguousarray(towards)), grid.elevation).astype(np.float64)
@@ -124,7 +124,7 @@ def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reac
     if behind.any():
         lowest = float(np.percentile(grid.elevation[~unseen], 1.0))
         absent = np.zeros(unseen.shape, dtype=np.bool_)
-        absent[behind] = _in_view(grid, heights, behind, looked_from, camera, reach)
+        absent[behind] = _in_view(grid, heights, behind, view_poses, camera, reach)
         around = cv2.dilate(absent.astype(np.uint8), np.ones((2 * _AROUND + 1,) * 2)) > 0
         heights[behind & around & (heights > lowest + _LOWER)] = lowest
     open_ = np.isnan(heights)
@@ -168,8 +168,8 @@ def candidates(profile: RobotProfile, T_world_body: Array, feet_world: Array, gr
 def best_view(
     grid: PassageGrid,
     heights: Array,
-    wanted: Cells,
-    looked_from: Array,
+    wanted: CellMask,
+    view_poses: Array,
     poses: Array,
     camera: Camera,
     reach: float,
@@ -191,30 +191,30 @@ def best_view(
         return None
     T_body_camera = camera.T_body_camera
     wanted = wanted.copy()
-    wanted[wanted] = ~_in_view(grid, heights, wanted, looked_from, camera, reach)
+    wanted[wanted] = ~_in_view(grid, heights, wanted, view_poses, camera, reach)
     if not wanted.any():
         return None
     every = max(1, math.ceil(np.count_nonzero(wanted) / _SAMPLES))
     sample = np.zeros(wanted.shape, dtype=np.bool_)
     sample.reshape(-1)[np.flatnonzero(wanted)[::every]] = True
     ground = _Ground(grid, heights, sample)
-    shown = [ground.sights(T @ T_body_camera, camera, reach) == SEEN for T in poses]
+    shown = [ground.check_visibility(T @ T_body_camera, camera, reach) == SEEN for T in poses]
     counts = np.array([int(np.count_nonzero(s)) for s in shown], dtype=np.int64)
-    if not len(counts) or every * counts.max() < _WORTH:
+    if not len(counts) or every * counts.max() < _MIN_VIEW_CELLS:
         return None
     best = poses[int(np.argmax(counts >= _AS_GOOD * counts.max()))]
     sees = wanted.copy()
-    sees[wanted] = sights(grid, heights, wanted, best @ T_body_camera, camera, reach) == SEEN
+    sees[wanted] = check_visibility(grid, heights, wanted, best @ T_body_camera, camera, reach) == SEEN
     return View(np.asarray(best), sees)
 
 
-def _in_view(grid: PassageGrid, heights: Array, wanted: Cells, looked_from: Array, camera: Camera, reach: float) -> Cells:
+def _in_view(grid: PassageGrid, heights: Array, wanted: CellMask, view_poses: Array, camera: Camera, reach: float) -> CellMask:
     """Return which wanted cells (n,) are seen from any of optical poses (k, 4, 4)."""
     ground = _Ground(grid, heights, wanted)
-    return np.asarray(np.any([ground.sights(T, camera, reach) == SEEN for T in looked_from], axis=0))
+    return np.asarray(np.any([ground.check_visibility(T, camera, reach) == SEEN for T in view_poses], axis=0))
 
 
-def unseen_in_words(grid: PassageGrid, why: NDArray[np.uint8]) -> str:
+def describe_unseen_cells(grid: PassageGrid, why: NDArray[np.uint8]) -> str:
     """Describe the unseen cells of a strip and the reasons to the operator.
 
     Args:
@@ -226,10 +226,10 @@ def unseen_in_words(grid: PassageGrid, why: NDArray[np.uint8]) -> str:
         return ""
     along = local_centres(grid.strip, grid.resolution)[..., 0][unseen]
     parts = []
-    for reason in sorted(WHY, key=lambda r: -int(np.count_nonzero(why == r))):
+    for reason in sorted(UNSEEN_REASONS, key=lambda r: -int(np.count_nonzero(why == r))):
         x = along[why == reason]
         if len(x):
-            parts.append(f"{len(x)} {WHY[reason]} ({x.min():.2f} to {x.max():.2f} m)")
+            parts.append(f"{len(x)} {UNSEEN_REASONS[reason]} ({x.min():.2f} to {x.max():.2f} m)")
     return f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen: {', '.join(parts)}"
 
 

@@ -12,9 +12,9 @@ from sextant.services.mapper.passage_map.next_best_view import (
     View,
     best_view,
     candidates,
+    check_visibility,
+    describe_unseen_cells,
     expected_heights,
-    sights,
-    unseen_in_words,
 )
 from sextant.services.mapper.passage_map.passage_grid import (
     PassageGrid,
@@ -36,14 +36,14 @@ _TAKEN_OVER = 8.0  # [pixels] weight of a height taken from the elevation map at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
+class ViewProposal:
     """Unseen cells of a strip, and the body pose that would show most of them."""
 
     words: str  # description of the unseen cells and why; empty if all are seen
     view: View | None  # None: no feasible pose shows enough cells
 
 
-class Survey:
+class PassageMapping:
     """Merged cloud over one strip, initialised from the elevation map.
 
     Like the elevation map, it stores heights as first seen, and returns them as the newest pose sees them.
@@ -139,7 +139,7 @@ class Survey:
         sure = np.zeros(grid.elevation.shape, dtype=np.float32)
         return self._layers.update(grid.elevation, sure, np.zeros(2, dtype=np.int64), body_height, position_sigma).evaluation
 
-    def outlook(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> Outlook:
+    def view_proposal(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> ViewProposal:
         """Find the unseen cells of a map, and the body pose that would show most of them.
 
         Args:
@@ -154,12 +154,12 @@ class Survey:
         a, b, c = feet_plane(feet_world - [0.0, 0.0, self._profile.foot.radius])
         level = float(a + b * T_world_body[0, 3] + c * T_world_body[1, 3])
         T_world_camera = T_world_body @ camera.T_body_camera
-        looked_from = self._looks(T_world_camera)
-        heights = expected_heights(grid, looked_from, camera, self._reach, level)
-        why = sights(grid, heights, grid.unseen, T_world_camera, camera, self._reach)
+        view_poses = self._looks(T_world_camera)
+        heights = expected_heights(grid, view_poses, camera, self._reach, level)
+        why = check_visibility(grid, heights, grid.unseen, T_world_camera, camera, self._reach)
         poses = candidates(self._profile, T_world_body, feet_world, level)
-        view = best_view(grid, heights, grid.unseen, looked_from, poses, camera, self._reach)
-        return Outlook(unseen_in_words(grid, why), view)
+        view = best_view(grid, heights, grid.unseen, view_poses, poses, camera, self._reach)
+        return ViewProposal(describe_unseen_cells(grid, why), view)
 
     def _looks(self, T_world_camera: Array) -> Array:
         """Return the optical poses (k, 4, 4) of the views so far, with this one last."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FAR = 1e6  # [m] larger coordinates are refused, so that voxel indices stay exact
+MAX_COORDINATE_M = 1e6  # [m] larger coordinates are refused, so that voxel indices stay exact
 _NONE = -1  # end of a column's list
 
 
@@ -27,9 +27,9 @@ class Strip:
     width: float = 1.0  # [m]
 
     def __post_init__(self) -> None:
-        if len(self.origin) != 2 or not all(abs(v) < FAR for v in self.origin) or not abs(self.heading) < math.inf:
+        if len(self.origin) != 2 or not all(abs(v) < MAX_COORDINATE_M for v in self.origin) or not abs(self.heading) < math.inf:
             raise ValueError(
-                f"an origin of 2 coordinates within {FAR:g} m and a finite heading expected, "
+                f"an origin of 2 coordinates within {MAX_COORDINATE_M:g} m and a finite heading expected, "
                 f"found {self.origin} and {self.heading}"
             )
         if not (0 < self.length <= 100 and 0 < self.width <= 100):
@@ -170,8 +170,8 @@ class VoxelCloud:
         w = np.ascontiguousarray(count, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3 or w.shape != (len(p),):
             raise ValueError(f"points (n, 3) and counts (n,) expected, found {p.shape} and {w.shape}")
-        if not (np.abs(p) < FAR).all():
-            raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before merging")
+        if not (np.abs(p) < MAX_COORDINATE_M).all():
+            raise ValueError(f"points finite and within {MAX_COORDINATE_M:g} m expected: drop invalid pixels before merging")
         if not ((w > 0) & (w < math.inf)).all():
             raise ValueError("positive finite counts expected: drop empty points before merging")
         strip = self._strip

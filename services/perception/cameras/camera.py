@@ -38,7 +38,7 @@ class Frame:
 class Camera(Protocol):
     """Open camera, a context manager; the code that creates it also closes it."""
 
-    about: str  # description for the operator
+    description: str  # description for the operator
     recorded: bool  # True for a recording: reopening starts it from the beginning and repairs nothing
 
     def read(self, color: bool) -> Frame | None:
@@ -100,7 +100,7 @@ def check_intrinsics(device: str, expected: Intrinsics, found: Intrinsics, toler
     if size_fits and focal <= tolerance and centre <= CENTRE_TOLERANCE:
         return
     raise CameraError(
-        f"{device}: intrinsics {in_words(expected)} expected by the robot's profile, found {in_words(found)}",
+        f"{device}: intrinsics {format_intrinsics(expected)} expected by the robot's profile, found {format_intrinsics(found)}",
         "set [camera.intrinsics] of the profile to the values found, or choose the profile of this camera with --robot",
     )
 
@@ -118,6 +118,6 @@ def check_depth_scale(device: str, expected: float, found: float) -> None:
         )
 
 
-def in_words(i: Intrinsics) -> str:
+def format_intrinsics(i: Intrinsics) -> str:
     """Format intrinsics for display."""
     return f"{i.width}x{i.height}, fx {i.fx:.1f}, fy {i.fy:.1f}, cx {i.cx:.1f}, cy {i.cy:.1f}"

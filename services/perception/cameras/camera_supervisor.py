@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
-from sextant.services.perception.cameras.image_quality import Watch
+from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 
 FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] shortest and longest interval between two attempts
 _FIRST_PICTURE_S = 4.0  # [s] allowed for a device to send its first image
@@ -13,10 +13,10 @@ _BLIND_S = 20.0  # [s] without a useful image after which a seemingly working de
 _RELIABLE_S = 10.0  # [s] of good images after which the retry interval is reset
 
 
-class Keeper:
+class CameraSupervisor:
     """Camera with its fault as text; `ok` is True only while good images arrive."""
 
-    def __init__(self, device: str, opener: Callable[[], Camera], watch: Watch, clock: Callable[[], int]):
+    def __init__(self, device: str, opener: Callable[[], Camera], watch: ImageQualityCheck, clock: Callable[[], int]):
         """Create a supervisor; the first `read` opens the camera.
 
         Args:
@@ -26,7 +26,7 @@ class Keeper:
                 images.
             clock: [ns] clock of the images.
         """
-        self.about = device
+        self.description = device
         self.ok = False
         self.trouble = f"{device} has sent no image yet"
         self.openings = 0
@@ -58,7 +58,8 @@ class Keeper:
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
                 self._fail(
-                    f"{self._camera.about} has sent no new image for {silent_s:.1f} s", "check that it is still plugged in"
+                    f"{self._camera.description} has sent no new image for {silent_s:.1f} s",
+                    "check that it is still plugged in",
                 )
             return None
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
@@ -80,7 +81,7 @@ class Keeper:
         except CameraError as error:
             self._lose(str(error))
             return False
-        self.about = self._camera.about
+        self.description = self._camera.description
         self._opened_ns = self._useful_ns = self._heard_ns = self._clock()
         self._patience_s = _FIRST_PICTURE_S
         return True
@@ -97,9 +98,9 @@ class Keeper:
             )
             since_ns, patience_s = (self._useful_ns, _BLIND_S) if self._watch.sound else (self._opened_ns, _SETTLE_S)
             if now_ns - since_ns > patience_s * 1e9:
-                self._fail(f"{self.about}: {wrong}", remedy)
+                self._fail(f"{self.description}: {wrong}", remedy)
             else:
-                self._hold_back(f"{self.about}: {wrong}; {remedy}")
+                self._hold_back(f"{self.description}: {wrong}; {remedy}")
             return None
         self.ok, self.trouble, self._useful_ns = True, "", now_ns
         if self._good_since_ns < 0:

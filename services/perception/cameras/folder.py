@@ -48,7 +48,7 @@ class FolderCamera:
         check_intrinsics(name, expected.intrinsics, self._recording.camera.intrinsics)
         check_depth_scale(name, expected.sensor.depth_scale, self._recording.camera.depth_scale)
         colored = "" if self._recording.colors is None else ", with colour"
-        self._whole = self.about = f"{name}: {len(self._recording)} images{colored}"
+        self._whole = self.description = f"{name}: {len(self._recording)} images{colored}"
         self._clock, self._loop = clock, loop
         self._folder, self._unreadable = folder, 0
         self._next = 0
@@ -71,7 +71,7 @@ class FolderCamera:
             self._round_ns = now_ns
         if self._next == len(stamps):
             if not self._loop:
-                raise RecordingOverError(f"{self.about}: the recording has ended", "set loop=true to repeat it")
+                raise RecordingOverError(f"{self.description}: the recording has ended", "set loop=true to repeat it")
             period_ns = round(1e9 / self._recording.camera.rate_hz)
             self._next, self._round_ns = 0, max(self._round_ns + int(stamps[-1]) + period_ns, now_ns - period_ns)
         due = int(np.searchsorted(stamps, now_ns - self._round_ns, side="right"))
@@ -88,6 +88,6 @@ class FolderCamera:
             if not self._folder.is_dir():
                 raise CameraError(f"{self._whole}: the folder is gone", _REMEDY) from error
             self._unreadable += 1
-            self.about = f"{self._whole}; {self._unreadable} images could not be read: {error}"
+            self.description = f"{self._whole}; {self._unreadable} images could not be read: {error}"
             return None
         return Frame(stamp_ns, depth, rgb)

@@ -32,7 +32,7 @@ def is_noise(depth: NDArray[np.uint16]) -> bool:
     return int(np.count_nonzero(jumps)) > _NOISE_SHARE * max(1, int(np.count_nonzero(both)))
 
 
-class Watch:
+class ImageQualityCheck:
     """Check of a camera's images, which reports a fault after it has lasted a while."""
 
     def __init__(self, sensor: DepthSensor, size: tuple[int, int]):

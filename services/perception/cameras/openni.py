@@ -50,12 +50,12 @@ class OpenNI:
         self._depth: Any = None
         self._color: Any = None
         self._rgb: tuple[int, NDArray[np.uint8]] | None = None  # newest colour image and its stamp [us]
-        self.about = _NAME
+        self.description = _NAME
         try:
             self._start(expected)
         except self._errors as error:
             self.close()
-            raise CameraError(f"{self.about}: {_words(error)}", _PLUG) from error
+            raise CameraError(f"{self.description}: {_words(error)}", _PLUG) from error
         except CameraError:
             self.close()
             raise
@@ -91,9 +91,9 @@ class OpenNI:
                 depth = np.array(frame.get_buffer_as_uint16(), dtype=np.uint16)
                 shape = (int(frame.height), int(frame.width))
         except self._errors as error:
-            raise CameraError(f"{self.about}: {_words(error)}", _PLUG) from error
+            raise CameraError(f"{self.description}: {_words(error)}", _PLUG) from error
         if depth.size != shape[0] * shape[1]:
-            raise CameraError(f"{self.about}: an image of {shape} expected, found {depth.size} pixels", _PLUG)
+            raise CameraError(f"{self.description}: an image of {shape} expected, found {depth.size} pixels", _PLUG)
         rgb = self._rgb[1] if color and self._rgb is not None and abs(self._rgb[0] - taken_us) <= _PAIRED_US else None
         return Frame(self._stamps.host_ns(taken_us * 1000, arrived_ns), depth.reshape(shape), rgb)
 
@@ -113,10 +113,10 @@ class OpenNI:
                 "set depth_scale = 1000.0 in [camera.sensor] of the profile",
             )
         self._device = device = ni.Device.open_any()
-        self.about = _about(device.get_device_info())
+        self.description = _about(device.get_device_info())
         self._depth = depth = device.create_depth_stream()
         if depth is None:
-            raise CameraError(f"{self.about}: a device with a depth camera expected, found one without", _PLUG)
+            raise CameraError(f"{self.description}: a device with a depth camera expected, found one without", _PLUG)
         depth.configure_mode(i.width, i.height, rate, formats[expected.sensor.depth_scale])
         depth.set_mirroring_enabled(False)  # the drivers mirror by default
         if expected.color:
@@ -125,11 +125,11 @@ class OpenNI:
         fx = i.width / 2 / math.tan(lens.get_horizontal_fov() / 2)
         fy = i.height / 2 / math.tan(lens.get_vertical_fov() / 2)
         found = Intrinsics(i.width, i.height, fx, fy, (i.width - 1) / 2, (i.height - 1) / 2)
-        check_intrinsics(self.about, i, found, _NOMINAL)
+        check_intrinsics(self.description, i, found, _NOMINAL)
         depth.start()
         if self._color is not None:
             self._color.start()
-            self.about += ", with colour"
+            self.description += ", with colour"
 
     def _start_color(self, device: Any, i: Intrinsics, rate: int) -> Any:
         """Start the colour stream and align depth to it."""
@@ -137,7 +137,7 @@ class OpenNI:
         color, mode = device.create_color_stream(), ni.IMAGE_REGISTRATION_DEPTH_TO_COLOR
         if color is None or not device.is_image_registration_mode_supported(mode):
             raise CameraError(
-                f"{self.about}: colour expected by the robot's profile, found a device without",
+                f"{self.description}: colour expected by the robot's profile, found a device without",
                 "set color = false in [camera] of the profile, and its intrinsics to those of the depth lens",
             )
         color.configure_mode(i.width, i.height, rate, ni.PIXEL_FORMAT_RGB888)

@@ -42,7 +42,7 @@ class RealSense:
         self._number = -1
         try:
             profile = self._start(expected)
-            self.about = _about(rs, profile.get_device()) + (", with colour" if self._color else "")
+            self.description = _about(rs, profile.get_device()) + (", with colour" if self._color else "")
             self._check(profile, expected)
         except RuntimeError as error:
             self.close()
@@ -81,7 +81,7 @@ class RealSense:
                 aligned = self._align.process(frames).get_color_frame()
                 rgb = np.array(np.asanyarray(aligned.get_data()), dtype=np.uint8) if aligned else None
         except RuntimeError as error:
-            raise CameraError(f"{self.about}: {error}", _PLUG) from error
+            raise CameraError(f"{self.description}: {error}", _PLUG) from error
         return Frame(stamp_ns, depth, rgb)
 
     def _start(self, expected: CameraProfile) -> Any:
@@ -112,10 +112,10 @@ class RealSense:
     def _check(self, profile: Any, expected: CameraProfile) -> None:
         """Compare the started streams with the robot's profile."""
         check_depth_scale(
-            self.about, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
+            self.description, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
         )
         i = profile.get_stream(self._rs.stream.depth).as_video_stream_profile().get_intrinsics()
-        check_intrinsics(self.about, expected.intrinsics, Intrinsics(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy))
+        check_intrinsics(self.description, expected.intrinsics, Intrinsics(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy))
 
 
 def find() -> list[str]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Self
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
-from sextant.services.perception.cameras.camera_supervisor import Keeper
+from sextant.services.perception.cameras.camera_supervisor import CameraSupervisor
 from sextant.services.perception.cameras.config import Settings
-from sextant.services.perception.cameras.image_quality import Watch
+from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
@@ -53,7 +53,7 @@ class CameraService:
         self.stages = Stages()
         self._settings, self._clock = settings, clock
         opener = opener or (lambda: open_camera(device, profile, settings, clock))
-        self._keeper = Keeper(device, opener, Watch(camera.sensor, (i.height, i.width)), clock)
+        self._supervisor = CameraSupervisor(device, opener, ImageQualityCheck(camera.sensor, (i.height, i.width)), clock)
         self._color_due_ns = clock()
         self._color_wanted = False
         self._state_due_ns = clock()
@@ -80,8 +80,8 @@ class CameraService:
         """Return the status: the device and image count, or why no images arrive."""
         trouble = self._trouble()
         if trouble:
-            return f"no images: {trouble}; opened {self._keeper.openings} times so far"
-        return f"{self._keeper.about}, {self._pictures} images"
+            return f"no images: {trouble}; opened {self._supervisor.openings} times so far"
+        return f"{self._supervisor.description}, {self._pictures} images"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Publish the newest images, and the state when it changes or is due."""
@@ -100,31 +100,31 @@ class CameraService:
         trouble = self._trouble()
         if tick.stamp_ns >= self._state_due_ns or (not trouble, trouble) != self._told:
             self._state_due_ns, self._told = tick.stamp_ns + _STATE_NS, (not trouble, trouble)
-            yield CameraState(tick.stamp_ns, device=self._keeper.about[:500], ok=not trouble, reason=trouble[:1000])
+            yield CameraState(tick.stamp_ns, device=self._supervisor.description[:500], ok=not trouble, reason=trouble[:1000])
 
     def _take(self) -> Frame | None:
         if self._thread is None:
-            return self._keeper.read(self._color_wanted)
+            return self._supervisor.read(self._color_wanted)
         return self._newest.popleft() if self._newest else None
 
     def _trouble(self) -> str:
         called_ns = self._called_ns
         if called_ns >= 0 and self._clock() - called_ns > _HUNG_NS:
             hung_s = (self._clock() - called_ns) * 1e-9
-            return f"the driver of {self._keeper.about} has not answered for {hung_s:.0f} s; plug the camera in again"
-        return self._keeper.trouble
+            return f"the driver of {self._supervisor.description} has not answered for {hung_s:.0f} s; plug the camera in again"
+        return self._supervisor.trouble
 
     def _read_on(self) -> None:
         """Poll the device until stopped; runs in the thread."""
         try:
             while not self._stop.is_set():
                 self._called_ns = self._clock()
-                frame = self._keeper.read(self._color_wanted)
+                frame = self._supervisor.read(self._color_wanted)
                 self._called_ns = -1
                 if frame is not None:
                     self._newest.append(frame)
                 self._stop.wait(_PAUSE_S)
-            self._keeper.close()
+            self._supervisor.close()
         except Exception as error:  # noqa: BLE001 - it is raised again by step, where it ends the process
             self._error = error
 
@@ -174,4 +174,4 @@ def find(device: str, profile: RobotProfile) -> list[str]:
 
         return realsense.find()
     with open_camera(device, profile, Settings(), lambda: 0) as camera:
-        return [camera.about]
+        return [camera.description]

@@ -14,7 +14,7 @@ _STRIDE = 7  # pixel offset per image, coprime to the spacing, so that every pix
 _BLOCK = 8  # [px] between the pixels that decide whether a block of the image is empty
 
 
-def free_sights(
+def compute_free_rays(
     depth_raw: NDArray[np.uint16],
     intrinsics: Intrinsics,
     sensor: DepthSensor,

@@ -98,7 +98,7 @@ class Keyframes:
         self._stored += 1
         self._age[slot] = self._stored
 
-    def is_news(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
+    def is_new_view(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
         """Return whether a pose is far enough from every keyframe to store a new one.
 
         The limits are a quarter as large if few points overlap.

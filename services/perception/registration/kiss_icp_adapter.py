@@ -14,16 +14,16 @@ from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.keyframes import Keyframes, Match
 from sextant.services.perception.registration.projective_icp import (
     Acceptance,
-    Registered,
-    belief,
+    RegistrationResult,
+    apply_twist,
+    check_jump,
+    check_measured_share,
+    constraint_weights,
     error_twist,
-    first,
-    jump,
-    moved,
-    objection,
+    first_result,
     prior_information,
-    refused,
-    too_little,
+    refused_result,
+    rejection_reason,
 )
 from sextant.shared.geometry import orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
@@ -89,32 +89,36 @@ class KissRegistration:
         stamp_ns: int,
         T_world_camera_prior: NDArray[np.float64],
         prior_covariance: NDArray[np.float64],
-    ) -> Registered:
+    ) -> RegistrationResult:
         """Register one frame; arguments, result and errors as in `Registration.update`."""
         information = prior_information(T_world_camera_prior, prior_covariance)
         self._frame.load(depth_raw)
-        reason = too_little(self._frame, self._acceptance)
+        reason = check_measured_share(self._frame, self._acceptance)
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
         if len(self._keyframes) == 0:
             self._restart(T_world_camera_prior)
-            return first(stamp_ns, T_world_camera_prior, prior_covariance)
+            return first_result(stamp_ns, T_world_camera_prior, prior_covariance)
 
         T, downsampled = self._align(T_world_camera_prior)
 
         match = self._keyframes.match(T, self._keyframes.select(T), _GATE, _STRIDE)
-        believed, degenerate = belief(match)
+        believed, degenerate = constraint_weights(match)
         # The voxel size limits the accuracy of the pose: (H^-1 + R)^-1, in a form that allows a singular H.
         H = believed @ match.H
         H -= H @ np.linalg.solve(H + self._voxel_information, H)
         covariance = np.linalg.inv(H + information)
-        T = orthonormal(moved(T_world_camera_prior, covariance @ H @ error_twist(T, T_world_camera_prior)))
-        reason = objection(match, self._acceptance) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
+        T = orthonormal(apply_twist(T_world_camera_prior, covariance @ H @ error_twist(T, T_world_camera_prior)))
+        reason = rejection_reason(match, self._acceptance) or check_jump(
+            T, T_world_camera_prior, prior_covariance, self._acceptance
+        )
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
         self._failures = 0
         self._extend_map(T, downsampled, match.overlap)
-        return Registered(stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, "")
+        return RegistrationResult(
+            stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, ""
+        )
 
     def _align(self, T_prior: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Align to the map from a given prior; return the pose and the map points.
@@ -137,7 +141,7 @@ class KissRegistration:
 
     def _extend_map(self, T: NDArray[np.float64], downsampled: NDArray[np.float64], overlap: float) -> None:
         self._kiss.local_map.update(downsampled, T)
-        if self._keyframes.is_news(T, overlap):
+        if self._keyframes.is_new_view(T, overlap):
             self._keyframes.add(T)
 
     def _restart(self, T: NDArray[np.float64]) -> None:
@@ -152,10 +156,10 @@ class KissRegistration:
         prior_covariance: NDArray[np.float64],
         match: Match | None,
         reason: str,
-    ) -> Registered:
+    ) -> RegistrationResult:
         self._failures += 1
         if self._failures >= self._acceptance.patience and match is not None:
             reason = f"{reason}; {self._failures} frames in a row failed, the map restarts at the prior pose"
             self._restart(T_prior)
             self._failures = 0
-        return refused(stamp_ns, T_prior, prior_covariance, match, reason)
+        return refused_result(stamp_ns, T_prior, prior_covariance, match, reason)

@@ -12,7 +12,7 @@ def unobservable_directions(twists: NDArray[np.float64]) -> tuple[str, ...]:
     """Name the directions that unobservable twists span.
 
     Args:
-        twists: (k, 6) unit error twists [m, rad] in world axes, as `Registered.degenerate`.
+        twists: (k, 6) unit error twists [m, rad] in world axes, as `RegistrationResult.degenerate`.
 
     Returns:
         One name per direction: an axis such as `yaw`, or an oblique direction such as `x+y`. Axes come first, in the order of

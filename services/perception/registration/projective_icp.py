@@ -15,7 +15,7 @@ from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.keyframes import Keyframes, Match
 from sextant.services.perception.registration.moving_body import is_one_body, is_within_body
 from sextant.services.perception.registration.observability import AXES
-from sextant.services.perception.registration.relocalization_map import AnchorMap, Misfit, surface_points
+from sextant.services.perception.registration.relocalization_map import MapContradiction, RelocalizationMap, surface_points
 from sextant.shared.geometry import exp_so3, log_so3, orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
@@ -51,7 +51,7 @@ _LOST_SIGMA = 0.03  # [m] and [rad] uncertainty of a place found by the search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class RegistrationResult:
     """Pose of one depth frame, its uncertainty, and whether it is valid.
 
     Covariance and directions refer to the error twist (v, w) in world axes at the camera: (p + v, exp(w) R).
@@ -142,7 +142,7 @@ class Registration:
         rows, columns = self._frame.shape
         self._stride = max(1, round(rows * columns / _MATCHED))
         self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
-        self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
+        self._relocalization_map = RelocalizationMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         self._usual_rmse = self._acceptance.max_rmse  # [m]
         self._lately = _Fit()
         self._failures = 0  # consecutive
@@ -163,15 +163,15 @@ class Registration:
         stamp_ns: int,
         T_world_camera_prior: NDArray[np.float64],
         prior_covariance: NDArray[np.float64],
-    ) -> Registered:
+    ) -> RegistrationResult:
         """Register one frame; the first one is placed at its prior.
 
         Args:
             depth_raw: (h, w) raw depth, 0 = no return.
             stamp_ns: [ns] capture time, copied to the result.
             T_world_camera_prior: (4, 4) expected pose, e.g. the last pose composed with the odometry since.
-            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`. It covers the odometry since the last
-                registered frame, or is wide if the velocity is only assumed constant.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `RegistrationResult`. It covers the odometry since the
+                last registered frame, or is wide if the velocity is only assumed constant.
 
         Returns:
             The pose, or the prior and the reason of the failure. The covariance is relative to the recently mapped ground: it
@@ -182,13 +182,13 @@ class Registration:
         """
         information = prior_information(T_world_camera_prior, prior_covariance)
         self._frame.load(depth_raw)
-        reason = too_little(self._frame, self._acceptance)
+        reason = check_measured_share(self._frame, self._acceptance)
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
         if len(self._keyframes) == 0:
             self._remember(T_world_camera_prior)
             self._last = T_world_camera_prior
-            return first(stamp_ns, T_world_camera_prior, prior_covariance)
+            return first_result(stamp_ns, T_world_camera_prior, prior_covariance)
 
         # 1. Align from the prior. If the fit is poor, try again with a prior that allows slip. If only one body moves in front
         # of a camera at rest, keep the rest pose.
@@ -196,19 +196,21 @@ class Registration:
         if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
             wide = _slipping(prior_covariance)
             slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
-            fits = slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance)
+            fits = slipped.match.misfit < _EXPLAINED * found.match.misfit and not rejection_reason(
+                slipped.match, self._acceptance
+            )
             if fits and _is_apart(slipped.T, found.T, prior_covariance):
                 found, believable = slipped, wide
         held = self._held(found, T_world_camera_prior, prior_covariance)
         if held is not None:
             found, believable = held, prior_covariance
         reason = (
-            self._objection(found.match)
+            self._rejection_reason(found.match)
             or self._worsening(found.match)
-            or jump(found.T, T_world_camera_prior, believable, self._acceptance)
+            or check_jump(found.T, T_world_camera_prior, believable, self._acceptance)
         )
         # 2. Check the pose against the map, and search for a better one while it is in doubt.
-        misfit = self._anchor.misfit(self._frame.points, T_world_camera_prior if reason else found.T)
+        misfit = self._relocalization_map.misfit(self._frame.points, T_world_camera_prior if reason else found.T)
         # A single body that moves in front of a camera at rest is no evidence of camera motion.
         doubted = not self._is_passing_body(misfit) and (bool(reason) or self._is_doubted(misfit))
         self._doubtful = self._doubtful + 1 if doubted else 0
@@ -237,10 +239,10 @@ class Registration:
         if not doubted:
             self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
             self._lately = _Fit(_recent(self._lately.misfit, match.misfit), _recent(self._lately.rmse, match.rmse))
-            if self._keyframes.is_news(found.T, match.overlap):
+            if self._keyframes.is_new_view(found.T, match.overlap):
                 self._remember(found.T)
         self._last = found.T
-        return Registered(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
+        return RegistrationResult(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
 
     def _held(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> "_Aligned | None":
         """Return the rest pose if only a single body supports the pose found, else None."""
@@ -273,7 +275,7 @@ class Registration:
         elif self._rest is None:
             self._rest = T_prior
         elif not self._acceptance.legless:
-            self._rest = moved(self._rest, step)
+            self._rest = apply_twist(self._rest, step)
 
     def _may_have_slipped(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
         """Return whether the legs may have slipped (poor fit, or far from the prior)."""
@@ -283,14 +285,14 @@ class Registration:
         drawn = np.abs(error_twist(found.T, T_prior)) > _DRAWN * np.sqrt(np.diag(covariance))
         return bool(drawn[_ALONG_FLOOR].any())
 
-    def _objection(self, match: Match) -> str:
+    def _rejection_reason(self, match: Match) -> str:
         """Return why a match is rejected, or an empty string.
 
         The rmse limit follows the average rmse.
         """
         limits = self._acceptance
         usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
-        reason = objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+        reason = rejection_reason(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
         share = self._frame.usual_share
         return (
             f"{reason}; {1.0 - share:.0%} of the pixels in view have no measurement" if reason and share < _SPARSE else reason
@@ -307,16 +309,16 @@ class Registration:
         worse = match.misfit / lately
         return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than recent frames"
 
-    def _is_passing_body(self, misfit: Misfit) -> bool:
+    def _is_passing_body(self, misfit: MapContradiction) -> bool:
         """Return whether all contradictions are one body in front of a camera at rest."""
         limits = self._acceptance
         return self._rest is not None and misfit.share > limits.max_misfit and is_within_body(misfit.xy, limits.body_radius)
 
-    def _is_doubted(self, misfit: Misfit) -> bool:
+    def _is_doubted(self, misfit: MapContradiction) -> bool:
         self._believed = max(0, self._believed - 1)
         return self._believed == 0 and misfit.share > self._acceptance.max_misfit
 
-    def _contradicts(self, misfit: Misfit) -> bool:
+    def _contradicts(self, misfit: MapContradiction) -> bool:
         return self._acceptance.legless and misfit.share > self._acceptance.max_contradiction
 
     def _is_confirmed(self, away: NDArray[np.float64]) -> bool:
@@ -330,9 +332,11 @@ class Registration:
 
     def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | _Nowhere":
         """Search the map for a better pose and register the frame there."""
-        found = self._anchor.find(self._frame.points, T_expected)
+        found = self._relocalization_map.find(self._frame.points, T_expected)
         if found.T_world_camera is None and self._acceptance.legless:
-            found = self._anchor.relocalize(self._frame.points, self._keyframes.apart(_STARTS_APART_M, _STARTS_APART_RAD))
+            found = self._relocalization_map.relocalize(
+                self._frame.points, self._keyframes.apart(_STARTS_APART_M, _STARTS_APART_RAD)
+            )
         if found.T_world_camera is None:
             return _Nowhere(found.reason, is_elsewhere=False)
         T = found.T_world_camera
@@ -340,12 +344,12 @@ class Registration:
             better = self._align(T, np.eye(6) / _LOST_SIGMA**2, _TRUSTING)
             T = better.T
             if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
-                objection = (
-                    self._objection(better.match)
+                rejection_reason = (
+                    self._rejection_reason(better.match)
                     or self._worsening(better.match, overlap=1.0)
                     or self._unobserved_shift(better, T_expected)
                 )
-                return _Nowhere(objection, is_elsewhere=True) if objection else better
+                return _Nowhere(rejection_reason, is_elsewhere=True) if rejection_reason else better
         words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the best-fitting pose"
         return _Nowhere(words, is_elsewhere=True)
 
@@ -363,7 +367,7 @@ class Registration:
         """Store the loaded frame as a keyframe and add it to the map."""
         self._keyframes.add(T)
         frame = self._frame
-        self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
+        self._relocalization_map.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
     def _align_around(
         self, T_prior: NDArray[np.float64], covariance: NDArray[np.float64], information: NDArray[np.float64]
@@ -375,7 +379,7 @@ class Registration:
             return found
         for axis in _ALONG_FLOOR:
             for sign in (-1.0, 1.0):
-                start = moved(T_prior, sign * sigma[axis] * np.eye(6)[axis])
+                start = apply_twist(T_prior, sign * sigma[axis] * np.eye(6)[axis])
                 other = self._align(T_prior, information, _TRUSTING, start)
                 if other.match.misfit < _EXPLAINED * found.match.misfit and other.match.overlap >= found.match.overlap - 0.1:
                     found = other
@@ -402,10 +406,10 @@ class Registration:
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
             match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
             if T is T_start or gate == _GATE_NEAR:
-                believed, degenerate = belief(match)
+                believed, degenerate = constraint_weights(match)
             H, g = believed @ match.H, believed @ match.g
             step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
-            T = moved(T, step)
+            T = apply_twist(T, step)
             if iteration >= trusting and float(np.abs(step).max()) < _CONVERGED:
                 break
         covariance = np.linalg.inv(H + information)
@@ -418,19 +422,19 @@ class Registration:
         prior_covariance: NDArray[np.float64],
         match: Match | None,
         reason: str,
-    ) -> Registered:
+    ) -> RegistrationResult:
         self._failures += 1
         self._last = T_prior
         if self._failures >= self._acceptance.patience and match is not None:
             # The prior has drifted too far for a search: start a new map there.
             self._keyframes.clear()
-            self._anchor.clear()
+            self._relocalization_map.clear()
             # The ground here may be rougher than it has been so far.
             self._usual_rmse, self._lately = self._acceptance.max_rmse, _Fit()
             self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map restarts at the prior pose"
             self._failures = 0
-        return refused(stamp_ns, T_prior, prior_covariance, match, reason)
+        return refused_result(stamp_ns, T_prior, prior_covariance, match, reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -472,7 +476,7 @@ def _with_floor_open(degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.vstack([np.eye(6)[_ALONG_FLOOR], kept])
 
 
-def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def constraint_weights(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compute how far a match constrains each direction.
 
     Noisy normals make a flat floor seem to constrain x, y and yaw. N is the information that noise alone would give. The
@@ -503,7 +507,7 @@ def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float
 
 @compiled
 def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return B of `belief` before scaling, six unit twists, and which are unknown.
+    """Return B of `constraint_weights` before scaling, six unit twists, and which are unknown.
 
     N must not be zero.
     """
@@ -572,7 +576,7 @@ def _slipping(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return covariance + np.diag(_SLIPPED**2)
 
 
-def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
+def apply_twist(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
     """Move a pose by an error twist (6,) in world axes at its origin."""
     out = T.copy()
     out[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
@@ -600,7 +604,7 @@ def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -
     return np.asarray(np.linalg.inv(covariance))
 
 
-def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
+def check_measured_share(frame: BlockFrame, acceptance: Acceptance) -> str:
     """Return why a frame has too few measurements, or an empty string."""
     share = frame.valid / (frame.shape[0] * frame.shape[1])
     if share < acceptance.min_measured:
@@ -608,7 +612,7 @@ def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
     return ""
 
 
-def objection(match: Match, acceptance: Acceptance) -> str:
+def rejection_reason(match: Match, acceptance: Acceptance) -> str:
     """Return why a match is rejected, or an empty string."""
     if match.overlap < acceptance.min_overlap:
         return f"{100 * match.overlap:.0f} % of the frame overlaps known ground, {100 * acceptance.min_overlap:.0f} % needed"
@@ -619,7 +623,9 @@ def objection(match: Match, acceptance: Acceptance) -> str:
     return ""
 
 
-def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance) -> str:
+def check_jump(
+    T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance
+) -> str:
     """Return why a pose is implausibly far from its prior, or an empty string."""
     twist = np.abs(error_twist(T, T_prior))
     level, tilt = acceptance.jump_distance, acceptance.jump_tilt
@@ -636,14 +642,14 @@ def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArr
     )
 
 
-def first(stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> Registered:
+def first_result(stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> RegistrationResult:
     """Return the result for the first frame of a map, placed at its prior."""
-    return Registered(stamp_ns, T.copy(), covariance.copy(), 1.0, 0.0, np.eye(6), True, "")
+    return RegistrationResult(stamp_ns, T.copy(), covariance.copy(), 1.0, 0.0, np.eye(6), True, "")
 
 
-def refused(
+def refused_result(
     stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64], match: Match | None, reason: str
-) -> Registered:
+) -> RegistrationResult:
     """Return the result for a frame that was not registered: its prior and the reason."""
     overlap, rmse = (0.0, math.nan) if match is None else (match.overlap, match.rmse)
-    return Registered(stamp_ns, T.copy(), covariance.copy(), overlap, rmse, np.eye(6), False, reason)
+    return RegistrationResult(stamp_ns, T.copy(), covariance.copy(), overlap, rmse, np.eye(6), False, reason)

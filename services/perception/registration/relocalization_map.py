@@ -28,12 +28,12 @@ _GAP = 0.08  # [m] largest distance between neighbouring points of one surface
 _MOST_BETWEEN = 1 + 2 * math.ceil(_GAP / (0.7 * _RESOLUTION))
 _TOLERANCE = 0.015  # [m] allowed outside a cell's height range
 _NOISE = 2.0  # [sigma] of a pixel's depth, added to the tolerance
-_REACH, _TURN = 0.36, math.radians(18.0)  # [m] [rad] search range around the expected pose
+_SEARCH_RANGE_M, _TURN = 0.36, math.radians(18.0)  # [m] [rad] search range around the expected pose
 _STEP, _ANGLE = 0.04, math.radians(3.0)  # [m] [rad] steps of the coarse search
 _FINE_STEP, _FINE_ANGLE = 0.01, math.radians(1.0)
 _FINE = np.arange(-3, 4)
 _AGAINST = 18.0  # weight of a point that does not fit, relative to one that fits
-_WAY = 0.4  # worth lost at a distance `_REACH`, a turn `_TURN` or a height `_RISE`
+_WAY = 0.4  # worth lost at a distance `_SEARCH_RANGE_M`, a turn `_TURN` or a height `_RISE`
 _RISE = 0.10  # [m] height that costs `_WAY`
 _LEVELS = 12  # heights tried in each direction, `_TOLERANCE` apart
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -78,7 +78,7 @@ def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class RelocalizationResult:
     """Pose of a lost frame, or the reason why it was not found."""
 
     T_world_camera: Pose | None  # (4, 4)
@@ -86,14 +86,14 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Misfit:
+class MapContradiction:
     """Points of a frame that contradict the map."""
 
     share: float  # of the points on known cells
     xy: NDArray[np.float64]  # (n, 2) [m] {world} of the contradicting points
 
 
-class AnchorMap:
+class RelocalizationMap:
     """Lowest and highest point per cell, in a circular buffer."""
 
     def __init__(self, sigma: float) -> None:
@@ -114,7 +114,7 @@ class AnchorMap:
         """Add points (n, 3) [m] {camera} that were seen from a pose (4, 4)."""
         _add(points, T_world_camera, self._cells)
 
-    def misfit(self, points: Array, T_world_camera: Pose) -> Misfit:
+    def misfit(self, points: Array, T_world_camera: Pose) -> MapContradiction:
         """Find the points (n, 3) [m] {camera} that contradict the map.
 
         These are on known cells, outside the height range of the cell and its neighbours. A point above counts only where an
@@ -124,10 +124,10 @@ class AnchorMap:
         outside = np.zeros(len(points), dtype=np.bool_)
         known, misfit, _ = _look_up(points, T_world_camera, self._cells, self._noise, outside)
         if known < _MIN_KNOWN * len(points):
-            return Misfit(0.0, np.zeros((0, 2)))
-        return Misfit(misfit / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
+            return MapContradiction(0.0, np.zeros((0, 2)))
+        return MapContradiction(misfit / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
 
-    def find(self, points: Array, T_world_camera: Pose) -> Found:
+    def find(self, points: Array, T_world_camera: Pose) -> RelocalizationResult:
         """Search around the expected pose (4, 4) for points (n, 3) [m] {camera}.
 
         Roll and pitch of the expected pose are kept.
@@ -136,12 +136,12 @@ class AnchorMap:
         n = len(points)
         known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise, np.zeros(n, dtype=np.bool_))
         # 1. Coarse search over all places.
-        shifts = np.arange(-_REACH, _REACH + _STEP / 2, _STEP)
+        shifts = np.arange(-_SEARCH_RANGE_M, _SEARCH_RANGE_M + _STEP / 2, _STEP)
         angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
         places = _grid(shifts, angles)
         fits, worths, heights = self._judge(few, T_world_camera, places)
         if fits.max() < 0.0:
-            return Found(None, "lost: no mapped ground within the search range")
+            return RelocalizationResult(None, "lost: no mapped ground within the search range")
         # 2. Fine search around the best. Among places that look alike the nearest is taken, so that directions that the ground
         # does not constrain keep their expected values.
         around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
@@ -151,18 +151,18 @@ class AnchorMap:
         fit = float(fits[best])
         # 3. The best must fit well, differ from the expected pose, and fit better than it. Points on unknown cells are neutral.
         if fit < _MIN_FIT:
-            return Found(
-                None, f"lost: the best pose within {_REACH:g} m fits {100 * max(fit, 0.0):.0f} % of the visible ground"
+            return RelocalizationResult(
+                None, f"lost: the best pose within {_SEARCH_RANGE_M:g} m fits {100 * max(fit, 0.0):.0f} % of the visible ground"
             )
         another = _is_other(near[best], np.zeros(3)) or abs(heights[best]) > _RISEN
         fit_here = (fitting + fit * (n - known)) / n
         if not another or fit < fit_here + _BETTER + _SIGMAS * math.sqrt(fit * (1.0 - fit) / n):
-            return Found(None, "no pose nearby fits better than the expected one")
+            return RelocalizationResult(None, "no pose nearby fits better than the expected one")
         T = _placed(T_world_camera, near[best])
         T[2, 3] += heights[best]
-        return Found(T, "")
+        return RelocalizationResult(T, "")
 
-    def relocalize(self, points: Array, starts: Array) -> Found:
+    def relocalize(self, points: Array, starts: Array) -> RelocalizationResult:
         """Search around several poses (k, 4, 4) for points (n, 3) [m] {camera}.
 
         Roll and pitch of these poses are kept. A pose is accepted only if no other fits as well.
@@ -184,15 +184,17 @@ class AnchorMap:
                 pose[2, 3] += heights[best]
                 candidates.append((float(worths[best]), float(fits[best]), pose))
         if not candidates:
-            return Found(None, "lost: none of the visible ground is in the map")
+            return RelocalizationResult(None, "lost: none of the visible ground is in the map")
         candidates.sort(key=lambda candidate: -candidate[0])
         _, fit, T = candidates[0]
         if fit < _MIN_FIT_ANYWHERE:
-            return Found(None, f"lost: the best pose in the map fits {100 * max(fit, 0.0):.0f} % of the visible ground")
+            return RelocalizationResult(
+                None, f"lost: the best pose in the map fits {100 * max(fit, 0.0):.0f} % of the visible ground"
+            )
         rivals = [other for _, other, at in candidates[1:] if _differs(at, T)]
         if rivals and max(rivals) > fit - _BETTER:
-            return Found(None, "lost: several poses in the map fit equally well")
-        return Found(T, "")
+            return RelocalizationResult(None, "lost: several poses in the map fit equally well")
+        return RelocalizationResult(T, "")
 
     def _judge(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:
         """Score places (k, 3): share of fitting points, worth, and height [m].
@@ -226,7 +228,7 @@ def _grid(shifts: Array, angles: Array) -> Array:
 
 def _far(places: Array, heights: Array) -> Array:
     """Return the worth that places lose by their distance from the expected pose."""
-    way = np.hypot(places[:, 0], places[:, 1]) / _REACH + np.abs(places[:, 2]) / _TURN + np.abs(heights) / _RISE
+    way = np.hypot(places[:, 0], places[:, 1]) / _SEARCH_RANGE_M + np.abs(places[:, 2]) / _TURN + np.abs(heights) / _RISE
     return np.asarray(_WAY * way)
 
 

@@ -10,38 +10,38 @@ from math import radians
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.gap_detection import gap_ahead
+from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.state_machine import Errand, Outcome, Over, Refused, Standing, Wait
-from sextant.services.planner.navigation.path_follower import Heading, Pilot, same_goal
-from sextant.services.planner.navigation.path_planner import NoWay
+from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, GapCrossing, Outcome, Wait, WorldStance
+from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, same_goal
+from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
 
-BEFORE = 0.36  # [m] from the gap to the body where it stops; the feet stay clear of the edge during the turn
-_AT_VERGE = 0.05  # [m] from that place within which the robot has arrived
+START_DISTANCE_M = 0.36  # [m] from the gap to the body where it stops; the feet stay clear of the edge during the turn
+_START_TOLERANCE_M = 0.05  # [m] from that place within which the robot has arrived
 _ALIGNED = radians(1.5)  # heading error below which the crossing begins
 _TURN_GAIN, _TURN = 1.0, 0.15  # [1/s], and [rad/s] maximum yaw rate
 _REST_NS = 300_000_000  # [ns] of rest after the last turn
 _LAPSES_NS = 12_000_000_000  # [ns] lifetime of a refusal; it doubles with each further one at the same place
 _TURNING_NS = 30_000_000_000  # [ns] maximum duration of the turn
 _INCLINED = radians(15.0)  # heading error, below which a robot at the edge crosses in the direction that it faces
-_ELSEWHERE = 0.30  # [m] from the place of a refusal, beyond which the robot tries again
+_RETRY_DISTANCE_M = 0.30  # [m] from the place of a refusal, beyond which the robot tries again
 
 
-class PassageMode:
+class GapCrossingController:
     """Controls gap crossings for one goal at a time."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Initialize for a robot."""
         self._profile, self._settings = profile, settings
         self._goal: Goal | None = None
-        self._errand: Errand | None = None
-        self._approach: Pilot | None = None
-        self._verge: tuple[Array, Array] | None = None  # (2,) [m] {world} start and target of the crossing
+        self._gap_crossing: GapCrossing | None = None
+        self._approach: PathFollower | None = None
+        self._crossing_line: tuple[Array, Array] | None = None  # (2,) [m] {world} start and target of the crossing
         self._still_ns = self._turning_ns = -1
         self._refused = ""
         self._refused_at: Array | None = None  # (2,) [m] {world}
@@ -51,13 +51,17 @@ class PassageMode:
         self._yielded: list[Array] = []  # (3,) [m] {world} places where ground gave way under feet; kept for all goals
         self._reports: list[PassagePlan] = []  # not published yet
 
-    def under_way(self, goal: Goal) -> bool:
+    def is_active(self, goal: Goal) -> bool:
         """Return whether the robot crosses for this goal, or approaches the gap."""
-        return self._goal is not None and same_goal(goal, self._goal) and (self._errand is not None or self._verge is not None)
+        return (
+            self._goal is not None
+            and same_goal(goal, self._goal)
+            and (self._gap_crossing is not None or self._crossing_line is not None)
+        )
 
-    def crosses(self, goal: Goal) -> bool:
+    def is_crossing(self, goal: Goal) -> bool:
         """Return whether the robot crosses and needs only the map of the strip."""
-        return self.under_way(goal) and self._errand is not None
+        return self.is_active(goal) and self._gap_crossing is not None
 
     def ordered(self, goal: Goal) -> bool:
         """Return whether a goal requests a crossing that is not complete yet."""
@@ -65,7 +69,7 @@ class PassageMode:
 
     def messages(self, now_ns: int) -> Iterator[Message]:
         """Yield the map request and the planning results that are due."""
-        request = None if self._errand is None else self._errand.request(now_ns)
+        request = None if self._gap_crossing is None else self._gap_crossing.request(now_ns)
         if request is not None:
             yield request
         reports, self._reports = self._reports, []
@@ -73,13 +77,13 @@ class PassageMode:
 
     def abandon(self) -> None:
         """Discard the state; the next crossing starts with six feet on the ground."""
-        self._goal = self._errand = self._approach = self._verge = None
+        self._goal = self._gap_crossing = self._approach = self._crossing_line = None
         self._refused, self._refused_at, self._crossed, self._nothing_at = "", None, False, None
 
     def lead(
-        self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain | None,
+        self, goal: Goal, state: ActuatorState, standing: WorldStance, T_world_body: Array, terrain: Terrain | None,
         map_: PassageMap | None, refused: str,
-    ) -> Heading | Outcome:  # fmt: skip
+    ) -> MotionCommand | Outcome:  # fmt: skip
         """Return the next action of the crossing.
 
         Args:
@@ -87,7 +91,7 @@ class PassageMode:
             state: State of the actuator.
             standing: Robot when the running step is over.
             T_world_body: (4, 4) current body pose.
-            terrain: Newest map around the robot, not needed while `crosses` is true.
+            terrain: Newest map around the robot, not needed while `is_crossing` is true.
             map_: Newest map of the strip, or None.
             refused: Why the actuator refused the last step, or "".
         """
@@ -97,79 +101,84 @@ class PassageMode:
         xy = standing.body[:2, 3]
         lately = state.stamp_ns - self._refused_ns < self._lapses_ns
         if self._refused and lately and self._is_where_refused(xy):
-            return Refused(self._refused)
+            return CannotCross(self._refused)
         self._refused = ""
-        nothing_at = None if self.under_way(goal) else self._nothing_at
-        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < _ELSEWHERE:
-            return Refused("no gap to cross was found from here")
-        if self._errand is None:
+        nothing_at = None if self.is_active(goal) else self._nothing_at
+        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < _RETRY_DISTANCE_M:
+            return CannotCross("no gap to cross was found from here")
+        if self._gap_crossing is None:
             assert terrain is not None
-            led = self._to_verge(goal, state, standing, T_world_body, terrain)
+            led = self._approach_gap(goal, state, standing, T_world_body, terrain)
             if led is not None:
                 return self._noted(led, xy, state.stamp_ns)
-        assert self._errand is not None
-        outcome = self._errand.advance(state, standing, map_, refused)
-        report = self._errand.report
+        assert self._gap_crossing is not None
+        outcome = self._gap_crossing.advance(state, standing, map_, refused)
+        report = self._gap_crossing.report
         self._reports += [] if report is None else [report]
         return self._noted(outcome, xy, state.stamp_ns)
 
-    def _noted(self, outcome: Heading | Outcome, xy: Array, now_ns: int) -> Heading | Outcome:
+    def _noted(self, outcome: MotionCommand | Outcome, xy: Array, now_ns: int) -> MotionCommand | Outcome:
         """Record an outcome that is final, and return it."""
-        if isinstance(outcome, Over):
-            nothing = self._errand is not None and not self._errand.walked
-            self._errand, self._verge, self._crossed, self._nothing_at = None, None, True, xy.copy() if nothing else None
-        elif isinstance(outcome, Refused):
-            self._errand, self._verge = None, None
+        if isinstance(outcome, Completed):
+            nothing = self._gap_crossing is not None and not self._gap_crossing.walked
+            self._gap_crossing, self._crossing_line, self._crossed, self._nothing_at = (
+                None,
+                None,
+                True,
+                xy.copy() if nothing else None,
+            )
+        elif isinstance(outcome, CannotCross):
+            self._gap_crossing, self._crossing_line = None, None
             self._lapses_ns = 2 * self._lapses_ns if self._is_where_refused(xy) else _LAPSES_NS
             self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
         return outcome
 
     def _is_where_refused(self, xy: Array) -> bool:
         """Return whether a place (2,) [m] {world} is near the last refusal."""
-        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE
+        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < _RETRY_DISTANCE_M
 
-    def _to_verge(
-        self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain
-    ) -> Heading | Outcome | None:
+    def _approach_gap(
+        self, goal: Goal, state: ActuatorState, standing: WorldStance, T_world_body: Array, terrain: Terrain
+    ) -> MotionCommand | Outcome | None:
         """Return the next action on the way to the gap, or None once the robot crosses.
 
         At the gap the robot stands at its edge and faces across.
         """
-        if self._verge is None:
-            refusal = self._choose_verge(goal, standing, terrain)
+        if self._crossing_line is None:
+            refusal = self._select_crossing_line(goal, standing, terrain)
             if refusal:
-                return Refused(refusal)
-        assert self._verge is not None
-        place, target = self._verge
+                return CannotCross(refusal)
+        assert self._crossing_line is not None
+        place, target = self._crossing_line
         if self._approach is not None:
-            there = replace(goal, waypoints=place[None], tolerance=_AT_VERGE, passage=False)
+            there = replace(goal, waypoints=place[None], tolerance=_START_TOLERANCE_M, passage=False)
             led = self._approach.lead(there, terrain, T_world_body, standing.body, state.stamp_ns)
-            if isinstance(led, NoWay):
-                return Refused(f"no path to the edge of the gap: {led.reason}")
+            if isinstance(led, NoPath):
+                return CannotCross(f"no path to the edge of the gap: {led.reason}")
             if led.commands:
-                return Heading(led.commands, f"walking to the edge of a gap, {led.words}")
+                return MotionCommand(led.commands, f"walking to the edge of a gap, {led.words}")
             self._approach = None
         unready = self._face(goal, state, standing.body, target)
         if unready is None:
             roadmap = Roadmap(self._profile, PassageSettings(body_height=goal.body_height))
-            self._errand = Errand(self._profile, self._settings, roadmap, standing, target, self._yielded)
+            self._gap_crossing = GapCrossing(self._profile, self._settings, roadmap, standing, target, self._yielded)
         return unready
 
-    def _choose_verge(self, goal: Goal, standing: Standing, terrain: Terrain) -> str:
+    def _select_crossing_line(self, goal: Goal, standing: WorldStance, terrain: Terrain) -> str:
         """Select start and target of the crossing; return why there is none, or ""."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         start = self._start(goal, standing, terrain)
         if isinstance(start, str):
             return start
-        self._verge, self._approach, self._turning_ns = (start, target.copy()), Pilot(self._profile), -1
+        self._crossing_line, self._approach, self._turning_ns = (start, target.copy()), PathFollower(self._profile), -1
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
-        if float(np.linalg.norm(start - xy)) < _AT_VERGE and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
+        if float(np.linalg.norm(start - xy)) < _START_TOLERANCE_M and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
             # The robot may stand on pillars, where a turn is difficult, so it crosses straight ahead.
-            self._verge, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
+            self._crossing_line, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         return ""
 
-    def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> Heading | Outcome | None:
+    def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> MotionCommand | Outcome | None:
         """Return the next action to face a place and come to rest, or None when done.
 
         The place is (2,) [m] {world}; the body pose is (4, 4) {world}.
@@ -180,10 +189,10 @@ class PassageMode:
             self._still_ns = -1
             self._turning_ns = state.stamp_ns if self._turning_ns < 0 else self._turning_ns
             if state.stamp_ns - self._turning_ns > _TURNING_NS:
-                return Refused(f"turning towards the gap takes too long: {np.degrees(error):.0f} deg are left")
+                return CannotCross(f"turning towards the gap takes too long: {np.degrees(error):.0f} deg are left")
             turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
             command = VelocityCommand(state.stamp_ns, np.zeros(2), turn, goal.body_height, goal.lift, goal.gait)
-            return Heading((command,), f"turning by {np.degrees(error):.0f} deg towards the gap")
+            return MotionCommand((command,), f"turning by {np.degrees(error):.0f} deg towards the gap")
         if state.phase < 1.0:
             self._still_ns = -1
             return Wait("stopping before the gap")
@@ -192,12 +201,12 @@ class PassageMode:
             return Wait("stopping before the gap")
         return None
 
-    def _start(self, goal: Goal, standing: Standing, terrain: Terrain) -> Array | str:
+    def _start(self, goal: Goal, standing: WorldStance, terrain: Terrain) -> Array | str:
         """Return the start (2,) [m] {world} of the crossing, or why there is none."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         ground = float(standing.feet[:, 2].mean()) - self._profile.foot.radius
-        gap = gap_ahead(terrain, xy, target, ground)
+        gap = detect_gap(terrain, xy, target, ground)
         if isinstance(gap, str):
             return xy.copy() if self.ordered(goal) else gap
         ahead = np.array([np.cos(gap.heading), np.sin(gap.heading)])
-        return np.asarray(xy + max(0.0, gap.distance - BEFORE) * ahead)
+        return np.asarray(xy + max(0.0, gap.distance - START_DISTANCE_M) * ahead)

@@ -11,7 +11,7 @@ _BACK = 0.12  # [m] of body travel
 _OFTEN = 3  # maximum number of returns in one crossing
 
 
-class Trail:
+class StepHistory:
     """Executed steps of the last section, and the number of returns."""
 
     def __init__(self) -> None:

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.search_tables import legs_of, rules_of
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.compiled import compiled
@@ -48,7 +48,7 @@ class Tiles(NamedTuple):
 
 
 def passable(
-    profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float, attempts: int = _ATTEMPTS
+    profile: RobotProfile, settings: PassageSettings, field: StripMap, stance: Stance, goal_x: float, attempts: int = _ATTEMPTS
 ) -> bool | None:
     """Decide whether a path exists; offline, up to a minute.
 
@@ -62,13 +62,13 @@ def passable(
         roadmap.begin(field, stance, goal_x, seed)
         while (found := roadmap.grow(settings.budget)) is None:
             pass
-        if isinstance(found, Crossing) and found.complete:
+        if isinstance(found, SectionPlan) and found.complete:
             return True
     return False if has_way(profile, settings, field, stance, goal_x) is False else None
 
 
 def has_way(
-    profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float, room: int = _ROOM
+    profile: RobotProfile, settings: PassageSettings, field: StripMap, stance: Stance, goal_x: float, room: int = _ROOM
 ) -> bool | None:
     """Return whether a path exists under the tests of this module.
 
@@ -106,7 +106,7 @@ def has_way(
     return None if found < 0 else found > 0
 
 
-def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
+def _cut(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
     """Return the tile (nx, ny) of each foothold cell, -1 for other cells.
 
     Wide ground is one tile, a narrow piece has three.
@@ -137,7 +137,7 @@ def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
 def _tiles(
     profile: RobotProfile,
     settings: PassageSettings,
-    field: Field,
+    field: StripMap,
     tile: NDArray[np.int16],
     corner: tuple[int, int],
     size: tuple[int, int],

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import LEGS
 
-WORDS = (
+TEST_NAMES = (
     "",
     "out of reach",
     "foot under the body",
@@ -24,12 +24,12 @@ WORDS = (
     "body or leg too close to the ground",
     "no room to swing",
 )
-NOBODY = 6  # index for the whole robot instead of a leg
-_BESIDE = 0.05  # [m] to either side of a leg's line, where ground counts as ahead of it
+WHOLE_ROBOT = 6  # index for the whole robot instead of a leg
+_LINE_HALF_WIDTH_M = 0.05  # [m] to either side of a leg's line, where ground counts as ahead of it
 _WORTH_TELLING = 0.5  # [1] share of a leg's stroke, from which a bare stretch is an obstacle
 
 
-class Why(NamedTuple):
+class FailureReason(NamedTuple):
     """Reason why no step leads on."""
 
     words: str
@@ -37,19 +37,19 @@ class Why(NamedTuple):
     leg: int  # the leg whose test fails, NOBODY for the whole robot
 
 
-def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
+def describe_fault(found: NDArray[np.int64], repair: float) -> str:
     """Return why a stance cannot be the start of a section, as text.
 
     Args:
         found: (7,) failed test of each leg, then of the whole robot.
         repair: [m] maximum shift of the body.
     """
-    legs = [f"{LEGS[leg]} leg: {WORDS[found[leg]]}" for leg in range(6) if found[leg]]
-    whole = [WORDS[found[6]]] if found[6] else []
+    legs = [f"{LEGS[leg]} leg: {TEST_NAMES[found[leg]]}" for leg in range(6) if found[leg]]
+    whole = [TEST_NAMES[found[6]]] if found[6] else []
     return f"the start stance is invalid, even with the body shifted by up to {repair * 100:.0f} cm: {'; '.join(legs + whole)}"
 
 
-def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field) -> Why:
+def explain_failure(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: StripMap) -> FailureReason:
     """Return why no step leads on from the furthest configuration.
 
     Args:
@@ -62,20 +62,20 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     x, y, _ = apply(field.T_world_strip, body)
     where = f"({x:.2f}, {y:.2f}) m"
     if not fails.any():
-        return Why(f"no step is possible at {where}", False, NOBODY)
+        return FailureReason(f"no step is possible at {where}", False, WHOLE_ROBOT)
     blind = bool(fails[roadmap_search.UNKNOWN].sum() > 0.2 * fails.sum())
     told = fails.copy()
     told[0] = 0
     test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
-    who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
+    who = "" if leg == WHOLE_ROBOT else f"{LEGS[leg]} leg: "
     gap = _gap(feet, strokes, field)
     look = "; cells ahead are unknown" if blind else ""
-    return Why(
-        f"no step from {where}: {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} failed tests){gap}{look}", blind, leg
+    return FailureReason(
+        f"no step from {where}: {who}{TEST_NAMES[test]} ({told[test, leg]} of {told.sum()} failed tests){gap}{look}", blind, leg
     )
 
 
-def _gap(feet: Array, strokes: Array, field: Field) -> str:
+def _gap(feet: Array, strokes: Array, field: StripMap) -> str:
     """Return the stretch without a foothold that is widest relative to a leg's stroke.
 
     It lies ahead of that leg. The text is "" if it is no obstacle.
@@ -92,13 +92,13 @@ def _gap(feet: Array, strokes: Array, field: Field) -> str:
     return f"; ahead of the {LEGS[leg]} foot {stretch} of ground without a foothold, {more} {reach} cm"
 
 
-def _bare_before(foot: Array, stroke: float, field: Field) -> tuple[float, bool]:
+def _bare_before(foot: Array, stroke: float, field: StripMap) -> tuple[float, bool]:
     """Return the widest bare stretch [m] ahead of a foot, and whether it ends.
 
     The foot is (3,) [m] {strip}. The stretch carries no foot and begins within a stroke.
     """
     x0, y0 = field.corner
-    half = round(_BESIDE / field.resolution)
+    half = round(_LINE_HALF_WIDTH_M / field.resolution)
     i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)
     carries = np.asarray((field.evaluation[max(0, i) :, max(0, j - half) : max(0, j + half + 1)] < 0).any(axis=1))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ~carries, [0]])))

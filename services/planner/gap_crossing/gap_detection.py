@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.planner.navigation.traversability import MAX_STEP
+from sextant.services.planner.navigation.traversability import MAX_STEP_M
 from sextant.services.planner.terrain import ACCEPTABLE, Terrain
 from sextant.shared.geometry import Array
 
@@ -17,14 +17,14 @@ _WIDE = 0.06  # [m] minimum length of a gap; narrower ones are stepped over
 
 
 @dataclass(frozen=True, slots=True)
-class Verge:
+class GapEdge:
     """The near edge of a gap."""
 
     distance: float  # [m] from the robot to the edge
     heading: float  # [rad] {world} of the line across
 
 
-def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verge | str:
+def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float) -> GapEdge | str:
     """Return the first gap on a straight line, or why there is none.
 
     Args:
@@ -44,7 +44,7 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     ahead = way / length
     places = xy + along[:, None, None] * ahead + across[:, None] * np.array([-ahead[1], ahead[0]])
     heights = terrain.heights(places)
-    wall = (heights > ground + MAX_STEP).mean(axis=1) > _HIGHER
+    wall = (heights > ground + MAX_STEP_M).mean(axis=1) > _HIGHER
     bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
     known = np.isfinite(heights).mean(axis=1) > _KNOWN
     if not (bare & known).any():
@@ -53,7 +53,7 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     walls = along[wall]
     if walls.size and walls[0] < verge + _BASE:
         return f"an obstacle blocks the straight line to the goal after {walls[0]:.1f} m"
-    return Verge(verge, heading)
+    return GapEdge(verge, heading)
 
 
 def _wide(flags: Array, cells: int) -> Array:

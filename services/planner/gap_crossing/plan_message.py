@@ -4,14 +4,14 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.failure_reasons import NOBODY
-from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay
+from sextant.services.planner.gap_crossing.failure_reasons import WHOLE_ROBOT
+from sextant.services.planner.gap_crossing.roadmap import NoSection, SectionPlan
 from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.wire.messages import MAX_SECTION, MAX_TREE, PassagePlan
 
 
-def told(
-    stamp_ns: int, section: int, found: Crossing | NoWay, T_world_strip: Array, goal: float, edges: Array, seconds: float
+def make_plan_message(
+    stamp_ns: int, section: int, found: SectionPlan | NoSection, T_world_strip: Array, goal: float, edges: Array, seconds: float
 ) -> PassagePlan:
     """Return the message with the result of planning a section.
 
@@ -24,9 +24,9 @@ def told(
         edges: (n, 2, 3) [m] {strip} of the tree.
         seconds: [s] planning time.
     """
-    steps, end = found.steps[:MAX_SECTION], found.furthest if isinstance(found, NoWay) else found.end
+    steps, end = found.steps[:MAX_SECTION], found.furthest if isinstance(found, NoSection) else found.end
     state: Literal["complete", "partial", "no way"]
-    state = "no way" if isinstance(found, NoWay) else "complete" if found.complete else "partial"
+    state = "no way" if isinstance(found, NoSection) else "complete" if found.complete else "partial"
     return PassagePlan(
         stamp_ns=stamp_ns,
         section=section,
@@ -39,7 +39,7 @@ def told(
         generated=found.generated,
         expanded=found.expanded,
         planning_ms=1e3 * seconds,
-        leg=np.array([step.leg if step.leg >= 0 else NOBODY for step in steps], dtype=np.uint8),
+        leg=np.array([step.leg if step.leg >= 0 else WHOLE_ROBOT for step in steps], dtype=np.uint8),
         footholds=apply(T_world_strip, np.array([step.touchdown for step in steps]).reshape(-1, 3)),
         body=apply(T_world_strip, np.array([step.body for step in steps]).reshape(-1, 3)),
         edges=apply(T_world_strip, edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
@@ -47,11 +47,11 @@ def told(
     )
 
 
-def _stopped(found: Crossing | NoWay) -> Array:
+def _stopped(found: SectionPlan | NoSection) -> Array:
     """Return the place (1, 3) [m] {strip} where the furthest stance fails a test.
 
     It is the foot of the failing leg, or the body; (0, 3) if no test fails.
     """
-    if isinstance(found, Crossing):
+    if isinstance(found, SectionPlan):
         return np.zeros((0, 3))
-    return (found.furthest.body if found.leg == NOBODY else found.furthest.feet[found.leg])[None]
+    return (found.furthest.body if found.leg == WHOLE_ROBOT else found.furthest.feet[found.leg])[None]

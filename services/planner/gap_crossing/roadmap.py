@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.failure_reasons import NOBODY, WORDS, fault_in_words, in_words
+from sextant.services.planner.gap_crossing.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of, tree_of
 from sextant.services.planner.gap_crossing.sections import bare
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 
 _LIT = 0.3  # [1] known share of a row of cells, below which the known ground ends
 _BAND = 0.35  # [m] to either side of the middle line in which cells count
-_WORTH = 0.05  # [m] minimum body travel of a section
+_MIN_SECTION_M = 0.05  # [m] minimum body travel of a section
 _SPARE = 0.10  # [m] body travel planned beyond the end of a section that does not reach the goal
 _RETREAT = 0.06  # [m] of the body before its furthest place
 _VERGE = 0.06  # [m] of bare ground before a foot, from which the foot stands in bare ground and not at its edge
@@ -46,7 +46,7 @@ class PassageStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossing:
+class SectionPlan:
     """A section that can be walked."""
 
     steps: tuple[PassageStep, ...]
@@ -58,7 +58,7 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NoWay:
+class NoSection:
     """Reason why there is no section worth walking."""
 
     reason: str  # as text
@@ -68,8 +68,8 @@ class NoWay:
     expanded: int
     fails: dict[str, int]  # how often each test failed
     steps: tuple[PassageStep, ...] = ()  # to the furthest configuration, for display only; the robot does not execute them
-    leg: int = NOBODY  # the leg whose test fails there, NOBODY for the whole robot
-    closer: Crossing | None = None  # a section towards the unknown ground, to a place from which more of it may be seen
+    leg: int = WHOLE_ROBOT  # the leg whose test fails there, NOBODY for the whole robot
+    closer: SectionPlan | None = None  # a section towards the unknown ground, to a place from which more of it may be seen
 
 
 class Roadmap:
@@ -84,7 +84,7 @@ class Roadmap:
         self._profile, self._settings = profile, settings or PassageSettings()
         self._legs, self._rules = legs_of(profile, self._settings), rules_of(profile, self._settings)
         self._tree = tree_of(self._settings.nodes)
-        self._field: Field | None = None
+        self._field: StripMap | None = None
 
     @property
     def edges(self) -> Array:
@@ -110,7 +110,7 @@ class Roadmap:
         """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
-    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
         """Start a new search.
 
         Args:
@@ -125,7 +125,7 @@ class Roadmap:
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field = field
-        self._outcome: Crossing | NoWay | None = None
+        self._outcome: SectionPlan | NoSection | None = None
         self._ground = ground_of(field)
         self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
         self._root = self._repaired(stance)
@@ -135,7 +135,7 @@ class Roadmap:
         self._best: _Furthest | None = None
         self._plant()
 
-    def grow(self, expansions: int) -> Crossing | NoWay | None:
+    def grow(self, expansions: int) -> SectionPlan | NoSection | None:
         """Continue the search; return None while it is undecided.
 
         It is undecided while nothing is found and the budget is not used up. `expansions` limits this call.
@@ -184,7 +184,7 @@ class Roadmap:
         tree.goal[0] = min(self._goal_x, self._seen_to)
         tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
 
-    def _end_of_the_known(self, field: Field, stance: Stance) -> float:
+    def _end_of_the_known(self, field: StripMap, stance: Stance) -> float:
         """Return the limit [m] {strip} of the body that keeps feet on known ground."""
         front = float((self._legs.rest[:, 0]).max())
         known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _LIT)
@@ -195,7 +195,7 @@ class Roadmap:
 
         The shift is limited by the settings. If no shift helps, the reason is kept in `_blame`.
         """
-        self._blame, self._blamed, self._shift = "", NOBODY, np.zeros(3)
+        self._blame, self._blamed, self._shift = "", WHOLE_ROBOT, np.zeros(3)
         found = np.zeros(7, dtype=np.int64)
         roadmap_search.faults(self._legs, self._rules, 1, stance.feet, stance.body, found)
         if not found.any():
@@ -210,35 +210,35 @@ class Roadmap:
                     return replace(stance, body=body)
         if np.count_nonzero(first[:6]) == 1 and not first[6]:
             return stance  # the next step of that leg repairs it
-        self._blame, self._blamed = fault_in_words(first, self._settings.repair), int(np.flatnonzero(first)[0])
+        self._blame, self._blamed = describe_fault(first, self._settings.repair), int(np.flatnonzero(first)[0])
         return stance
 
-    def _crossing(self, goal: int) -> Crossing | NoWay:
+    def _crossing(self, goal: int) -> SectionPlan | NoSection:
         """Return the section to a configuration."""
         x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
         seen = f"the ground is known only for {known:.2f} m ahead"
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
-        if x < self._root.body[0] + _WORTH:
+        if x < self._root.body[0] + _MIN_SECTION_M:
             return self._no_way(seen, True, self._reached(goal))
         end = self._before(goal, _SPARE)  # so that the section does not end in a dead end
-        if self._tree.body[end, 0] < self._root.body[0] + _WORTH:
+        if self._tree.body[end, 0] < self._root.body[0] + _MIN_SECTION_M:
             end = goal
         if x >= self._tree.goal[0] - 1e-9:
             return self._section(end, False, seen)
         return self._section(end, False, f"planned {self._settings.cycles} gait cycles, the limit for one section")
 
-    def _nothing_found(self) -> NoWay:
+    def _nothing_found(self) -> NoSection:
         """Return the result when the budget is used up or everything was tried."""
         best = self._best
         assert best is not None
         assert self._field is not None
-        why = in_words(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
+        why = explain_failure(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
         no_way = self._no_way(why.words, why.unseen, best, why.leg)
         if not why.unseen or not best.retreat or self._ventures(best.retreat):
             return no_way
         return replace(
-            no_way, closer=Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
+            no_way, closer=SectionPlan(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
         )
 
     def _ventures(self, steps: tuple[PassageStep, ...]) -> bool:
@@ -272,17 +272,17 @@ class Roadmap:
         tree = self._tree
         # The stance for another look is a little before the last reached one, which may be a dead end.
         back = self._before(node, _RETREAT)
-        worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
+        worth = tree.body[back, 0] >= self._root.body[0] + _MIN_SECTION_M
         retreat = self._steps(back) if worth else ()
         return _Furthest(self._stance(node), tree.fails[1].copy(), self._steps(node), retreat, self._stance(back))
 
-    def _section(self, node: int, complete: bool, reason: str) -> Crossing:
-        return Crossing(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
+    def _section(self, node: int, complete: bool, reason: str) -> SectionPlan:
+        return SectionPlan(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
 
-    def _no_way(self, reason: str, unseen: bool, furthest: "_Furthest", leg: int = NOBODY) -> NoWay:
+    def _no_way(self, reason: str, unseen: bool, furthest: "_Furthest", leg: int = WHOLE_ROBOT) -> NoSection:
         fails = self._fails if self._best is not None else self._tree.fails[0].sum(axis=1)
-        counts = {WORDS[test]: int(fails[test]) for test in range(1, roadmap_search.TESTS) if fails[test]}
-        return NoWay(reason, unseen, furthest.stance, self.generated, self.expanded, counts, furthest.steps, leg)
+        counts = {TEST_NAMES[test]: int(fails[test]) for test in range(1, roadmap_search.TESTS) if fails[test]}
+        return NoSection(reason, unseen, furthest.stance, self.generated, self.expanded, counts, furthest.steps, leg)
 
     def _stance(self, node: int) -> Stance:
         return Stance(self._tree.body[node].copy(), np.array([self._foot(node, leg) for leg in range(6)]))

@@ -14,7 +14,7 @@ from sextant.services.planner.gap_crossing.roadmap_search import (
     nearest_seen,
 )
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.locomotion.leg_clearance import LEVEL, SWING_TIME, swing_shape
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -109,7 +109,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
     )
 
 
-def ground_of(field: Field) -> Ground:
+def ground_of(field: StripMap) -> Ground:
     """Return the ground of a strip for the search.
 
     The layers are copied. Views of a message and arrays derived from it have other array types. For each new type the search

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN
 
@@ -19,7 +19,7 @@ _UNDER = 0.7  # [1] share of the radius of failed ground, in which the ground ha
 _GONE = 1  # evaluation function of a cell without a foothold
 
 
-def goal_behind(field: Field, x: float, target: float) -> float | None:
+def goal_behind(field: StripMap, x: float, target: float) -> float | None:
     """Return the body's goal, from which the whole robot stands behind bare ground.
 
     Bare ground carries a foot only in some places.
@@ -42,7 +42,7 @@ def goal_behind(field: Field, x: float, target: float) -> float | None:
     return min(target, float(centres[ahead[apart[0] if len(apart) else -1]]) + _BEYOND)
 
 
-def without(field: Field, sole: Array, radius: float) -> Field:
+def without(field: StripMap, sole: Array, radius: float) -> StripMap:
     """Return the field with a disc that carries no foot, where the ground gave way.
 
     Args:
@@ -61,7 +61,7 @@ def without(field: Field, sole: Array, radius: float) -> Field:
     )
 
 
-def bare(field: Field) -> NDArray[np.bool_]:
+def bare(field: StripMap) -> NDArray[np.bool_]:
     """Return which (nx,) rows of cells carry a foot only in some places.
 
     Rows beyond the known ground and at the end of the strip do not count.

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.backtracking import Trail
-from sextant.services.planner.gap_crossing.plan_message import told
-from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.services.planner.gap_crossing.backtracking import StepHistory
+from sextant.services.planner.gap_crossing.plan_message import make_plan_message
+from sextant.services.planner.gap_crossing.roadmap import NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.sections import goal_behind, without
-from sextant.services.planner.gap_crossing.strip_map import Field
-from sextant.services.planner.gap_crossing.validated_map import is_near, objection
-from sextant.services.planner.locomotion.step_planner import Stride, time_to_swing
+from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.gap_crossing.validated_map import is_near, validation_error
+from sextant.services.planner.locomotion.step_planner import PlannedStep, time_to_swing
 from sextant.services.planner.terrain import GOOD
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.profile import LEGS, RobotProfile
@@ -32,8 +32,8 @@ _AHEAD_NS = 1_000_000_000  # [ns] by which the stamp of a map may lie in the fut
 _STILL_NS = 700_000_000  # [ns] of rest before a map counts, so that it contains the scans from this place
 _PATIENCE_NS = 6_000_000_000  # [ns] maximum time to wait for a map
 _LOOKS = 3  # maximum number of looks at one stop
-_WORTH = 60  # minimum number of cells that a look must reveal
-_LEAST_WORTH = 20  # the same, after the search found no path because of unseen ground
+_MIN_LOOK_CELLS = 60  # minimum number of cells that a look must reveal
+_MIN_LOOK_CELLS_LATER = 20  # the same, after the search found no path because of unseen ground
 _RISE = 0.01  # [m] from which a look counts as raised
 _BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m], [rad] tolerance and attempts of the return from a look
 _NEARLY = 0.02  # [m] distance from its goal at which a section counts as complete
@@ -51,7 +51,7 @@ Stage = Literal["survey", "look", "return", "plan", "walk"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class WorldStance:
     """Robot as it is, or as it will be when the running step is over."""
 
     body: Array  # (4, 4) {world}
@@ -66,30 +66,30 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
-class Over:
+class Completed:
     """Final: the robot stands behind the gap."""
 
     words: str
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class CannotCross:
     """Final: the gap cannot be crossed, with the reason."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Move:
+class NextStep:
     """A step to send."""
 
-    stride: Stride
+    stride: PlannedStep
     number: int
     stop: bool
     words: str
 
 
-class Sections(Protocol):
+class SectionPlanner(Protocol):
     """A planner of sections, implemented by `Roadmap`."""
 
     @property
@@ -97,24 +97,24 @@ class Sections(Protocol):
         """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
-    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
         """Start a new search."""
         ...
 
-    def grow(self, expansions: int) -> Crossing | NoWay | None:
+    def grow(self, expansions: int) -> SectionPlan | NoSection | None:
         """Continue the search; return None while it is undecided."""
         ...
 
 
-class Errand:
+class GapCrossing:
     """One gap crossing, from the stance before the gap to a stance behind it."""
 
     def __init__(
         self,
         profile: RobotProfile,
         settings: Settings,
-        roadmap: Sections,
-        standing: Standing,
+        roadmap: SectionPlanner,
+        standing: WorldStance,
         target: Array,
         yielded: list[Array],
         stopwatch: Callable[[], int] = stopwatch_ns,
@@ -143,14 +143,14 @@ class Errand:
         self._section = 0
         self._seed = ATTEMPTS  # number of attempts for the section
         self._map_ns = -1  # of the map that was used last
-        self._field: Field | None = None
+        self._field: StripMap | None = None
         self._base = 0  # number of the step before the first step of the section
         self._steps: tuple[PassageStep, ...] = ()
-        self._pending: Move | None = None  # a step of the body alone, until the actuator begins it
+        self._pending: NextStep | None = None  # a step of the body alone, until the actuator begins it
         self._walking_pose: Array = standing.body
-        self._yielded, self._trail = yielded, Trail()
+        self._yielded, self._trail = yielded, StepHistory()
         self._newest_step = -1  # newest step number of the actuator
-        self._worth, self._returns = _WORTH, 0
+        self._worth, self._returns = _MIN_LOOK_CELLS, 0
         self._because = ""  # why the last section was not completed
         self._gave_way = ""  # which feet found no ground in this section
         self._touch_ns: NDArray[np.int64] | None = None  # earlier touches do not count
@@ -180,7 +180,7 @@ class Errand:
         self._asked_ns = now_ns
         return PassageRequest(now_ns, self._T_world_strip[:2, 3].copy(), self.heading, *STRIP)
 
-    def advance(self, state: ActuatorState, standing: Standing, map_: PassageMap | None, refused: str) -> "Outcome":
+    def advance(self, state: ActuatorState, standing: WorldStance, map_: PassageMap | None, refused: str) -> "Outcome":
         """Return the next action.
 
         Args:
@@ -191,7 +191,7 @@ class Errand:
         """
         resting = _rests(state)
         self._since_ns = (state.stamp_ns if self._since_ns < 0 else self._since_ns) if resting else -1
-        self._feel(state)
+        self._record_missing_ground(state)
         anew, self._newest_step = state.step < self._newest_step, state.step
         if anew:
             self._pending, self._begun_ns, self._because = None, -1, " again: the actuator has restarted"
@@ -213,7 +213,7 @@ class Errand:
 
     # ------------------------------------------------------------------------------------------------- looking
 
-    def _look(self, state: ActuatorState, standing: Standing, map_: PassageMap | None) -> "Outcome":
+    def _look(self, state: ActuatorState, standing: WorldStance, map_: PassageMap | None) -> "Outcome":
         """Wait for a map taken at rest, then plan.
 
         If another view would reveal more, look from there first and return to the walking height.
@@ -221,10 +221,10 @@ class Errand:
         still_ns = state.stamp_ns - self._since_ns
         newest, latest = max(self._since_ns + _STILL_NS, self._map_ns + 1), state.stamp_ns + _AHEAD_NS
         came = map_ is not None and newest <= map_.stamp_ns <= latest
-        wrong = objection(map_, self._T_world_strip, STRIP) if map_ is not None and came else ""
+        wrong = validation_error(map_, self._T_world_strip, STRIP) if map_ is not None and came else ""
         if map_ is None or not came or wrong:
             if still_ns > _PATIENCE_NS:
-                return Refused(f"no valid map of the gap received from the mapper{wrong and f': {wrong}'}")
+                return CannotCross(f"no valid map of the gap received from the mapper{wrong and f': {wrong}'}")
             return Wait(f"surveying the gap{self._because}{wrong and f'; the received map is invalid: {wrong}'}")
         self._map_ns = map_.stamp_ns
         if self._stage == "survey":
@@ -239,13 +239,13 @@ class Errand:
                 else "turning the body for a better view"
             )
             return self._enter("look", self._pose(state, standing, map_.T_world_look, words))
-        self._field = Field.of(map_)
+        self._field = StripMap.of(map_)
         if self._stage == "look":
             self._returns = 0
             return self._return(state, standing)
         return self._enter("plan", Wait("planning"))
 
-    def _return(self, state: ActuatorState, standing: Standing) -> "Outcome":
+    def _return(self, state: ActuatorState, standing: WorldStance) -> "Outcome":
         """Return from a look to the stance before it, then plan.
 
         The return is repeated once if the robot missed the pose.
@@ -259,16 +259,16 @@ class Errand:
             "return", self._pose(state, standing, self._walking_pose, "moving the body back to the walking pose")
         )
 
-    def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
+    def _pose(self, state: ActuatorState, standing: WorldStance, body: Array, words: str) -> NextStep:
         """Return a step in which only the body moves."""
         nobody = np.zeros(6, dtype=np.bool_)
-        stride = Stride(
+        stride = PlannedStep(
             nobody, standing.feet, standing.feet[:, :2], np.zeros(6), body, body, standing.feet, 0, 1.0, _POSE_S, GOOD
         )
-        self._pending = Move(stride, state.step + 1, True, words)
+        self._pending = NextStep(stride, state.step + 1, True, words)
         return self._pending
 
-    def _feel(self, state: ActuatorState) -> None:
+    def _record_missing_ground(self, state: ActuatorState) -> None:
         """Record places where a foot found no ground."""
         before, self._touch_ns = self._touch_ns, state.touch_ns.copy()
         if before is None:
@@ -278,7 +278,7 @@ class Errand:
         if new:
             self._gave_way = f"no ground under the {' and '.join(LEGS[leg] for leg in new)} foot"
 
-    def _marked(self, field: Field, feet: Array) -> Field:
+    def _marked(self, field: StripMap, feet: Array) -> StripMap:
         """Return the field updated by touch.
 
         Ground that gave way under a foot carries none. Ground is no higher than the feet (6, 3) [m] {strip} that stand on it.
@@ -296,24 +296,24 @@ class Errand:
 
     # ------------------------------------------------------------------------------------------------- planning
 
-    def _plan(self, state: ActuatorState, standing: Standing) -> "Outcome":
+    def _plan(self, state: ActuatorState, standing: WorldStance) -> "Outcome":
         """Grow the roadmap within the time budget; walk a section once it is found."""
         assert self._field is not None
         root = self._in_strip(standing)
         if self._begun_ns < 0:
             turned = abs(float(rpy_from_rotation(self._T_world_strip[:3, :3].T @ standing.body[:3, :3])[2]))
             if abs(root.body[1]) > _ASIDE or turned > _TURNED:
-                return Refused(
+                return CannotCross(
                     f"the robot is {root.body[1]:.2f} m and {np.degrees(turned):.0f} deg off the centre line of the strip"
                 )
             self._field = self._marked(self._field, root.feet)
             goal = goal_behind(self._field, float(root.body[0]) + _NEARLY, self._along(self._target))
             if goal is None:
-                return Over("no gap ahead of the robot")
+                return Completed("no gap ahead of the robot")
             if self._seed == ATTEMPTS:
-                refusal = self._once_more_here(standing.body[:2, 3])
+                refusal = self._count_planning(standing.body[:2, 3])
                 if refusal:
-                    return Refused(refusal)
+                    return CannotCross(refusal)
                 self._section, self._seed = self._section + 1, 0
             self._seed += 1
             self._goal = goal
@@ -325,28 +325,31 @@ class Errand:
         if found is None:
             return Wait(f"planning section {self._section} of the gap crossing")
         self._begun_ns = -1
-        if isinstance(found, NoWay) and found.closer is not None and self._seed == ATTEMPTS:
+        if isinstance(found, NoSection) and found.closer is not None and self._seed == ATTEMPTS:
             found = found.closer  # after all attempts have failed: it may be a dead end
         self._report = self._tell(state.stamp_ns, found)
-        self._stopped = found.reason if isinstance(found, NoWay) else ""
-        if isinstance(found, NoWay):
+        self._stopped = found.reason if isinstance(found, NoSection) else ""
+        if isinstance(found, NoSection):
             if self._seed < ATTEMPTS:
                 return Wait(f"planning section {self._section} of the gap crossing again: {found.reason}")
-            if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
-                self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that reveals little may be enough
+            if found.unseen and self._worth > _MIN_LOOK_CELLS_LATER and self._looks < _LOOKS:
+                self._worth, self._because = (
+                    _MIN_LOOK_CELLS_LATER,
+                    f" again: {found.reason}",
+                )  # a look that reveals little may be enough
                 return self._enter("survey", Wait(f"surveying the gap{self._because}"))
             back = self._trail.back([apply(self._field.T_strip_world, place) for place in self._yielded], _YIELDED)
             if back:
                 self._walks = f"backtracking in section {self._section}"
                 return self._set_out(back, state, f"backtracking {len(back)} steps to find another path: {found.reason}")
-            return self._look_anew(found, standing.body[:2, 3])
+            return self._replan_or_fail(found, standing.body[:2, 3])
         self._trail.begin(root, found.steps)
         self._walks = f"section {self._section}"
         return self._set_out(
             found.steps, state, f"walking section {self._section} of the gap crossing: {len(found.steps)} steps"
         )
 
-    def _look_anew(self, found: NoWay, xy: Array) -> "Outcome":
+    def _replan_or_fail(self, found: NoSection, xy: Array) -> "Outcome":
         """Plan again on a map with more scans, up to `PLANNINGS` times at one place.
 
         Use this where no path was found.
@@ -354,14 +357,14 @@ class Errand:
         if self._plannings_at(xy) < PLANNINGS:
             self._because = f" again: {found.reason}"
             return self._enter("survey", Wait(f"surveying the gap{self._because}"))
-        return Refused(found.reason + ("; no better view is available" if found.unseen else ""))
+        return CannotCross(found.reason + ("; no better view is available" if found.unseen else ""))
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
         """Start to walk steps; `words` is the reason for the status."""
-        self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, ATTEMPTS, _WORTH
+        self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, ATTEMPTS, _MIN_LOOK_CELLS
         return self._enter("walk", Wait(words))
 
-    def _once_more_here(self, xy: Array) -> str:
+    def _count_planning(self, xy: Array) -> str:
         """Record that a section starts at a place (2,) [m] {world}.
 
         Return why another attempt there is useless, or "".
@@ -376,7 +379,7 @@ class Errand:
         """Return how often a section was planned at a place (2,) [m] {world}."""
         return sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried)
 
-    def _in_strip(self, standing: Standing) -> Stance:
+    def _in_strip(self, standing: WorldStance) -> Stance:
         T = inverse(self._T_world_strip)
         return Stance(apply(T, standing.body[:3, 3]), apply(T, standing.feet))
 
@@ -390,7 +393,7 @@ class Errand:
 
     # ------------------------------------------------------------------------------------------------- walking
 
-    def _walk(self, state: ActuatorState, standing: Standing, refused: str) -> "Outcome":
+    def _walk(self, state: ActuatorState, standing: WorldStance, refused: str) -> "Outcome":
         """Return the next step of the section.
 
         If it is complete, or the feet are not where planned, stop and look again.
@@ -415,11 +418,11 @@ class Errand:
             return self._enter("survey", Wait(f"surveying the gap{self._because}"))
         if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1, a foot searches for ground
             return Wait(self._words(done))
-        return Move(
+        return NextStep(
             self._stride(standing, self._steps[done]), state.step + 1, done == len(self._steps) - 1, self._words(done + 1)
         )
 
-    def _stride(self, standing: Standing, step: PassageStep) -> Stride:
+    def _stride(self, standing: WorldStance, step: PassageStep) -> PlannedStep:
         """Return a step of the section as a step in {world}."""
         assert self._field is not None
         T = self._field.T_world_strip
@@ -432,9 +435,9 @@ class Errand:
         legs = np.flatnonzero(swing)
         swinging = time_to_swing(self._profile, self._settings, standing.feet[legs], touchdown[legs], clearance[legs])
         duration = max([self._profile.stance.step_s, *swinging.tolist()])
-        return Stride(swing, touchdown, touchdown[:, :2], clearance, body, body, standing.feet, 0, 1.0, duration, GOOD)
+        return PlannedStep(swing, touchdown, touchdown[:, :2], clearance, body, body, standing.feet, 0, 1.0, duration, GOOD)
 
-    def _astray(self, standing: Standing, done: int) -> str:
+    def _astray(self, standing: WorldStance, done: int) -> str:
         """Return which foot stands away from its planned foothold, or "".
 
         `done` is the number of completed steps of the section.
@@ -449,7 +452,7 @@ class Errand:
                 return f"the {LEGS[step.leg]} foot is {max(level, height) * 100:.0f} cm from its planned foothold"
         return ""
 
-    def _sunk(self, standing: Standing, done: int) -> list[Array]:
+    def _sunk(self, standing: WorldStance, done: int) -> list[Array]:
         """Return undersides (3,) [m] {world} of feet where the ground gave way."""
         assert self._field is not None
         feet = apply(self._field.T_strip_world, standing.feet)
@@ -460,11 +463,11 @@ class Errand:
     def _words(self, step: int) -> str:
         return f"gap crossing, {self._walks}: step {step} of {len(self._steps)}"
 
-    def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
+    def _tell(self, stamp_ns: int, found: SectionPlan | NoSection) -> PassagePlan:
         """Return the message with the planning result."""
         assert self._field is not None
         T, edges = self._field.T_world_strip, self._roadmap.edges
-        return told(stamp_ns, self._section, found, T, self._goal, edges, self._planning_ns * 1e-9)
+        return make_plan_message(stamp_ns, self._section, found, T, self._goal, edges, self._planning_ns * 1e-9)
 
 
 def _rests(state: ActuatorState) -> bool:
@@ -472,4 +475,4 @@ def _rests(state: ActuatorState) -> bool:
     return state.phase >= 1.0 and state.mode is Mode.HOLD
 
 
-Outcome = Move | Wait | Over | Refused
+Outcome = NextStep | Wait | Completed | CannotCross

@@ -11,7 +11,7 @@ from sextant.shared.wire.messages import UNKNOWN, PassageMap
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class StripMap:
     """A strip with frame {strip}: x along it, y to the left, z up.
 
     The origin is in the middle of its near side at world height 0. Cell (i, j) is centred at
@@ -31,7 +31,7 @@ class Field:
             raise ValueError(f"a positive resolution expected, found {self.resolution}")
 
     @classmethod
-    def of(cls, passage: PassageMap) -> "Field":
+    def of(cls, passage: PassageMap) -> "StripMap":
         """Convert the mapper's passage map."""
         along = np.array([np.cos(passage.heading), np.sin(passage.heading)])
         left = np.array([-along[1], along[0]])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
 from sextant.shared.wire.messages import PassageMap
 
@@ -12,7 +12,7 @@ _LOOK_AWAY = 0.2  # [m] maximum distance of a look from the body's pose
 _LOOK_TURNED = np.radians(25.0)  # [rad] maximum turn about any axis
 
 
-def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float]) -> str:
+def validation_error(map_: PassageMap, T_world_strip: Array, size: tuple[float, float]) -> str:
     """Return why a map is invalid, or "".
 
     Args:
@@ -30,7 +30,7 @@ def objection(map_: PassageMap, T_world_strip: Array, size: tuple[float, float])
         return f"{wanted[0]} x {wanted[1]} cells expected, found {map_.elevation.shape[0]} x {map_.elevation.shape[1]}"
     if np.isinf(map_.elevation).any():
         return "finite heights expected, found infinity"
-    off = inverse(T_world_strip) @ Field.of(map_).T_world_strip
+    off = inverse(T_world_strip) @ StripMap.of(map_).T_world_strip
     turned = abs(float(rpy_from_rotation(off[:3, :3])[2]))
     if np.abs(off[:2, 3]).max() > _SAME_PLACE * map_.resolution or turned > _SAME_WAY:
         return "the map shows another strip"

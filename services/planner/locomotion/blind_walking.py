@@ -12,21 +12,25 @@ import numpy as np
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import leaning, slope_under
-from sextant.services.planner.locomotion.step_planner import Blocked, Situation, Stride, StridePlanner
-from sextant.services.planner.navigation.traversability import BESIDE
+from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
+from sextant.services.planner.navigation.traversability import BLIND_RADIUS_M
 from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_through
 from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import VelocityCommand
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
-_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] region of the ground ahead that must be seen
+_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = (
+    BLIND_RADIUS_M,
+    BLIND_RADIUS_M + 0.35,
+    0.15,
+)  # [m] region of the ground ahead that must be seen
 _SEEN = 0.4  # [1] share of it that must be seen
 _LEVEL = 0.10  # [m] maximum difference between its median height and the plane of the feet
 _FOLLOWED = 0.3  # [1] share by which the body follows the slope of the newest feet in each step
 
 
-class ByTouch:
+class BlindStepPlanner:
     """Plans steps over ground that the camera does not see."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -40,7 +44,7 @@ class ByTouch:
             stride=settings.touch_stride,
             foot_radius_from_coxa=(front, middle, rear),
         )
-        self._strides = StridePlanner(replace(profile, stance=slow), settings)
+        self._strides = StepPlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:
         """Return the command with the higher lift of walking by touch."""
@@ -50,7 +54,7 @@ class ByTouch:
         """Return the expected ground for standing feet (6, 3) [m] {world}."""
         return plane_of(stamp_ns, feet - [0.0, 0.0, self._profile.foot.radius])
 
-    def underfoot(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
+    def fill_unseen_start(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
         """Return the map with unseen cells near the start replaced by the feet's plane.
 
         The camera cannot see ground so close to the robot, in any direction.
@@ -86,8 +90,8 @@ class ByTouch:
         return replace(terrain, map=filled)
 
     def choose(
-        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
-    ) -> tuple[Stride | Blocked, int]:
+        self, situations: list[StepStart], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[PlannedStep | NoStep, int]:
         """Return the next step and the number of its way, or why there is none.
 
         Legs that are not due may also swing.
@@ -98,12 +102,12 @@ class ByTouch:
             refused: Ways that must not be tried.
         """
         found, way = self._strides.choose(situations, terrain, refused)
-        if isinstance(found, Blocked) or not found.swing.any():
+        if isinstance(found, NoStep) or not found.swing.any():
             return found, way
         begin = next(at for at in situations if (at.swing == found.swing).all())
         return self._lowered(self._along(found, begin)), way
 
-    def _along(self, stride: Stride, at: Situation) -> Stride:
+    def _along(self, stride: PlannedStep, at: StepStart) -> PlannedStep:
         """Return the step with the body parallel to the feet, averaged over a few steps.
 
         There is no gravity reference here. Each foothold has a measurement error. A body that is kept level by footholds tilts
@@ -116,7 +120,7 @@ class ByTouch:
         goal = leaning(level, was + _FOLLOWED * (slope / steep - was), 0.0)
         return replace(stride, body_goal=goal) if self._strides.reached(stride.touchdown, goal).all() else stride
 
-    def _lowered(self, stride: Stride) -> Stride:
+    def _lowered(self, stride: PlannedStep) -> PlannedStep:
         """Return the step with its touchdowns lowered as far as the legs reach.
 
         `_DEPTHS` lists the depths below the expected ground.

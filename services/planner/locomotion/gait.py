@@ -105,7 +105,7 @@ def directions(velocity: Array, yaw_rate: float, rest_feet: Array) -> Array:
     return np.asarray(over / max(float(np.linalg.norm(over, axis=1).max()), 1e-9))
 
 
-def carried_on(T_world_body: Array, travel: Array, turn: float, steps: float) -> Array:
+def extrapolate_pose(T_world_body: Array, travel: Array, turn: float, steps: float) -> Array:
     """Return the body pose (4, 4) after a number of steps.
 
     Each step travels by (2,) [m] {body} and turns by [rad] at the same time.

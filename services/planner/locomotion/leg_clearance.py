@@ -21,7 +21,7 @@ _RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # of the 
 LEVEL = 0.8  # [1] share of the clearance, over the higher end, at which the checked swing is level
 # The end of the swing, more finely: share of the level's height over the touchdown that is left, at shares of the distance.
 _SINKS_AT, _SINKS_TO = [0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95], [1.0, 0.97, 0.92, 0.80, 0.69, 0.54, 0.33]
-_BESIDE = 0.02  # [m] around a touchdown in which the foot descends vertically next to obstacles
+_VERTICAL_DESCENT_M = 0.02  # [m] around a touchdown in which the foot descends vertically next to obstacles
 _LIFTS = 4  # number of lifts to try, up to the highest
 
 # Samples of a leg: shares of its femur, then of its tibia. Points nearer to the foot count as part of the foothold.
@@ -41,7 +41,7 @@ _AROUND_FOOT = np.concatenate([r * np.array([(np.cos(a), np.sin(a)) for a in np.
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class StepMotion:
     """Motion of legs and body in a step."""
 
     start: Array  # (6, 3) [m] {world} foot centres
@@ -52,22 +52,22 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Touching:
+class LegCollision:
     """A link or foot that would touch the ground."""
 
     leg: int
     reason: str
 
 
-def cleared(
-    way: Way,
+def find_clearances(
+    way: StepMotion,
     clearance: Array,
     margin: float,
     foot_margin: float,
     highest: float,
     profile: RobotProfile,
     terrain: Terrain,
-) -> Array | Touching:
+) -> Array | LegCollision:
     """Return the clearances (6,) [m] with which the legs keep clear of the ground.
 
     A folded leg cannot bring its foot as close as the foot's path requires: it pushes the foot aside, off the checked path. The
@@ -93,14 +93,14 @@ def cleared(
     if pushed.any():
         leg = int(np.flatnonzero(pushed)[0])
         x, y = against[leg]
-        return Touching(leg, f"{LEGS[leg]} leg: its foot would be pushed against the ground at ({x:.2f}, {y:.2f}) m")
+        return LegCollision(leg, f"{LEGS[leg]} leg: its foot would be pushed against the ground at ({x:.2f}, {y:.2f}) m")
     if not bad.any():
         return out
     worst = np.unravel_index(int(np.argmin(np.where(bad, gaps, np.inf))), bad.shape)
     _, leg, sample = (int(i) for i in worst)
     link = "tibia" if _TIBIA[sample] else "femur"
     x, y, _ = points[worst]
-    return Touching(leg, f"{LEGS[leg]} leg: its {link} would touch the ground at ({x:.2f}, {y:.2f}) m")
+    return LegCollision(leg, f"{LEGS[leg]} leg: its {link} would touch the ground at ({x:.2f}, {y:.2f}) m")
 
 
 def stands_clear(
@@ -177,7 +177,7 @@ def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) ->
     """
     share = np.linspace(0.0, 1.0, len(ground))[:, None]
     left = (1.0 - share) * np.linalg.norm((end - start)[:, :2], axis=1)
-    stands = (share >= _SINKS_AT[0]) & (left >= _BESIDE) & (ground > end[:, 2] + margin)
+    stands = (share >= _SINKS_AT[0]) & (left >= _VERTICAL_DESCENT_M) & (ground > end[:, 2] + margin)
     level = end[:, 2] + (np.where(stands, ground, -np.inf) + margin - end[:, 2]) / np.interp(share, _SINKS_AT, _SINKS_TO)
     return np.asarray((level.max(axis=0) - np.maximum(start[:, 2], end[:, 2])) / LEVEL)
 
@@ -193,7 +193,7 @@ def links_at(q: Array, links: LegLinks) -> Array:
 
 
 def _too_near(
-    way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
+    way: StepMotion, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Return where links come closer to the ground than a margin, gaps and points.
 
@@ -207,7 +207,7 @@ def _too_near(
 
 
 def _pushed(
-    way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
+    way: StepMotion, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> tuple[NDArray[np.bool_], Array]:
     """Return legs (6,) that would push their feet against ground next to their paths.
 

@@ -17,7 +17,7 @@ _NO_GROUND = HAZARDS.index("no ground by touch")
 _REFUSED = 2.0  # a score that no foothold has
 
 
-class Holes:
+class MissingGround:
     """Remembers places where the actuator reported a foot without ground."""
 
     def __init__(self) -> None:

@@ -3,10 +3,10 @@
 They are, in order: the same step again, a shorter step, a step with other legs, none.
 """
 
-Way = tuple[int, int]  # index of the command, and number of the way to take a step by it, see `StridePlanner.choose`
+StepVariant = tuple[int, int]  # index of the command, and number of the way to take a step by it, see `StepPlanner.choose`
 
 
-class Refusals:
+class RefusedSteps:
     """Refusals of the next step.
 
     They are forgotten when the robot takes the step or receives another command.
@@ -18,7 +18,7 @@ class Refusals:
     def forget(self) -> None:
         """Reset: no way has been refused."""
         self.count = 0
-        self._ways: frozenset[Way] = frozenset()
+        self._ways: frozenset[StepVariant] = frozenset()
         self.reason = ""  # of the last refusal
         self.given_up = False  # no way was left; cleared by `forget`, while the planner still retries from time to time
 
@@ -26,7 +26,7 @@ class Refusals:
         """Return the ways that are refused for one of the commands."""
         return frozenset(way for by, way in self._ways if by == command)
 
-    def add(self, way: Way, reason: str) -> None:
+    def add(self, way: StepVariant, reason: str) -> None:
         """Note that a way was refused.
 
         After the first refusal the same way may be tried again, with newer estimates.

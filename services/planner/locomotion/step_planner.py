@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
 from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.locomotion.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
+from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
 from sextant.services.planner.locomotion.leg_clearance import (
-    Touching,
-    Way,
+    LegCollision,
+    StepMotion,
     clearance_to_sink,
-    cleared,
+    find_clearances,
     rises_clear,
     stands_clear,
 )
@@ -41,7 +41,7 @@ _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may b
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class StepStart:
     """Robot at the start of the step, all feet standing."""
 
     T_world_body: Array  # (4, 4) reference body pose
@@ -51,7 +51,7 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
-class Stride:
+class PlannedStep:
     """A feasible step."""
 
     swing: NDArray[np.bool_]
@@ -67,7 +67,7 @@ class Stride:
     room: float  # suitability of its poorest foothold, see `Terrain.suitability`
     instead: str = ""  # why legs that are due earlier do not take the step
 
-    def moved_by(self, T: Array) -> "Stride":
+    def moved_by(self, T: Array) -> "PlannedStep":
         """Return the step after a correction (4, 4) of the {world} estimate."""
         nominal = apply(T, np.column_stack([self.nominal, self.touchdown[:, 2]]))[:, :2]
         touchdown, start = apply(T, self.touchdown), apply(T, self.start)
@@ -76,7 +76,7 @@ class Stride:
 
 
 @dataclass(frozen=True, slots=True)
-class Blocked:
+class NoStep:
     """Reason why there is no step."""
 
     reason: str
@@ -85,7 +85,7 @@ class Blocked:
     touching: bool = False  # the leg would touch the ground next to it as it rises or passes
 
 
-class StridePlanner:
+class StepPlanner:
     """Plans steps for one robot; it keeps only lookup tables."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -96,7 +96,7 @@ class StridePlanner:
         self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `_WIDTHS`, for the current map resolution
         self._offsets_resolution = 0.0  # [m]
 
-    def objection(self, command: VelocityCommand) -> str:
+    def validation_error(self, command: VelocityCommand) -> str:
         """Return why this robot can never execute a command, or ""."""
         low, high = self._profile.stance.body_height_range
         if not low <= command.body_height <= high:
@@ -113,7 +113,7 @@ class StridePlanner:
         """
         return self._profile.stance.step_s * GAITS[command.gait].pace
 
-    def short_of(self, command: VelocityCommand, stride: Stride) -> str:
+    def describe_slowdown(self, command: VelocityCommand, stride: PlannedStep) -> str:
         """Return by how much a step is slower than commanded, as text, or "".
 
         The limits are the reach and the speed of the legs.
@@ -127,12 +127,12 @@ class StridePlanner:
 
     def plan(
         self,
-        at: Situation,
+        at: StepStart,
         terrain: Terrain,
         refused: Set[int] = frozenset(),
         width: float = 1.0,
         foot_margin: float | None = None,
-    ) -> Stride | Blocked:
+    ) -> PlannedStep | NoStep:
         """Return the longest step in the commanded direction onto good footholds.
 
         If no step has good footholds only, return the one whose poorest foothold is the most suitable.
@@ -145,23 +145,23 @@ class StridePlanner:
             foot_margin: [m] between the ground and a foot that a folded leg pushes aside; default `Settings.sink_margin`.
         """
         foot_margin = self._settings.sink_margin if foot_margin is None else foot_margin
-        best: Stride | None = None
-        first: Blocked | None = None
+        best: PlannedStep | None = None
+        first: NoStep | None = None
         for number, share in enumerate(SHARES):
             if number in refused:
                 continue
             found = self._attempt(at, terrain, share, width, foot_margin)
-            if isinstance(found, Blocked):
+            if isinstance(found, NoStep):
                 first = first or found
             elif best is None or found.room > best.room:
                 best = found
             if best is not None and best.room >= _ROOM_ENOUGH:
                 break
-        return best or first or Blocked("the actuator refused every step")
+        return best or first or NoStep("the actuator refused every step")
 
     def choose(
-        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
-    ) -> tuple[Stride | Blocked, int]:
+        self, situations: list[StepStart], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[PlannedStep | NoStep, int]:
         """Return the next step and the number of its way, or why there is none.
 
         The reason is that of the most due legs. The order of attempts is:
@@ -178,12 +178,12 @@ class StridePlanner:
             terrain: The map.
             refused: Ways that must not be tried.
         """
-        first: Blocked | None = None
+        first: NoStep | None = None
         for foot_margin in (self._settings.sink_margin, -np.inf):
             for width, (turn, at) in product(_WIDTHS, enumerate(situations)):
                 ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
                 found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
-                if isinstance(found, Stride):
+                if isinstance(found, PlannedStep):
                     return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
                 first = first or found
             shift = len(situations) * (len(SHARES) + 1)  # numbered after the ways of `gather`
@@ -191,9 +191,9 @@ class StridePlanner:
                 shifted = self._make_room(situations[0], first.leg, terrain)
                 if shifted is not None:
                     return replace(shifted, instead=first.reason), shift
-        return first or Blocked("the actuator refused every step"), 0
+        return first or NoStep("the actuator refused every step"), 0
 
-    def _make_room(self, at: Situation, leg: int, terrain: Terrain) -> Stride | None:
+    def _make_room(self, at: StepStart, leg: int, terrain: Terrain) -> PlannedStep | None:
         """Return a step of the body alone after which the legs of a situation can swing.
 
         The shift is the smallest one; among equals it is the one most directly away from the foot of `leg`.
@@ -206,14 +206,14 @@ class StridePlanner:
             moved[:2, 3] += distance * np.array([np.cos(away + turn), np.sin(away + turn)])
             if not self.reached(at.feet, moved).all() or self._unstable(at.feet, moved, ""):
                 continue
-            if isinstance(self.plan(replace(at, T_world_body=moved), terrain), Stride):
+            if isinstance(self.plan(replace(at, T_world_body=moved), terrain), PlannedStep):
                 nobody, low = np.zeros(6, dtype=np.bool_), np.full(6, self._settings.path_margin)
-                return Stride(nobody, at.feet, at.feet[:, :2], low, moved, moved, at.feet, 0, 1.0, _SHIFT_S, GOOD)
+                return PlannedStep(nobody, at.feet, at.feet[:, :2], low, moved, moved, at.feet, 0, 1.0, _SHIFT_S, GOOD)
         return None
 
     def gather(
-        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
-    ) -> tuple[Stride | Blocked, int]:
+        self, situations: list[StepStart], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[PlannedStep | NoStep, int]:
         """Return a step on the spot that brings feet back under the body, and its number.
 
         Short steps towards unseen ground leave all legs stretched. Then no further step is possible, even once the ground is
@@ -226,15 +226,15 @@ class StridePlanner:
         """
         for way, at in enumerate(situations, len(SHARES) * len(situations)):
             found = self._attempt(at, terrain, 0.0, _WIDTHS[0], self._settings.sink_margin) if way not in refused else None
-            if isinstance(found, Stride):
+            if isinstance(found, PlannedStep):
                 legs = found.swing
                 before = np.linalg.norm((found.start[:, :2] - found.nominal)[legs], axis=1)
                 after = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[legs], axis=1)
                 if before.sum() - after.sum() > _GATHERED:
                     return found, way
-        return Blocked("no step on the spot brings the feet closer to their rest positions"), 0
+        return NoStep("no step on the spot brings the feet closer to their rest positions"), 0
 
-    def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
+    def retarget(self, stride: PlannedStep, terrain: Terrain) -> PlannedStep:
         """Return the step with its touchdowns chosen again on a newer map.
 
         A leg keeps its touchdown if there is no other one, or if the other one needs more lift than the foot was given.
@@ -250,13 +250,13 @@ class StridePlanner:
                 touchdown = moved
         return replace(stride, touchdown=touchdown)
 
-    def _attempt(self, at: Situation, terrain: Terrain, share: float, width: float, foot_margin: float) -> Stride | Blocked:
+    def _attempt(self, at: StepStart, terrain: Terrain, share: float, width: float, foot_margin: float) -> PlannedStep | NoStep:
         settings = self._settings
         gait = GAITS[at.command.gait]
         travel, turn = self._travel(at.command, share)
         level = from_xyz_rpy(at.T_world_body[:3, 3], (0.0, 0.0, yaw_of(at.T_world_body)))
         T_end, T_middle, T_after = (
-            carried_on(level, travel, turn, 1.0 + steps) for steps in (0.0, gait.stances / 2, float(gait.stances))
+            extrapolate_pose(level, travel, turn, 1.0 + steps) for steps in (0.0, gait.stances / 2, float(gait.stances))
         )
         rest = self._profile.rest_feet(at.command.body_height)
         nominal = nominal_touchdowns(rest, T_middle)
@@ -267,7 +267,7 @@ class StridePlanner:
         for leg in np.flatnonzero(at.swing).tolist():
             found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain, width)
             if isinstance(found, NoFoothold):
-                return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
+                return NoStep(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
             touchdown[leg] = found.p_world + self._foot_up
             moved += found.moved > terrain.map.resolution
             room = min(room, found.room)
@@ -280,23 +280,23 @@ class StridePlanner:
             or self._unstable(touchdown[self._standing_next(at.command, touchdown, T_end)], T_end, "after the step")
         )
         if problem:
-            return Blocked(problem)
+            return NoStep(problem)
         clearance = self._clearance(at.feet, touchdown, at.command.lift, terrain)
         too_high = np.flatnonzero(at.swing & (clearance > self._profile.stance.max_lift))
         if len(too_high):
             leg = int(too_high[0])
-            return Blocked(f"{LEGS[leg]} leg: an obstacle on the foot's path needs {clearance[leg] * 100:.0f} cm of lift", leg)
-        way = Way(at.feet, touchdown, at.T_world_body, T_end, at.swing)
+            return NoStep(f"{LEGS[leg]} leg: an obstacle on the foot's path needs {clearance[leg] * 100:.0f} cm of lift", leg)
+        way = StepMotion(at.feet, touchdown, at.T_world_body, T_end, at.swing)
         highest = self._profile.stance.max_lift
-        lifted = cleared(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
-        if isinstance(lifted, Touching):
-            return Blocked(lifted.reason, lifted.leg, touching=True)
+        lifted = find_clearances(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
+        if isinstance(lifted, LegCollision):
+            return NoStep(lifted.reason, lifted.leg, touching=True)
         clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
         dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
         swinging = time_to_swing(self._profile, settings, at.feet, touchdown, clearance, dearer)
         duration = max(self.duration(at.command), swinging[at.swing].max())
-        return Stride(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
+        return PlannedStep(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
         """Return the body's travel (2,) [m] {body} and turn [rad] in a step.
@@ -320,7 +320,7 @@ class StridePlanner:
         along = directions(command.velocity, command.yaw_rate, rest)
         return ~swing_order(GAITS[command.gait], along, apply(inverse(T_world_body), feet), rest)[0]
 
-    def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
+    def _raised(self, at: StepStart, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
         """Return the poses at the commanded height over the floor, within the climb limit.
 
         If legs would not reach the ground from there, the body is lower or leans with the ground, as little as necessary.

@@ -16,14 +16,14 @@ _AGREE = 2  # cells of the map that must agree in height, so that one wrong meas
 
 
 @dataclass(frozen=True, slots=True)
-class CoarseMap:
+class DownsampledMap:
     """A downsampled map; its first cell has index `first` (2,) in the world grid."""
 
     first: NDArray[np.int64]
     layers: dict[str, Array]  # (n, m) each, by name
 
 
-def coarse(terrain: Terrain, block: int) -> CoarseMap:
+def downsample(terrain: Terrain, block: int) -> DownsampledMap:
     """Downsample a map to blocks of block x block cells, aligned with the world grid.
 
     Incomplete blocks at the border are dropped. Layers: known, share [1] of known cells; footing, share [1] of cells that carry
@@ -55,7 +55,7 @@ def coarse(terrain: Terrain, block: int) -> CoarseMap:
         "high": np.where(nothing, np.nan, -np.take_along_axis(tops, rank, axis=2)[..., 0]),
         "low": np.where(nothing, np.nan, np.take_along_axis(lows, rank, axis=2)[..., 0]),
     }
-    return CoarseMap(first, layers)
+    return DownsampledMap(first, layers)
 
 
 def shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:

@@ -12,9 +12,15 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 
 from sextant.services.planner.locomotion.gait import GAITS
-from sextant.services.planner.navigation.path_planner import NoWay, Way, cost_of, find_way
-from sextant.services.planner.navigation.stall_detection import Progress
-from sextant.services.planner.navigation.traversability import BESIDE, Crossing, Prices, SeenGround, Size
+from sextant.services.planner.navigation.path_planner import NoPath, PlannedPath, cost_of, find_path
+from sextant.services.planner.navigation.stall_detection import StallDetector
+from sextant.services.planner.navigation.traversability import (
+    BLIND_RADIUS_M,
+    CostMap,
+    CostWeights,
+    LocalGroundMap,
+    RequiredSpace,
+)
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
@@ -35,20 +41,20 @@ _HALT = 0.35  # [m] distance to such a place, below which the robot turns before
 _TURN_FIRST = radians(50.0)  # heading error, above which the robot turns before it walks
 _TURN_GAIN = 1.2  # [1/s]
 _TURN = 0.21  # [rad/s] maximum yaw rate
-_WORTH = 0.85  # [1] relative cost below which a new path replaces the current one
+_SWITCH_COST_RATIO = 0.85  # [1] relative cost below which a new path replaces the current one
 _OFF_WAY = 0.20  # [m] from the current path, beyond which a new one replaces it at any cost
 _STUCK_AHEAD = 0.08  # [m] from the feet along the path to the place that counts as impassable
 _STUCK_RADIUS = 0.08  # [m] radius of an impassable place
-_ELSEWHERE = radians(20.0)  # heading change, from which the robot faces another place
+_NEW_FACING_RAD = radians(20.0)  # heading change, from which the robot faces another place
 _FACED = radians(6.0)  # heading error, below which the robot looks at a place
 _TURN_ABOUT = radians(90.0)  # heading error to the first unseen place, from which it looks at one with a smaller error instead
 _IN_SIGHT = radians(25.0)  # heading error, up to which a place is in the image
 _SIGHT = 1.3  # [m] range at which ground is visible
-_SOON_BESIDE = BESIDE + 0.20  # [m] distance to a place that must be in the image before the robot walks on
+_MUST_SEE_DISTANCE_M = BLIND_RADIUS_M + 0.20  # [m] distance to a place that must be in the image before the robot walks on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heading:
+class MotionCommand:
     """Commands for the next step."""
 
     commands: tuple[VelocityCommand, ...]  # in order of preference; none: arrived
@@ -56,7 +62,7 @@ class Heading:
 
 
 @dataclass(slots=True, eq=False)
-class _Errand:
+class _ActiveGoal:
     """A goal and the state on the way to it."""
 
     goal: Goal
@@ -65,17 +71,17 @@ class _Errand:
     arrived: bool = False
     map: TerrainMap | None = None  # the map of the last path search
     planned_ns: int = 0
-    crossing: Crossing | None = None
-    found: Way | NoWay | None = None
-    way: Way | None = None  # the path that the robot follows
+    cost_map: CostMap | None = None
+    found: PlannedPath | NoPath | None = None
+    way: PlannedPath | None = None  # the path that the robot follows
     stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places without progress
     stuck_reason: str = ""
     reason: str = ""  # why the newest command has no step
-    progress: Progress = field(default_factory=Progress)  # to the next waypoint
+    progress: StallDetector = field(default_factory=StallDetector)  # to the next waypoint
     facing: float = 0.0  # [rad] {world} heading of the newest command
 
 
-class Pilot:
+class PathFollower:
     """Follows the path to one goal at a time."""
 
     def __init__(self, profile: RobotProfile):
@@ -85,18 +91,18 @@ class Pilot:
         half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # the robot must be able to turn
         # Next to a hole the outermost feet may stand closer, by the radius of the foothold search.
         closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + _SPARE
-        self._size = Size(half, min(closer, half), half + _LIKED)
-        self._prices = Prices()
-        self._ground = SeenGround()
-        self._errand: _Errand | None = None
+        self._size = RequiredSpace(half, min(closer, half), half + _LIKED)
+        self._prices = CostWeights()
+        self._ground = LocalGroundMap()
+        self._active_goal: _ActiveGoal | None = None
 
     @property
     def path(self) -> Array:
         """Return the corners (k, 2) [m] {world} of the current path."""
-        errand = self._errand
-        return np.zeros((0, 2)) if errand is None or errand.way is None else errand.way.corners[:MAX_PATH]
+        active_goal = self._active_goal
+        return np.zeros((0, 2)) if active_goal is None or active_goal.way is None else active_goal.way.corners[:MAX_PATH]
 
-    def lead(self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int) -> Heading | NoWay:
+    def lead(self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int) -> MotionCommand | NoPath:
         """Return the next commands towards a goal, or why there is no path.
 
         Args:
@@ -106,115 +112,115 @@ class Pilot:
             body: (4, 4) {world} body pose at the start of the next step.
             now_ns: [ns] current time.
         """
-        nonsense = objection(goal)
-        if nonsense:
-            return NoWay(nonsense)
+        invalid_reason = validation_error(goal)
+        if invalid_reason:
+            return NoPath(invalid_reason)
         xy = body[:2, 3]
         # 1. For a new goal, discard the state of the old one.
-        if self._errand is None or not same_goal(goal, self._errand.goal):
-            self._errand = _Errand(goal, xy.copy())
-        errand = self._errand
-        errand.goal = goal
+        if self._active_goal is None or not same_goal(goal, self._active_goal.goal):
+            self._active_goal = _ActiveGoal(goal, xy.copy())
+        active_goal = self._active_goal
+        active_goal.goal = goal
         # 2. Select the next waypoint.
-        target = goal.waypoints[errand.leg]
-        while errand.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
-            errand.begin, errand.way, errand.map, errand.progress = target, None, None, Progress()
-            errand.leg += 1
-            target = goal.waypoints[errand.leg]
+        target = goal.waypoints[active_goal.leg]
+        while active_goal.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
+            active_goal.begin, active_goal.way, active_goal.map, active_goal.progress = target, None, None, StallDetector()
+            active_goal.leg += 1
+            target = goal.waypoints[active_goal.leg]
         # A robot that has arrived does not start again because of small changes of its estimate.
-        near = _length(target - xy) <= goal.tolerance * (2.0 if errand.arrived else 1.0)
-        errand.arrived = near and errand.leg == len(goal.waypoints) - 1
-        if errand.arrived:
-            errand.way = None
-            return Heading((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
-        if _off(errand.begin, target, xy) > _DETOUR:
-            errand.begin = xy.copy()  # another client has moved it
+        near = _length(target - xy) <= goal.tolerance * (2.0 if active_goal.arrived else 1.0)
+        active_goal.arrived = near and active_goal.leg == len(goal.waypoints) - 1
+        if active_goal.arrived:
+            active_goal.way = None
+            return MotionCommand((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
+        if _off(active_goal.begin, target, xy) > _DETOUR:
+            active_goal.begin = xy.copy()  # another client has moved it
         # 3. Plan the path again if the map has changed and `_REPLAN_NS` has passed, or if there is no progress.
-        if errand.way is not None:
-            self._watch(errand, target, body, now_ns)
-        changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
-        if errand.map is None or changed:
-            errand.map, errand.planned_ns = terrain.map, now_ns
-            self._ground.see(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
-            self._plan(errand, np.array([*xy, yaw_of(body)]), target)
-        if isinstance(errand.found, NoWay):
-            return errand.found
-        return self._follow(errand, target, body, now_ns)
+        if active_goal.way is not None:
+            self._watch(active_goal, target, body, now_ns)
+        changed = active_goal.map is not terrain.map and now_ns - active_goal.planned_ns >= _REPLAN_NS
+        if active_goal.map is None or changed:
+            active_goal.map, active_goal.planned_ns = terrain.map, now_ns
+            self._ground.add_map(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
+            self._plan(active_goal, np.array([*xy, yaw_of(body)]), target)
+        if isinstance(active_goal.found, NoPath):
+            return active_goal.found
+        return self._follow(active_goal, target, body, now_ns)
 
     def _step_s(self, goal: Goal) -> float:
         return self._profile.stance.step_s * GAITS[goal.gait].pace
 
     def note(self, reason: str) -> None:
         """Note why the robot stands, for the report of a stall."""
-        if self._errand is not None:
-            self._errand.reason = reason
+        if self._active_goal is not None:
+            self._active_goal.reason = reason
 
     def pause(self) -> None:
         """Exclude the time until the next call of `lead` from stall detection.
 
         The cause of such a delay is not a property of the ground.
         """
-        if self._errand is not None:
-            self._errand.progress.pause()
+        if self._active_goal is not None:
+            self._active_goal.progress.pause()
 
-    def _watch(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> None:
+    def _watch(self, active_goal: _ActiveGoal, target: Array, body: Array, now_ns: int) -> None:
         """Mark the place ahead as impassable if the robot makes no progress."""
-        assert errand.way is not None
-        assert errand.crossing is not None
+        assert active_goal.way is not None
+        assert active_goal.cost_map is not None
         xy, yaw = body[:2, 3], yaw_of(body)
-        way, _ = _rest(errand.way.corners, xy)
-        left, error = _extent(way) + _length(target - way[-1]), abs(_wrapped(errand.facing - yaw))
-        words = errand.progress.update(now_ns, np.array([*xy, yaw]), left, error, errand.goal.speed)
-        if not errand.progress.astray_s:
-            errand.reason = ""  # it belongs to an earlier command
+        way, _ = _rest(active_goal.way.corners, xy)
+        left, error = _extent(way) + _length(target - way[-1]), abs(_wrapped(active_goal.facing - yaw))
+        words = active_goal.progress.update(now_ns, np.array([*xy, yaw]), left, error, active_goal.goal.speed)
+        if not active_goal.progress.no_progress_s:
+            active_goal.reason = ""  # it belongs to an earlier command
         if not words:
             return
         # The first place ahead that is free for the body, so that the robot takes another path and never this one again.
-        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, min(_extent(way), _AHEAD), errand.crossing.edge)
+        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, min(_extent(way), _AHEAD), active_goal.cost_map.edge)
         places = np.array([*(_along(way, d) for d in ahead), way[-1]])
-        free = np.isfinite(errand.crossing.at(errand.crossing.cost, places))
-        errand.stuck.append(places[int(np.argmax(free))])
-        errand.stuck_reason = f"{words}: {errand.reason}" if errand.reason else words
-        errand.map, errand.progress = None, Progress()  # plan another path immediately
+        free = np.isfinite(active_goal.cost_map.at(active_goal.cost_map.cost, places))
+        active_goal.stuck.append(places[int(np.argmax(free))])
+        active_goal.stuck_reason = f"{words}: {active_goal.reason}" if active_goal.reason else words
+        active_goal.map, active_goal.progress = None, StallDetector()  # plan another path immediately
 
-    def _plan(self, errand: _Errand, place: Array, target: Array) -> None:
+    def _plan(self, active_goal: _ActiveGoal, place: Array, target: Array) -> None:
         """Plan the path; keep the current one unless the new one is clearly cheaper."""
-        xy, stuck = place[:2], np.array(errand.stuck).reshape(-1, 2)
-        crossing = self._ground.crossing(self._size, self._prices, place, stuck, _STUCK_RADIUS)
-        crossing = crossing.beside(errand.begin, target, _DETOUR)
-        found = find_way(crossing, xy, target, errand.goal.tolerance)
-        errand.crossing, errand.found = crossing, found
-        if isinstance(found, NoWay):
-            because = f"; the robot got stuck before: {errand.stuck_reason}" if errand.stuck else ""
-            errand.found, errand.way = NoWay(found.reason + because), None
+        xy, stuck = place[:2], np.array(active_goal.stuck).reshape(-1, 2)
+        cost_map = self._ground.cost_map(self._size, self._prices, place, stuck, _STUCK_RADIUS)
+        cost_map = cost_map.beside(active_goal.begin, target, _DETOUR)
+        found = find_path(cost_map, xy, target, active_goal.goal.tolerance)
+        active_goal.cost_map, active_goal.found = cost_map, found
+        if isinstance(found, NoPath):
+            because = f"; the robot got stuck before: {active_goal.stuck_reason}" if active_goal.stuck else ""
+            active_goal.found, active_goal.way = NoPath(found.reason + because), None
             return
-        if errand.way is not None:
-            old, off = _rest(errand.way.corners, xy)
-            cost = cost_of(crossing, old)
-            same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # the known ground may reach further now
-            if same_end and off < _OFF_WAY and found.cost > _WORTH * cost:
-                errand.way = Way(old, cost)
+        if active_goal.way is not None:
+            old, off = _rest(active_goal.way.corners, xy)
+            cost = cost_of(cost_map, old)
+            same_end = _length(old[-1] - found.corners[-1]) < cost_map.edge  # the known ground may reach further now
+            if same_end and off < _OFF_WAY and found.cost > _SWITCH_COST_RATIO * cost:
+                active_goal.way = PlannedPath(old, cost)
                 return
-        errand.way, errand.progress.changed = found, True
+        active_goal.way, active_goal.progress.changed = found, True
 
-    def _follow(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> Heading:
+    def _follow(self, active_goal: _ActiveGoal, target: Array, body: Array, now_ns: int) -> MotionCommand:
         """Follow the path, facing it."""
-        assert errand.way is not None
-        goal, xy, yaw = errand.goal, body[:2, 3], yaw_of(body)
-        way, _ = _rest(errand.way.corners, xy)
+        assert active_goal.way is not None
+        goal, xy, yaw = active_goal.goal, body[:2, 3], yaw_of(body)
+        way, _ = _rest(active_goal.way.corners, xy)
         left = _extent(way)
         to = _along(way, _LOOK_AHEAD) - xy
         course = atan2(to[1], to[0])
         # Face the unseen part of the path and stop before it. Over seen ground the robot may walk sideways while it turns.
-        veiled_at, veiled = self._veiled(errand, way, yaw)
+        veiled_at, veiled = self._veiled(active_goal, way, yaw)
         if veiled is None:
             facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
         else:
             facing = veiled - xy
-            turn_first = _FACED if veiled_at < _HALT else _IN_SIGHT if _length(facing) < _SOON_BESIDE else pi
+            turn_first = _FACED if veiled_at < _HALT else _IN_SIGHT if _length(facing) < _MUST_SEE_DISTANCE_M else pi
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
-        errand.progress.changed |= abs(_wrapped(yaw + error - errand.facing)) > _ELSEWHERE
-        errand.facing = yaw + error
+        active_goal.progress.changed |= abs(_wrapped(yaw + error - active_goal.facing)) > _NEW_FACING_RAD
+        active_goal.facing = yaw + error
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # A step goes no further than to the look-ahead point, and not past a corner.
         speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s(goal))
@@ -228,26 +234,26 @@ class Pilot:
             wanted.append((0.5 * speed * np.array([cos(back), sin(back)]), 0.0))
         wanted.append((np.zeros(2), -turn))
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
-        return Heading(commands, f"{left:.1f} m of path left to ({target[0]:.1f}, {target[1]:.1f})")
+        return MotionCommand(commands, f"{left:.1f} m of path left to ({target[0]:.1f}, {target[1]:.1f})")
 
-    def _veiled(self, errand: _Errand, way: Array, yaw: float) -> tuple[float, Array | None]:
+    def _veiled(self, active_goal: _ActiveGoal, way: Array, yaw: float) -> tuple[float, Array | None]:
         """Return distance [m] and place (2,) of the unseen ground to look at.
 
         The distance is along the path (k, 2) [m] to the first ground that is unseen but visible from here. The place is that
         ground, unless the robot would have to turn far for it and another place needs a smaller turn. It is None if there is no
         such ground.
         """
-        crossing = errand.crossing
-        assert crossing is not None
-        distance = np.arange(0.0, min(_extent(way), _AHEAD) + crossing.edge, crossing.edge)
+        cost_map = active_goal.cost_map
+        assert cost_map is not None
+        distance = np.arange(0.0, min(_extent(way), _AHEAD) + cost_map.edge, cost_map.edge)
         places = np.array([_along(way, d) for d in distance])
-        reach = np.arange(-self._size.half_width, self._size.half_width + crossing.edge, crossing.edge)
+        reach = np.arange(-self._size.half_width, self._size.half_width + cost_map.edge, cost_map.edge)
         under = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
         first, looks = np.inf, list[tuple[float, Array]]()
-        for k in np.flatnonzero(crossing.at(crossing.veiled, places) > _VEILED):
+        for k in np.flatnonzero(cost_map.at(cost_map.veiled, places) > _VEILED):
             ground = places[k] + under
             off = np.linalg.norm(ground - way[0], axis=1)
-            hidden = crossing.at(crossing.unseen, ground) & (off > BESIDE)
+            hidden = cost_map.at(cost_map.unseen, ground) & (off > BLIND_RADIUS_M)
             if not hidden.any() or (distance[k] > _FORESIGHT and not looks):
                 continue
             place = ground[hidden].mean(axis=0)
@@ -261,7 +267,7 @@ class Pilot:
         return first, min(looks, key=lambda look: look[0])[1] if looks else None
 
 
-def objection(goal: Goal) -> str:
+def validation_error(goal: Goal) -> str:
     """Return why a goal is invalid, or ""."""
     if not (goal.tolerance > 0.0 and goal.speed > 0.0):
         return f"a goal's tolerance and speed greater than 0 expected, found {goal.tolerance:g} m and {goal.speed:g} m/s"

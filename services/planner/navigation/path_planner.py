@@ -7,20 +7,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.navigation.traversability import FAR, OPEN, WORDS, Crossing
-from sextant.services.planner.terrain import LONGEST
+from sextant.services.planner.navigation.traversability import FAR, OBSTACLE_NAMES, OPEN, CostMap
+from sextant.services.planner.terrain import MAX_SAMPLED_LINE_M
 from sextant.shared.geometry import Array
 
 _ESCAPE = 8.0  # cost per metre from an impassable place to free ground
-_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-_BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
+_EIGHT_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_FOUR_NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _DIAGONAL = 0.41421356  # difference between a diagonal and a straight step
 _MISSES = 4  # consecutive cells without a straight line, after which the search for longer lines ends
 _FLAT = 0.20  # [m] width of a region up to which it is reported as a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class PlannedPath:
     """A path."""
 
     corners: Array  # (k, 2) [m] {world}, including start and end
@@ -28,13 +28,13 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class NoWay:
+class NoPath:
     """Reason why there is no path."""
 
     reason: str
 
 
-def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Way | NoWay:
+def find_path(cost_map: CostMap, start: Array, goal: Array, nearby: float) -> PlannedPath | NoPath:
     """Find the cheapest path.
 
     Args:
@@ -44,21 +44,21 @@ def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Wa
         nearby: [m] permitted distance from the goal if the robot cannot stand on the goal itself.
     """
     # 1. The end: the goal, or the last cell towards it, or a free cell near it.
-    aim = _clipped(crossing, start, goal)
-    end = _nearest_free(crossing, crossing.cell(aim), nearby if aim is goal else np.inf)
+    aim = _clipped(cost_map, start, goal)
+    end = _nearest_free(cost_map, cost_map.cell(aim), nearby if aim is goal else np.inf)
     if end is None:
-        return NoWay(f"no path to {_place(goal)}: {_around(crossing, crossing.cell(goal))} is too close to the goal")
+        return NoPath(f"no path to {_place(goal)}: {_around(cost_map, cost_map.cell(goal))} is too close to the goal")
     # 2. The cells of the path.
-    cells, reached = cheapest_cells(crossing.cost, crossing.room, crossing.cell(start), end)
+    cells, reached = cheapest_cells(cost_map.cost, cost_map.room, cost_map.cell(start), end)
     if cells is None:
-        words = f"blocked by {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}"
-        return NoWay(f"no path to {_place(goal)}: {words}")
+        words = f"blocked by {describe_enclosure(cost_map, reached)}; {gap(cost_map, cost_map.cell(start), end)}"
+        return NoPath(f"no path to {_place(goal)}: {words}")
     # 3. The corners of the path.
-    points = crossing.centres(cells)
-    last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
+    points = cost_map.centres(cells)
+    last = goal if aim is goal and cost_map.cell(goal) == end else points[-1]
     points = np.vstack([start, points[1:-1], last])
-    corners = straightened(crossing, points)
-    return Way(corners, cost_of(crossing, corners))
+    corners = straightened(cost_map, points)
+    return PlannedPath(corners, cost_of(cost_map, corners))
 
 
 def cheapest_cells(
@@ -84,7 +84,7 @@ def cheapest_cells(
     price: list[float] = np.pad(cost, 1, constant_values=np.inf).ravel().tolist()
     space: list[float] = np.pad(room, 1, constant_values=-1.0).ravel().tolist()
     first, last = ((i + 1) * row + j + 1 for i, j in (start, end))
-    steps = [(i * row + j, i * row if i and j else 0, j if i and j else 0, float(np.hypot(i, j))) for i, j in _AROUND]
+    steps = [(i * row + j, i * row if i and j else 0, j if i and j else 0, float(np.hypot(i, j))) for i, j in _EIGHT_NEIGHBOURS]
     best, before, done = [closed] * len(price), [first] * len(price), bytearray(len(price))
     best[first] = 0.0
     heap = [(0.0, first)]
@@ -121,17 +121,17 @@ def cheapest_cells(
     return np.stack(np.divmod(np.array(cells[::-1]), row), axis=1) - 1, reached
 
 
-def straightened(crossing: Crossing, points: Array) -> Array:
+def straightened(cost_map: CostMap, points: Array) -> Array:
     """Return the corners (k, 2) [m] of a path (n, 2) [m] with straight segments.
 
     A straight segment costs no more than the part of the path that it replaces.
     """
-    so_far = np.concatenate([[0.0], np.cumsum([cost_of(crossing, points[k : k + 2]) for k in range(len(points) - 1)])])
+    so_far = np.concatenate([[0.0], np.cumsum([cost_of(cost_map, points[k : k + 2]) for k in range(len(points) - 1)])])
     corners, at = [0], 0
     while at < len(points) - 1:
         far, misses = at + 1, 0
         for to in range(at + 2, len(points)):
-            if cost_of(crossing, points[[at, to]]) <= (so_far[to] - so_far[at]) * (1.0 + 1e-9):
+            if cost_of(cost_map, points[[at, to]]) <= (so_far[to] - so_far[at]) * (1.0 + 1e-9):
                 far, misses = to, 0
             else:
                 misses += 1
@@ -142,7 +142,7 @@ def straightened(crossing: Crossing, points: Array) -> Array:
     return np.asarray(points[corners])
 
 
-def cost_of(crossing: Crossing, corners: Array) -> float:
+def cost_of(cost_map: CostMap, corners: Array) -> float:
     """Return the cost of a path (k, 2) [m], in metres of open ground.
 
     It is inf if the path enters closed ground. Only its beginning may be closed.
@@ -150,8 +150,8 @@ def cost_of(crossing: Crossing, corners: Array) -> float:
     total, left = 0.0, False
     for a, b in pairwise(corners):
         length = float(np.linalg.norm(b - a))
-        count = max(2, int(np.ceil(2.0 * min(length, LONGEST) / crossing.edge)) + 1)
-        costs = crossing.at(crossing.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
+        count = max(2, int(np.ceil(2.0 * min(length, MAX_SAMPLED_LINE_M) / cost_map.edge)) + 1)
+        costs = cost_map.at(cost_map.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
         closed = np.isinf(costs)
         # The path may leave a closed place, but must not enter one.
         if (closed[1:] & ~closed[:-1]).any() or (left and closed[0]):
@@ -162,38 +162,38 @@ def cost_of(crossing: Crossing, corners: Array) -> float:
     return total
 
 
-def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
+def describe_enclosure(cost_map: CostMap, reached: NDArray[np.bool_]) -> str:
     """Return the obstacles around the cells (n, m) that were reached, as text."""
     grown = reached
-    cells = int(np.ceil((crossing.room.max() if crossing.room.size else 0.0) / crossing.edge))
+    cells = int(np.ceil((cost_map.room.max() if cost_map.room.size else 0.0) / cost_map.edge))
     for _ in range(cells):
         wide = np.pad(grown, 1)
         grown = wide[1:-1, 1:-1] | wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:]
-    kinds = np.where(grown, crossing.stops, OPEN)
+    kinds = np.where(grown, cost_map.stops, OPEN)
     said = []
     for kind in sorted(set(np.unique(kinds).tolist()) - {OPEN}, key=lambda k: (k == FAR, -int((kinds == k).sum()))):
         if kind == FAR:
-            said.append(WORDS[FAR])
+            said.append(OBSTACLE_NAMES[FAR])
             continue
-        where = crossing.centres(np.argwhere(kinds == kind))
-        said.append(f"{WORDS[kind]} {_extent(where)}")
+        where = cost_map.centres(np.argwhere(kinds == kind))
+        said.append(f"{OBSTACLE_NAMES[kind]} {_extent(where)}")
     return "; ".join(said) or "the end of the mapped ground"
 
 
-def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
+def gap(cost_map: CostMap, start: tuple[int, int], end: tuple[int, int]) -> str:
     """Return the widest gap between two cells and the required room, as text.
 
     It is the narrowest place of the path with the most room.
     """
-    spare = crossing.room - crossing.needs
-    _, cell = widest(np.where(crossing.stops == OPEN, spare + crossing.needs.max(), 0.0), start, end)
+    spare = cost_map.room - cost_map.needs
+    _, cell = find_widest_path(np.where(cost_map.stops == OPEN, spare + cost_map.needs.max(), 0.0), start, end)
     if cell is None:
         return "there is no opening"
-    at, room, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.room[cell], crossing.needs[cell]
+    at, room, needed = _place(cost_map.centres(np.array([cell]))[0]), cost_map.room[cell], cost_map.needs[cell]
     return f"the widest opening, at {at}, has {room:.2f} m on either side of its middle, the robot needs {needed:.2f} m"
 
 
-def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
+def find_widest_path(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
     """Find the path between two cells of a grid (n, m) whose narrowest cell is widest.
 
     Return the room of that cell and the cell. The room of both ends does not count. The cell is None if every path crosses
@@ -211,7 +211,7 @@ def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[f
         done[cell[0]][cell[1]] = True
         if cell == end:
             return -least, narrow
-        for i, j in _BESIDE:
+        for i, j in _FOUR_NEIGHBOURS:
             to = cell[0] + i, cell[1] + j
             if 0 <= to[0] < n and 0 <= to[1] < m and not done[to[0]][to[1]] and rest[to[0]][to[1]] > 0.0:
                 here = -rest[to[0]][to[1]]
@@ -235,32 +235,32 @@ def _place(xy: Array) -> str:
     return f"({xy[0]:.1f}, {xy[1]:.1f})"
 
 
-def _around(crossing: Crossing, cell: tuple[int, int]) -> str:
+def _around(cost_map: CostMap, cell: tuple[int, int]) -> str:
     """Return the obstacle nearest to a cell, as text."""
-    stops = np.argwhere(crossing.stops != OPEN)
+    stops = np.argwhere(cost_map.stops != OPEN)
     if not len(stops):
         return "nothing"
     i, j = stops[int(np.argmin(((stops - cell) ** 2).sum(axis=1)))]
-    return f"{WORDS[int(crossing.stops[i, j])]} at {_place(crossing.centres(np.array([[i, j]]))[0])}"
+    return f"{OBSTACLE_NAMES[int(cost_map.stops[i, j])]} at {_place(cost_map.centres(np.array([[i, j]]))[0])}"
 
 
-def _clipped(crossing: Crossing, start: Array, goal: Array) -> Array:
+def _clipped(cost_map: CostMap, start: Array, goal: Array) -> Array:
     """Return the goal, or the last place towards it that lies in the map."""
-    if crossing.holds(goal):
+    if cost_map.holds(goal):
         return goal
     s = np.linspace(0.0, 1.0, 257)[:, None]
     line = start + s * (goal - start)
-    inside = [k for k, place in enumerate(line) if crossing.holds(place)]
+    inside = [k for k, place in enumerate(line) if cost_map.holds(place)]
     return np.asarray(line[max(inside, default=0)])
 
 
-def _nearest_free(crossing: Crossing, cell: tuple[int, int], within: float) -> tuple[int, int] | None:
+def _nearest_free(cost_map: CostMap, cell: tuple[int, int], within: float) -> tuple[int, int] | None:
     """Return the free cell nearest to a cell, within a distance [m], or None."""
-    if np.isfinite(crossing.cost[cell]):
+    if np.isfinite(cost_map.cost[cell]):
         return cell
-    free = np.argwhere(np.isfinite(crossing.cost))
+    free = np.argwhere(np.isfinite(cost_map.cost))
     if not len(free):
         return None
-    off = np.linalg.norm(free - cell, axis=1) * crossing.edge
+    off = np.linalg.norm(free - cell, axis=1) * cost_map.edge
     k = int(np.argmin(off))
     return (int(free[k, 0]), int(free[k, 1])) if off[k] <= within else None

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from sextant.services.planner.navigation.downsampled_map import (
     Mask,
     closed,
-    coarse,
     distance,
+    downsample,
     lowest_around,
     mean_around,
     over_square,
@@ -32,7 +32,7 @@ from sextant.shared.robot.profile import Camera
 
 EDGE = 0.05  # [m] cell edge
 _CELLS = 128  # cells of the kept window, along each axis
-MAX_STEP = 0.065  # [m] maximum height difference of neighbouring cells for the legs
+MAX_STEP_M = 0.065  # [m] maximum height difference of neighbouring cells for the legs
 _SEEN = 0.25  # [1] minimum known share of a seen cell
 _BARE = 0.8  # [1] share of a cell without a foothold in reach, from which the cell is bare
 _NARROW = 2  # cells; minimum width of bare ground that stops feet
@@ -41,12 +41,12 @@ _LOOKS = 3  # looks at a place without a measurement, from which it is a hole
 _NEAREST, _FURTHEST = 1.15, 1.10  # share of the camera's minimum range, and [m]: the range in which ground is visible
 _FRAME = 0.84  # [1] share of the image's width and height in which ground is visible
 _SHADOW = 0.01  # [m] below the top of an obstacle, from which a place behind it is hidden
-BESIDE = 0.55  # [m] from the body, within which the camera sees nothing in any direction
+BLIND_RADIUS_M = 0.55  # [m] from the body, within which the camera sees nothing in any direction
 
 OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops the robot at a cell
-WORDS = (
+OBSTACLE_NAMES = (
     "",
-    f"a step of more than {int(MAX_STEP * 100)} cm",
+    f"a step of more than {int(MAX_STEP_M * 100)} cm",
     "no foothold",
     "a hole, or ground without measurements",
     "a place where the robot got stuck",
@@ -55,7 +55,7 @@ WORDS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Prices:
+class CostWeights:
     """Additional cost per metre."""
 
     rough: float = 1.5  # for a footprint in which no cell carries a foot; less if some do
@@ -68,7 +68,7 @@ class Prices:
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class RequiredSpace:
     """Space that the robot needs."""
 
     half_width: float  # [m] from its centre to its feet: the distance to keep from obstacles
@@ -77,7 +77,7 @@ class Size:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossing:
+class CostMap:
     """Traversability map for the robot's centre.
 
     Cell (i, j) spans edge * (first + (i, j)) to edge * (first + (i, j) + 1) [m] {world}.
@@ -111,7 +111,7 @@ class Crossing:
         ij = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
         return np.asarray(layer[ij[:, 0], ij[:, 1]])
 
-    def beside(self, start: Array, end: Array, most: float) -> "Crossing":
+    def beside(self, start: Array, end: Array, most: float) -> "CostMap":
         """Return the map, closed beyond a distance [m] from a straight line.
 
         `start` and `end` (2,) [m] {world} are the ends of the line.
@@ -125,7 +125,7 @@ class Crossing:
         return replace(self, cost=np.where(far, np.inf, self.cost), stops=stops)
 
 
-class SeenGround:
+class LocalGroundMap:
     """Ground around the robot from all maps, kept while it is within 3.2 m."""
 
     def __init__(self) -> None:
@@ -134,7 +134,7 @@ class SeenGround:
         self._edge = EDGE
         self._layers = _nothing()
 
-    def see(self, terrain: Terrain, T_world_body: Array, camera: Camera, floor: float) -> None:
+    def add_map(self, terrain: Terrain, T_world_body: Array, camera: Camera, floor: float) -> None:
         """Add a map.
 
         Args:
@@ -149,7 +149,7 @@ class SeenGround:
             self._edge = edge
             self._layers = _nothing()
         self._move_to(T_world_body[:2, 3])
-        found = coarse(terrain, block)
+        found = downsample(terrain, block)
         offset = found.first - self._first
         low = np.maximum(offset, 0)
         high = np.minimum(offset + found.layers["known"].shape, _CELLS)
@@ -167,7 +167,7 @@ class SeenGround:
         mind["fall"] = -lowest_around(-mind["high"]) - floor_beside
         self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
-    def crossing(self, size: Size, prices: Prices, place: Array, stuck: Array, stuck_radius: float) -> Crossing:
+    def cost_map(self, size: RequiredSpace, prices: CostWeights, place: Array, stuck: Array, stuck_radius: float) -> CostMap:
         """Return the traversability map.
 
         Args:
@@ -183,7 +183,7 @@ class SeenGround:
         stops = np.zeros(unseen.shape, dtype=np.int8)
         # 1. Ground that rises or falls by more than legs can take: its upper edge.
         rise = seen["rise"]
-        stops[rise > MAX_STEP] = STEP
+        stops[rise > MAX_STEP_M] = STEP
         # 2. Ground without a foothold in reach, and holes, unless feet can step across.
         stops[wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
         stops[wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
@@ -193,9 +193,9 @@ class SeenGround:
         room, needs = self._room(stops, size)
         # 3. Positions of the body: cost of the ground under its feet, and higher cost near obstacles.
         off = centres - place[:2]
-        near = np.linalg.norm(off, axis=2) < BESIDE
+        near = np.linalg.norm(off, axis=2) < BLIND_RADIUS_M
         aside = np.abs((np.arctan2(off[..., 1], off[..., 0]) - place[2] + np.pi) % (2.0 * np.pi) - np.pi) / np.pi
-        relief = np.clip(np.nan_to_num(rise) / MAX_STEP, 0.0, 1.0)
+        relief = np.clip(np.nan_to_num(rise) / MAX_STEP_M, 0.0, 1.0)
         ground_price = np.where(
             unseen,
             np.where(near, prices.beside, prices.unseen + prices.behind * aside),
@@ -206,9 +206,9 @@ class SeenGround:
         cost = 1.0 + mean_around(ground_price, under) + prices.near * beyond**2
         cost[room < needs] = np.inf
         veiled = mean_around(unseen.astype(np.float64), under)
-        return Crossing(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled)
+        return CostMap(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled)
 
-    def _room(self, stops: NDArray[np.int8], size: Size) -> tuple[Array, Array]:
+    def _room(self, stops: NDArray[np.int8], size: RequiredSpace) -> tuple[Array, Array]:
         """Return distances (n, m) [m] to obstacles and the required distances (n, m) [m].
 
         Of all obstacles, the one that leaves the least room counts. A step in the ground is a wall for a robot below it, which
@@ -216,11 +216,11 @@ class SeenGround:
         """
         seen, reach = self._layers, int(np.ceil(size.half_width / self._edge))
         tops = over_square(np.where(stops == STEP, seen["high"], -np.inf), reach, reach, np.maximum, -np.inf)
-        below = tops > np.nan_to_num(seen["low"], nan=-np.inf) + MAX_STEP
+        below = tops > np.nan_to_num(seen["low"], nan=-np.inf) + MAX_STEP_M
         kinds = (
             (stops == STUCK, size.half_width),
             (stops == STEP, np.where(below, size.half_width, 0.0)),
-            ((stops == BARE) | (stops == HOLE) | (seen["fall"] > MAX_STEP), size.beside_hole),
+            ((stops == BARE) | (stops == HOLE) | (seen["fall"] > MAX_STEP_M), size.beside_hole),
         )
         rooms = np.stack([distance(mask, size.wide / self._edge) * self._edge for mask, _ in kinds])
         needs = np.stack([np.broadcast_to(need, stops.shape) for _, need in kinds])

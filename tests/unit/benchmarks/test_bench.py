@@ -169,7 +169,7 @@ def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_what_cannot_be_timed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch, error: ImportError, said: str) -> None:
-    def absent(*_: object) -> registration_peers.Registers:
+    def absent(*_: object) -> registration_peers.RegistrationMethod:
         raise error
 
     ours = registration_peers.METHODS["projective (default)"]

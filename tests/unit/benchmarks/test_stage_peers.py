@@ -10,7 +10,7 @@ from benchmarks.peers.scenes import MAPPED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.mapper.footholds.foothold_map import FootholdRules
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
@@ -62,7 +62,7 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
         camera = np.array([0.005 * k - 0.3, 0.1 - 0.004 * k, 0.5])
         for grid in (ours, theirs):
             grid.move_to(camera[:2])
-        ours.fuse(CheckedScan.of(p, count, spread, camera, 1e-6 * np.eye(6)))
+        ours.fuse(ValidatedScan.of(p, count, spread, camera, 1e-6 * np.eye(6)))
         theirs.fuse(p, count, spread, camera, 1e-6 * np.eye(6))
     elevation = ours.snapshot().elevation
     known = np.isfinite(elevation)
@@ -85,7 +85,7 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
             [x[seen], y[seen], np.where(boxed, 0.2, 0.0)[seen] + rise + 0.0005 * rng.standard_normal(seen.sum())]
         )
         scan = p, np.full(len(p), 8), np.zeros(len(p)), np.array([-0.4, 0.0, 0.5]), 1e-9 * np.eye(6)
-        ours.fuse(CheckedScan.of(*scan))
+        ours.fuse(ValidatedScan.of(*scan))
         theirs.fuse(*scan)
         elevation = ours.snapshot().elevation
         np.testing.assert_array_equal(np.isfinite(elevation), np.isfinite(theirs.elevation))

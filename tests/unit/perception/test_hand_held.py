@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.registration.motion_prior import VelocityPrior
-from sextant.services.perception.registration.projective_icp import HAND_HELD, Acceptance, Registered, Registration
+from sextant.services.perception.registration.projective_icp import HAND_HELD, Acceptance, Registration, RegistrationResult
 from tests.support.depth_folders import CAMERA, RATE_HZ, SENSOR, room
 from tests.support.raycast import camera_pose, depth_image
 
@@ -22,11 +22,11 @@ def at(x: float, y: float = 0.0, yaw: float = 0.0) -> np.ndarray:
     return np.asarray(camera_pose(x, y, yaw, z=0.6))
 
 
-def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[Registered]:
+def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[RegistrationResult]:
     """Register the frames of a hand-held camera without odometry."""
     rng, prior = np.random.default_rng(1000), VelocityPrior(0.15)
     registration = Registration(CAMERA, SENSOR, HAND_HELD, blocks_across=160)
-    found: list[Registered] = []
+    found: list[RegistrationResult] = []
     for n, T in enumerate(poses):
         expected = prior.predict(1.0 / RATE_HZ) if found else T
         sigma = 0.01 if prior.measured else 0.06
@@ -36,7 +36,7 @@ def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[Registered]:
     return found
 
 
-def errors(found: Sequence[Registered], poses: Sequence[np.ndarray]) -> np.ndarray:
+def errors(found: Sequence[RegistrationResult], poses: Sequence[np.ndarray]) -> np.ndarray:
     """Return distances (n,) [m] of the estimated from the true positions."""
     return np.array([np.linalg.norm(r.T_world_camera[:3, 3] - T[:3, 3]) for r, T in zip(found, poses, strict=True)])
 

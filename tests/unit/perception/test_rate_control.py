@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.perception.rate_control import LinkCare
+from sextant.services.perception.rate_control import RateControl
 
 MS, SEC = 1_000_000, 1_000_000_000
 FRAME_NS = 66_666_667
@@ -22,7 +22,7 @@ class Link:
     """
 
     def __init__(self, bytes_per_s: float, delay_ns: int = 20 * MS):
-        self.care, self.rate, self.delay_ns = LinkCare(), bytes_per_s, delay_ns
+        self.care, self.rate, self.delay_ns = RateControl(), bytes_per_s, delay_ns
         self.now_ns, self.free_ns = SEC, 0.0
         self.arrive: deque[tuple[float, int]] = deque()  # times at which receipts return, and their scans
         self.latencies_ms: list[float] = []
@@ -34,13 +34,13 @@ class Link:
         for _ in range(round(seconds * 15)):
             self.now_ns += FRAME_NS
             while self.arrive and self.arrive[0][0] <= self.now_ns:
-                self.care.received(self.arrive.popleft()[1], self.now_ns)
-            self.care.look(self.now_ns)
-            if self.care.wants():
+                self.care.record_receipt(self.arrive.popleft()[1], self.now_ns)
+            self.care.check_overdue(self.now_ns)
+            if self.care.should_send():
                 self.care.sent(self.now_ns, self.now_ns)
                 self.sent += 1
                 if not self.cut and (self.free_ns - self.now_ns) * 1e-9 * self.rate < BUFFER:
-                    size = FULL * self.care.allowance.points
+                    size = FULL * self.care.budget.points
                     self.free_ns = max(self.free_ns, self.now_ns) + 1e9 * size / self.rate
                     self.latencies_ms.append((self.free_ns + self.delay_ns - self.now_ns) * 1e-6)
                     self.arrive.append((self.free_ns + 2 * self.delay_ns, self.now_ns))
@@ -88,35 +88,35 @@ def test_a_cut_says_nothing_of_what_the_link_carries() -> None:
 
 
 def test_a_mapper_that_is_busy_for_a_moment_is_no_narrow_link() -> None:
-    care, now_ns = LinkCare(), 0
+    care, now_ns = RateControl(), 0
     for k in range(300):
         now_ns += FRAME_NS
-        care.look(now_ns)
+        care.check_overdue(now_ns)
         care.sent(now_ns, now_ns)
-        care.received(now_ns, now_ns + (180 if k % 5 in (3, 4) else 10) * MS)
+        care.record_receipt(now_ns, now_ns + (180 if k % 5 in (3, 4) else 10) * MS)
     assert care.share == 1.0
 
 
 def test_without_anybody_who_answers_all_is_sent() -> None:
-    care = LinkCare()
+    care = RateControl()
     for k in range(200):
-        care.look(k * FRAME_NS)
-        assert care.wants()
+        care.check_overdue(k * FRAME_NS)
+        assert care.should_send()
         care.sent(k, k * FRAME_NS)
-    care.received(-5, SEC)  # of a scan that was never sent
+    care.record_receipt(-5, SEC)  # of a scan that was never sent
     assert care.share == 1.0
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 2000)), max_size=200))
 def test_whatever_comes_it_sends_between_a_fresh_map_and_all(words: list[tuple[bool, int]]) -> None:
-    care, now_ns = LinkCare(), 0
+    care, now_ns = RateControl(), 0
     for answered, wait_ms in words:
         now_ns += wait_ms * MS
-        care.look(now_ns)
+        care.check_overdue(now_ns)
         care.sent(now_ns, now_ns)
         if answered:
-            care.received(now_ns, now_ns + wait_ms * MS)
-        allowed = care.allowance
+            care.record_receipt(now_ns, now_ns + wait_ms * MS)
+        allowed = care.budget
         assert 0.067 <= care.share <= 1.0
         assert 4.0 / 15.0 <= allowed.scans <= 1.0
         assert 0.25 <= allowed.points <= 1.0

@@ -9,12 +9,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
+from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
 from sextant.services.planner.gap_crossing.sections import bare, goal_behind, without
 from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
-from sextant.services.planner.gap_crossing.strip_map import Field
-from sextant.services.planner.navigation.path_planner import NoWay, find_way
-from sextant.services.planner.navigation.traversability import Prices, SeenGround, Size
+from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.navigation.path_planner import NoPath, find_path
+from sextant.services.planner.navigation.traversability import CostWeights, LocalGroundMap, RequiredSpace
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
@@ -87,8 +87,8 @@ def test_a_gap_ahead_lies_on_the_way_and_on_the_map(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = Terrain(any_map(rng))
     xy, target = rng.uniform(-1.5, 1.5, (2, 2))
-    found = gap_ahead(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])))
-    if isinstance(found, Verge):
+    found = detect_gap(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])))
+    if isinstance(found, GapEdge):
         assert 0.0 <= found.distance <= np.linalg.norm(target - xy)
     else:
         assert found
@@ -98,16 +98,16 @@ def test_a_gap_ahead_lies_on_the_way_and_on_the_map(seed: int) -> None:
 @given(seeds)
 def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    ground, terrain = SeenGround(), Terrain(any_map(rng))
+    ground, terrain = LocalGroundMap(), Terrain(any_map(rng))
     place = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(-np.pi, np.pi)])
     body = from_xyz_rpy((*place[:2], HEIGHT), (0.0, 0.0, place[2]))
     for _ in range(4):
-        ground.see(terrain, body, CAMERA, 0.0)
+        ground.add_map(terrain, body, CAMERA, 0.0)
     stuck = rng.uniform(-1.0, 1.0, (int(rng.integers(0, 3)), 2))
     goal = rng.uniform(-1.0, 1.0, 2) * rng.choice([0.02, 1.0, 6.0])
-    crossing = ground.crossing(Size(0.31, 0.19, 0.51), Prices(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
-    found = find_way(crossing, place[:2], goal, 0.05)
-    if isinstance(found, NoWay):
+    cost_map = ground.cost_map(RequiredSpace(0.31, 0.19, 0.51), CostWeights(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
+    found = find_path(cost_map, place[:2], goal, 0.05)
+    if isinstance(found, NoPath):
         assert found.reason
     else:
         np.testing.assert_array_equal(found.corners[0], place[:2])
@@ -119,7 +119,7 @@ def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed
 def test_the_goal_of_a_section_lies_ahead_of_the_body_up_to_the_target(seed: int) -> None:
     rng = np.random.default_rng(seed)
     request = PassageRequest(0, rng.uniform(-1.0, 1.0, 2), float(rng.uniform(-3.0, 3.0)), *STRIP)
-    field = Field.of(any_strip(rng, request))
+    field = StripMap.of(any_strip(rng, request))
     for _ in range(int(rng.integers(0, 4))):
         field = without(field, rng.uniform([-0.2, -0.6, -0.4], [2.9, 0.6, 0.1]), 0.055)
     x, target = rng.uniform(-0.3, 3.0, 2)

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.locomotion.step_planner import SHARES, Blocked
-from sextant.services.planner.navigation.path_follower import Heading
-from sextant.services.planner.navigation.path_planner import NoWay
+from sextant.services.planner.locomotion.step_planner import SHARES, NoStep
+from sextant.services.planner.navigation.path_follower import MotionCommand
+from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.service import Planner
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
@@ -478,11 +478,11 @@ def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_agai
     straight = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
     turning = replace(straight, yaw_rate=0.3)
     choose = rig.planner._strides.choose
-    blocked = Blocked("the ground forbids it")
+    blocked = NoStep("the ground forbids it")
     monkeypatch.setattr(
         rig.planner._strides, "choose", lambda at, *more: (blocked, 0) if at[0].command.yaw_rate else choose(at, *more)
     )
-    monkeypatch.setattr(rig.planner._pilot, "lead", lambda *_: Heading((turning, straight), "to a goal"))
+    monkeypatch.setattr(rig.planner._pilot, "lead", lambda *_: MotionCommand((turning, straight), "to a goal"))
     first, again, *others = refused(rig, 100)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
     assert len(others) > 3
@@ -811,9 +811,9 @@ def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() 
     rig, seen = Rig(), list[tuple[int, float]]()
     rig.command, rig.goal = None, GOAL
 
-    def lead(_goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoWay:
+    def lead(_goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoPath:
         seen.append((now_ns, float(looked[0, 3])))
-        return NoWay("looking")
+        return NoPath("looking")
 
     rig.planner._pilot.lead = lead  # type: ignore[method-assign, assignment]
     begun_ns = rig.now_ns + 20 * MS
@@ -913,7 +913,7 @@ def test_where_no_other_step_goes_on_from_one_by_touch_it_goes_on_by_touch(monke
         rig.finish(replace(plan, touchdown=np.maximum(plan.touchdown, [-9.0, -9.0, PROFILE.foot.radius])))
         assert rig.pose is not None
         rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
-    stretched = Blocked("right rear leg: its foot would be out of reach at the end of the step")
+    stretched = NoStep("right rear leg: its foot would be out of reach at the end of the step")
     monkeypatch.setattr(rig.planner._strides, "choose", lambda *_: (stretched, 0))
     sent = rig.plans(40)
     assert sent, rig.status().reason

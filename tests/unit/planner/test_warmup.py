@@ -8,8 +8,8 @@ from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, field_
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
-from sextant.services.planner.warmup import rehearse
+from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.warmup import compile_functions
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import PassageMap
@@ -24,18 +24,18 @@ def compiled() -> int:
     return sum(len(f.signatures) for f in found.values())
 
 
-def as_told(field: Field) -> Field:
+def as_told(field: StripMap) -> StripMap:
     """Return the same ground as the planner receives it, from a message."""
     shape, origin = field.elevation.shape, np.array(field.corner)
     nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
     normals = np.zeros((*shape, 3), dtype=np.int16)
     layers = (field.elevation, normals, nothing, none, field.evaluation)
     told = PassageMap(0, field.resolution, origin, 0.0, *layers, 0.0, "", np.eye(4), none)
-    return Field.of(codec.decode(codec.encode(told), PassageMap)[0])
+    return StripMap.of(codec.decode(codec.encode(told), PassageMap)[0])
 
 
 def test_a_passage_is_planned_without_compiling_anything() -> None:
-    rehearse(PROFILE, Settings())
+    compile_functions(PROFILE, Settings())
     before = compiled()
     assert before > 0
     field = as_told(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))

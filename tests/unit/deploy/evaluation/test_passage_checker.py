@@ -18,10 +18,10 @@ from sextant.deploy.evaluation.passage_fields import (
     stance_at,
     thesis_blocks,
 )
-from sextant.services.planner.gap_crossing.backtracking import Trail
-from sextant.services.planner.gap_crossing.roadmap import Crossing, PassageStep, Roadmap, Stance
+from sextant.services.planner.gap_crossing.backtracking import StepHistory
+from sextant.services.planner.gap_crossing.roadmap import PassageStep, Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
@@ -29,11 +29,11 @@ GAP, HEIGHT = 0.8, 0.11
 START_STANCE = stance_at(PROFILE, START, HEIGHT)
 
 
-def bridged(scenario: int) -> Field:
+def bridged(scenario: int) -> StripMap:
     return field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
 
 
-def scattered(seed: int, relief: float) -> Field:
+def scattered(seed: int, relief: float) -> StripMap:
     return field_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
 
 
@@ -42,10 +42,10 @@ def roadmap() -> Roadmap:
     return Roadmap(PROFILE, PassageSettings(body_height=HEIGHT))
 
 
-def planned(roadmap: Roadmap, field: Field, seed: int) -> Crossing:
+def planned(roadmap: Roadmap, field: StripMap, seed: int) -> SectionPlan:
     roadmap.begin(field, START_STANCE, NEAR + GAP + BEYOND, seed)
     found = roadmap.grow(10**6)
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     return found
 
 
@@ -69,7 +69,7 @@ def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: i
     for step in steps:
         if step.leg >= 0:
             feet[step.leg] = step.touchdown
-    trail = Trail()
+    trail = StepHistory()
     trail.begin(START_STANCE, steps)
     back = trail.back([], 0.05)
     assert len(back) >= 3
@@ -85,7 +85,7 @@ def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
     start = stance_at(PROFILE, START, bench.HEIGHT)
     roadmap.begin(field, start, NEAR + GAP + BEYOND, seed=1)
     found = roadmap.grow(10**6)
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     assert violations(PROFILE, field, start, found.steps) == []
 
 
@@ -116,7 +116,7 @@ def test_what_is_spoilt_is_found(roadmap: Roadmap, spoil: Callable[[PassageStep]
 def test_a_foot_on_no_foothold_is_found(roadmap: Roadmap) -> None:
     field = bridged(1)
     steps = planned(roadmap, field, 1).steps
-    bare = Field(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
+    bare = StripMap(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
     assert any("on a cell of value 3" in words for words in violations(PROFILE, bare, START_STANCE, steps))
 
 

@@ -15,7 +15,7 @@ from tests.support.grid_scans import take
 RAYS_U, RAYS_V = np.meshgrid(np.linspace(-0.45, 0.45, 181), np.linspace(-0.38, 0.38, 181), indexing="ij")
 
 
-def look(
+def clear_along_rays(
     blocks: NDArray[np.float64],
     p_camera: NDArray[np.float64],
     pitch: float = math.radians(30.0),
@@ -60,12 +60,12 @@ def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured
     rng = np.random.default_rng(6)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     for _ in range(20):
-        take(grid, look(BOX, camera, rng=rng), camera)
+        take(grid, clear_along_rays(BOX, camera, rng=rng), camera)
     assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
     dark = rng.random((400, 400)) >= measured
     cleared = 0
     for _ in range(60):
-        points = look(np.zeros((0, 5)), camera, rng=rng)
+        points = clear_along_rays(np.zeros((0, 5)), camera, rng=rng)
         on_spot = (points[:, 0] > 0.88) & (points[:, 0] < 1.12) & (np.abs(points[:, 1]) < 0.17)
         i, j = np.floor(points[:, :2] / 0.01).astype(int).T
         cleared += take(grid, points[~(on_spot & dark[i % 400, j % 400])], camera).cleared
@@ -83,9 +83,9 @@ def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_
     near = np.array([[0.42, -0.05, 0.52, 0.05, 0.10]])
     for k in range(20):
         above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is hit
-        take(grid, look(np.concatenate([BOX, near]), above, ground=-9.0), above)
+        take(grid, clear_along_rays(np.concatenate([BOX, near]), above, ground=-9.0), above)
     assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
-    beyond = look(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # ends of rays below, where pictures show nothing
+    beyond = clear_along_rays(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # ends of rays below, where pictures show nothing
     for _ in range(60):
         take(grid, np.empty((0, 3)), camera, sights=beyond, nearest=0.6)
     assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
@@ -104,7 +104,7 @@ def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> 
         grid = ElevationGrid(size=400)
         for k in range(20):
             above = np.array([0.0, 0.0, 0.4 + 0.003 * k])  # so that every cell is hit
-            take(grid, look(BOX, above), above)
+            take(grid, clear_along_rays(BOX, above), above)
         for _ in range(60):
             take(grid, np.empty((0, 3)), np.array([-away, 0.0, 0.05]), sights=level)
         left.append(grid.snapshot().elevation)
@@ -120,7 +120,7 @@ def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> No
     rng = np.random.default_rng(6)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     for _ in range(20):
-        take(grid, look(BOX, camera, rng=rng), camera)
+        take(grid, clear_along_rays(BOX, camera, rng=rng), camera)
     x, y = np.meshgrid(np.arange(0.605, 1.7, 0.01), np.arange(-0.295, 0.3, 0.01), indexing="ij")
     floor = np.column_stack([x.ravel(), y.ravel(), rng.normal(0.0, 1e-3, x.size)])
     on_spot = (np.abs(floor[:, 0] - 1.0) < 0.12) & (np.abs(floor[:, 1]) < 0.17)
@@ -155,7 +155,7 @@ def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk()
     cleared = 0
     for k in range(50):
         camera = np.array([0.018 * k, 0.05 * math.sin(0.2 * k), 0.30 + 0.01 * math.sin(0.9 * k)])
-        points = look(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
+        points = clear_along_rays(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
         w, v = rng.normal(0.0, 2e-3, 3), rng.normal(0.0, 1.5e-3, 3)
         report = take(
             grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
@@ -180,7 +180,7 @@ def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
     grid = ElevationGrid(size=400)
     for k in range(20):
         p_camera = np.array([0.0, 0.0, 0.4 + 0.003 * k])
-        take(grid, look(BOX, p_camera), p_camera)
+        take(grid, clear_along_rays(BOX, p_camera), p_camera)
     y = np.arange(-0.245, 0.25, 0.001)
     level = np.column_stack([np.full(len(y), 1.9), y, np.zeros(len(y))])
     for _ in range(60):
@@ -197,13 +197,13 @@ def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_har
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.25])
     low = np.array([[0.85, -0.3, 0.95, -0.1, 0.04], [0.85, 0.1, 0.95, 0.3, 0.04]])
     for _ in range(20):
-        take(grid, look(low, camera, rng=rng), camera)
+        take(grid, clear_along_rays(low, camera, rng=rng), camera)
     before = grid.snapshot().elevation
     for k in range(30):
-        take(grid, look(np.concatenate([low, legs_at(0.9 - 0.06 * k)]), camera, rng=rng), camera)
+        take(grid, clear_along_rays(np.concatenate([low, legs_at(0.9 - 0.06 * k)]), camera, rng=rng), camera)
     assert np.nanmax(grid.snapshot().elevation) > 0.08
     for _ in range(30):
-        take(grid, look(low, camera, rng=rng), camera)
+        take(grid, clear_along_rays(low, camera, rng=rng), camera)
     after = grid.snapshot().elevation
     assert np.nanmax(after) < 0.065, "lines of sight pass over the blocks 2 cm and more below that"
     known = np.isfinite(before) & np.isfinite(after)

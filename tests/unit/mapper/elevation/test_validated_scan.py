@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, FusionCount
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from tests.support.grid_scans import CAMERA, scan, scan_of
 
 
@@ -110,7 +110,7 @@ def test_bad_scans_of_the_wire_are_refused(index: int, bad: NDArray[Any]) -> Non
     arguments: list[Any] = list(WIRE)
     arguments[index] = bad
     with pytest.raises(ValueError, match="expected"):
-        CheckedScan.of_millimetres(*arguments)
+        ValidatedScan.of_millimetres(*arguments)
 
 
 def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
@@ -122,7 +122,7 @@ def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
         count, spread = rng.integers(1, 30, 2000).astype(np.uint8), rng.integers(0, 9, 2000).astype(np.uint8)
         sights = rng.integers([200, -200, -300], [250, 200, -290], (100, 3)).astype(np.int16)
         metres.fuse(scan_of(origin + mm * 1e-3, count, spread * 1e-3, camera, sights=origin + sights * 1e-3, nearest=0.1))
-        wire.fuse(CheckedScan.of_millimetres(origin, mm, count, spread, camera, None, sights, 0.1))
+        wire.fuse(ValidatedScan.of_millimetres(origin, mm, count, spread, camera, None, sights, 0.1))
     for layer in ("elevation", "variance"):
         np.testing.assert_array_equal(getattr(metres.snapshot(), layer), getattr(wire.snapshot(), layer))
     assert np.isfinite(wire.snapshot().elevation).sum() > 1000

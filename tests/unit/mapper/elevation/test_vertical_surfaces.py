@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
-from sextant.services.mapper.elevation.validated_scan import CheckedScan
+from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.mapper.elevation.vertical_surfaces import RIM, TALL
 from sextant.shared.geometry import Array
 
@@ -36,7 +36,7 @@ def face(top: float) -> Array:
 
 def see(grid: ElevationGrid, *parts: Array, covariance: Array | None = None, camera: Array = CAMERA) -> None:
     points = np.vstack(parts)
-    grid.fuse(CheckedScan.of(points[:, :3], np.full(len(points), 6), points[:, 3], camera, covariance))
+    grid.fuse(ValidatedScan.of(points[:, :3], np.full(len(points), 6), points[:, 3], camera, covariance))
 
 
 def wall_of(grid: ElevationGrid) -> Array:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.services.mapper.footholds.foothold_feedback import Touch, TouchWatch
+from sextant.services.mapper.footholds.foothold_feedback import FirstStanceDetector, StanceResult
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import ActuatorState, BodyPose
@@ -16,7 +16,7 @@ POSE = BodyPose(0, T, T, np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
 ODD, EVEN = np.array([True, False] * 3), np.array([False, True] * 3)
 
 
-def walk(watch: TouchWatch, steps: int, **changes: object) -> list[list[Touch]]:
+def walk(watch: FirstStanceDetector, steps: int, **changes: object) -> list[list[StanceResult]]:
     """Return the touches of each step; the legs swing in turn."""
     found = []
     for step in range(steps):
@@ -30,7 +30,7 @@ def walk(watch: TouchWatch, steps: int, **changes: object) -> list[list[Touch]]:
 
 
 def test_each_stance_is_judged_once_and_only_after_a_swing() -> None:
-    found = walk(TouchWatch(PROFILE.foot.radius), 5)
+    found = walk(FirstStanceDetector(PROFILE.foot.radius), 5)
     assert [len(touches) for touches in found] == [0, 3, 3, 3, 3]
     feet = T[:3, :3] @ PROFILE.rest_feet(0.1).T + T[:3, 3:]
     for touches, swung in zip(found[1:], (ODD, EVEN) * 2, strict=True):
@@ -41,11 +41,11 @@ def test_each_stance_is_judged_once_and_only_after_a_swing() -> None:
 def test_a_foot_that_carries_nothing_says_so() -> None:
     contact = np.ones(6, dtype=bool)
     contact[0] = False
-    touches = walk(TouchWatch(PROFILE.foot.radius), 2, contact=contact)[1]
+    touches = walk(FirstStanceDetector(PROFILE.foot.radius), 2, contact=contact)[1]
     assert [touch.carries for touch in touches] == [False, True, True]
 
 
 def test_a_robot_that_stands_says_nothing() -> None:
-    watch = TouchWatch(PROFILE.foot.radius)
+    watch = FirstStanceDetector(PROFILE.foot.radius)
     for phase in np.linspace(0, 1, 11):
         assert watch.update(replace(legs(), phase=float(phase)), POSE) == []

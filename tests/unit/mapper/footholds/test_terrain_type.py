@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sextant.services.mapper.footholds.terrain_type import Palette, TerrainType, Type, TypeMap, TypeModel
+from sextant.services.mapper.footholds.terrain_type import GroundType, Palette, TerrainType, TypeMap, TypeModel
 from sextant.shared.color import ycocg_from_rgb
 from sextant.shared.geometry import Array
 
@@ -38,7 +38,7 @@ def painted(
             rgb[cells] = color
         rgb *= rng.normal(1.0, 0.08, (N, N, 1))
         rgb += rng.normal(0.0, 3.0, rgb.shape)
-        known.see(centres(), ycocg_from_rgb(np.clip(rgb, 0, 255).reshape(-1, 3)))
+        known.add_colors(centres(), ycocg_from_rgb(np.clip(rgb, 0, 255).reshape(-1, 3)))
     return known
 
 
@@ -53,9 +53,9 @@ AWAY = ~square(0.1, 0.1, 0.13)
 
 def test_ground_that_is_like_the_one_stood_on_is_firm() -> None:
     known = painted(GREY)
-    assert known.stand_on(ALL)
+    assert known.learn_start_ground(ALL)
     found = judged(known)
-    assert found.probability[..., Type.FIRM].min() > 0.8
+    assert found.probability[..., GroundType.FIRM].min() > 0.8
     assert not found.hazard.any()
     assert not found.cost.any()
     assert found.confidence.min() >= 80
@@ -66,36 +66,36 @@ def test_ground_that_is_like_the_one_stood_on_is_firm() -> None:
 def test_a_flat_patch_that_mirrors_the_sky_is_water(seed: int, light: float) -> None:
     grey, blue = (tuple(int(light * c) for c in color) for color in (GREY, BLUE))
     known = painted(grey, (POOL, blue), seed=seed)  # type: ignore[arg-type]
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     found = judged(known)
-    assert (found.hazard[POOL] == Type.WATER).mean() > 0.99
+    assert (found.hazard[POOL] == GroundType.WATER).mean() > 0.99
     assert (found.cost[POOL] > 1.0).mean() > 0.99
     assert (found.hazard[AWAY] == 0).mean() > 0.999
 
 
 def test_a_foot_keeps_its_own_width_away() -> None:
     known = painted(GREY, (POOL, BLUE))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     beside = square(0.1, 0.1, 0.105) & ~square(0.1, 0.1, 0.095)
-    assert (judged(known).hazard[beside] == Type.WATER).all()
+    assert (judged(known).hazard[beside] == GroundType.WATER).all()
 
 
 def test_another_material_is_no_hazard() -> None:
     known = painted(GREY, (POOL, TAN))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     assert not judged(known).hazard[POOL].any()
 
 
 def test_colours_are_judged_by_the_ground_that_carried() -> None:
     """Check that blue is firm on a blue floor."""
     known = painted(BLUE)
-    known.stand_on(ALL)
+    known.learn_start_ground(ALL)
     assert not judged(known).hazard.any()
 
 
 def test_water_lies_level() -> None:
     known = painted(GREY, (POOL, BLUE))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     steep, rough = np.full((N, N), 0.3, dtype=np.float32), np.full((N, N), 0.008, dtype=np.float32)
     assert not judged(known, steep, rough).hazard[POOL].any()
     unknown = np.full((N, N), np.nan, dtype=np.float32)
@@ -105,20 +105,20 @@ def test_water_lies_level() -> None:
 def test_one_foot_that_sank_tells_of_all_ground_of_that_colour() -> None:
     other = square(-0.2, -0.2, 0.06)
     known = painted(GREY, (POOL, BROWN), (other, BROWN))
-    known.stand_on(~POOL & ~other)
+    known.learn_start_ground(~POOL & ~other)
     before = judged(known)
     assert not before.hazard[POOL].any()
     for _ in range(2):
         known.touch(np.array([0.1, 0.1]), 0.018)
     after = judged(known)
-    assert (after.hazard[other] == Type.LOOSE).mean() > 0.9
+    assert (after.hazard[other] == GroundType.LOOSE).mean() > 0.9
     assert (after.hazard[AWAY & ~square(-0.2, -0.2, 0.11)] == 0).mean() > 0.999
 
 
 def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> None:
     """Check small errors of map, pose and joints: some millimetres, foot after foot."""
     known = painted(GREY, (POOL, TAN))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     rng = np.random.default_rng(0)
     for k in range(40):
         where = rng.uniform(0.04, 0.16, 2) if k % 2 else rng.uniform(-0.3, -0.1, 2)
@@ -132,7 +132,7 @@ def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, out
     """Check errors as the model assumes them, on ground that is new at every touch."""
     rng = np.random.default_rng(seed)
     known = painted(GREY)
-    assert known.stand_on(ALL)
+    assert known.learn_start_ground(ALL)
     place, model = np.zeros(2), known.model
     for k in range(4000):
         sink = rng.uniform(0.0, model.deepest) if rng.random() < outliers else rng.normal(0.0, sigma)
@@ -144,7 +144,7 @@ def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, out
 
 def test_feet_that_carry_clear_a_colour_of_its_bad_name() -> None:
     known = painted(GREY, (POOL, BLUE))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     assert judged(known).hazard[POOL].any()
     for xy in ((0.08, 0.08), (0.12, 0.12), (0.12, 0.08)):
         known.touch(np.array(xy), 0.001)
@@ -157,9 +157,9 @@ def test_feet_speak_without_any_colour() -> None:
     known.touch(np.array([-0.2, 0.0]), 0.0)
     found = judged(known)
     wet, dry, far = (found.probability[N // 2 + at, N // 2] for at in (20, -20, 0))
-    assert wet[Type.FIRM] < 0.5
-    assert far[Type.FIRM] == pytest.approx(MODEL.prior[0])
-    assert dry[Type.FIRM] > MODEL.prior[0]
+    assert wet[GroundType.FIRM] < 0.5
+    assert far[GroundType.FIRM] == pytest.approx(MODEL.prior[0])
+    assert dry[GroundType.FIRM] > MODEL.prior[0]
     assert found.confidence[N // 2, N // 2] == 0
     assert found.confidence[N // 2 - 20, N // 2] > 90
 
@@ -167,9 +167,12 @@ def test_feet_speak_without_any_colour() -> None:
 def test_nothing_found_is_worse_than_a_foot_that_carries() -> None:
     known = TerrainType((N, N), R, np.full(2, -N // 2))
     nothing, carried = known.sink_log_likelihood(None), known.sink_log_likelihood(0.0)
-    assert np.argmax(nothing) == Type.WATER
-    assert np.argmax(carried) == Type.FIRM
-    deeper = [known.sink_log_likelihood(s)[Type.WATER] - known.sink_log_likelihood(s)[Type.LOOSE] for s in (0.02, 0.05, 0.08)]
+    assert np.argmax(nothing) == GroundType.WATER
+    assert np.argmax(carried) == GroundType.FIRM
+    deeper = [
+        known.sink_log_likelihood(s)[GroundType.WATER] - known.sink_log_likelihood(s)[GroundType.LOOSE]
+        for s in (0.02, 0.05, 0.08)
+    ]
     assert deeper == sorted(deeper), "the deeper, the rather water"
 
 
@@ -181,8 +184,8 @@ def test_probabilities_stay_probabilities(sink: float, slope: float, rough: floa
     color = rng.uniform((0, -255, -255), (255, 255, 255), (256, 3)).astype(np.float32)
     color[rng.random(256) < 0.3] = np.nan
     i, j = np.indices((16, 16)).reshape(2, -1)
-    known.see(np.column_stack([(i + 0.5) * R, (j + 0.5) * R]), color)
-    known.stand_on(np.ones((16, 16), dtype=np.bool_))
+    known.add_colors(np.column_stack([(i + 0.5) * R, (j + 0.5) * R]), color)
+    known.learn_start_ground(np.ones((16, 16), dtype=np.bool_))
     for _ in range(30):
         known.touch(rng.uniform(-0.05, 0.2, 2), sink if rng.random() < 0.8 else None)
     layers = [np.full((16, 16), value, dtype=np.float32) for value in (slope, rough)]
@@ -195,7 +198,7 @@ def test_probabilities_stay_probabilities(sink: float, slope: float, rough: floa
 
 def test_the_window_moves_and_forgets() -> None:
     known = painted(GREY, (POOL, BLUE))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     before = known.rgb()
     known.move_to(np.array([-N // 2 + 7, -N // 2 - 3]))
     after = known.rgb()
@@ -207,7 +210,7 @@ def test_the_window_moves_and_forgets() -> None:
 
 
 def test_too_little_ground_is_not_stood_on() -> None:
-    assert not TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).stand_on(ALL)
+    assert not TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).learn_start_ground(ALL)
 
 
 def test_a_palette_keeps_what_feet_found_most_often() -> None:
@@ -228,13 +231,13 @@ def test_nonsense_is_refused() -> None:
     with pytest.raises(ValueError, match="free_below"):
         TypeModel(free_below=0.6)
     with pytest.raises(ValueError, match="a colour for each"):
-        TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).see(np.zeros((2, 2)), np.zeros((3, 3), dtype=np.float32))
+        TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).add_colors(np.zeros((2, 2)), np.zeros((3, 3), dtype=np.float32))
 
 
 @pytest.mark.parametrize("sink", [0.0, 0.03])
 def test_feet_that_come_back_to_one_place_leave_the_rest_of_the_map_as_it_is(sink: float) -> None:
     known = painted(GREY, (POOL, BLUE))
-    known.stand_on(~POOL)
+    known.learn_start_ground(~POOL)
     assert judged(known).hazard[POOL].all()
     for _ in range(300):
         known.touch(np.array([-0.2, -0.2]), sink)

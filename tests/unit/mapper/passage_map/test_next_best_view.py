@@ -14,9 +14,9 @@ from sextant.services.mapper.passage_map.next_best_view import (
     SEEN,
     best_view,
     candidates,
+    check_visibility,
+    describe_unseen_cells,
     expected_heights,
-    sights,
-    unseen_in_words,
 )
 from sextant.services.mapper.passage_map.passage_grid import PassageGrid, cell_centres, local_centres, passage_grid
 from sextant.services.mapper.passage_map.voxel_cloud import Strip, VoxelCloud
@@ -64,7 +64,7 @@ def camera_at(height: float, pitch: float = 0.0, yaw: float = 0.0) -> Array:
 
 def reasons(grid: PassageGrid, T: Array) -> np.ndarray:
     everywhere = np.ones(grid.elevation.shape, dtype=bool)
-    return sights(grid, grid.elevation.astype(np.float64), everywhere, T, CAMERA, REACH).reshape(everywhere.shape)
+    return check_visibility(grid, grid.elevation.astype(np.float64), everywhere, T, CAMERA, REACH).reshape(everywhere.shape)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
@@ -150,8 +150,8 @@ class Look:
         self.look(self.T)
         self.grid = self.mapped()
         self.T_camera = self.T @ CAMERA.T_body_camera
-        self.looked_from = self.T_camera[None]
-        self.expected = expected_heights(self.grid, self.looked_from, CAMERA, REACH, 0.0)
+        self.view_poses = self.T_camera[None]
+        self.expected = expected_heights(self.grid, self.view_poses, CAMERA, REACH, 0.0)
 
     def look(self, T: Array, frames: int = 8) -> None:
         T_camera = T @ CAMERA.T_body_camera
@@ -167,7 +167,7 @@ class Look:
         return candidates(PROFILE, self.T, apply(self.T, PROFILE.rest_feet(HEIGHT)), 0.0)
 
     def best(self) -> tuple[Array, np.ndarray]:
-        view = best_view(self.grid, self.expected, self.grid.unseen, self.looked_from, self.poses(), CAMERA, REACH)
+        view = best_view(self.grid, self.expected, self.grid.unseen, self.view_poses, self.poses(), CAMERA, REACH)
         assert view is not None
         return view.T_world_body, view.sees
 
@@ -211,7 +211,7 @@ def test_behind_a_block_lies_the_floor_that_shows_past_it() -> None:
     shadow = (local[..., 0] > 1.0) & (local[..., 0] < 1.2) & (np.abs(local[..., 1]) < 0.1)
     assert robot.grid.unseen[shadow].all()
     assert np.abs(robot.expected[shadow]).max() < 0.005
-    found = sights(robot.grid, robot.expected, shadow, robot.T_camera, CAMERA, REACH)
+    found = check_visibility(robot.grid, robot.expected, shadow, robot.T_camera, CAMERA, REACH)
     assert (found == HIDDEN).all()
 
 
@@ -235,22 +235,22 @@ def test_before_a_pillar_in_a_gap_lies_the_floor_of_the_gap() -> None:
 def test_where_all_is_seen_or_nothing_comes_back_no_look_is_proposed() -> None:
     robot = Look(Plane())
     nothing = np.zeros(robot.grid.elevation.shape, dtype=bool)
-    assert best_view(robot.grid, robot.expected, nothing, robot.looked_from, robot.poses(), CAMERA, REACH) is None
-    assert best_view(robot.grid, robot.expected, robot.grid.unseen, robot.looked_from, robot.poses()[:0], CAMERA, REACH) is None
-    assert unseen_in_words(known(), np.empty(0, np.uint8)) == ""
+    assert best_view(robot.grid, robot.expected, nothing, robot.view_poses, robot.poses(), CAMERA, REACH) is None
+    assert best_view(robot.grid, robot.expected, robot.grid.unseen, robot.view_poses, robot.poses()[:0], CAMERA, REACH) is None
+    assert describe_unseen_cells(known(), np.empty(0, np.uint8)) == ""
     abyss = Look(Box((-0.2, 0.0), (1.5, 4.0), 0.0))
     x, y = np.moveaxis(local_centres(abyss.strip, 0.01) - [0.45, 0.0], -1, 0)
     ahead = abyss.grid.unseen & (x > 0.6) & (x < 1.0) & (np.abs(y) < 0.2)
-    assert best_view(abyss.grid, abyss.expected, ahead, abyss.looked_from, abyss.poses(), CAMERA, REACH) is None
+    assert best_view(abyss.grid, abyss.expected, ahead, abyss.view_poses, abyss.poses(), CAMERA, REACH) is None
 
 
 def test_what_is_unseen_is_said_with_the_reason_and_the_place() -> None:
     robot = Look(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
     unseen = robot.grid.unseen
-    why = sights(robot.grid, robot.expected, unseen, robot.T_camera, CAMERA, REACH)
-    words = unseen_in_words(robot.grid, why)
+    why = check_visibility(robot.grid, robot.expected, unseen, robot.T_camera, CAMERA, REACH)
+    words = describe_unseen_cells(robot.grid, why)
     assert words.startswith(f"{unseen.sum()} of 27000 cells not seen: ")
     for text in ("closer than the camera's minimum range", "too far", "outside the image", "hidden behind"):
         assert text in words
     nowhere = replace(robot.grid, elevation=np.full_like(robot.grid.elevation, np.nan))
-    np.testing.assert_array_equal(expected_heights(nowhere, robot.looked_from, CAMERA, REACH, 0.25), 0.25)
+    np.testing.assert_array_equal(expected_heights(nowhere, robot.view_poses, CAMERA, REACH, 0.25), 0.25)

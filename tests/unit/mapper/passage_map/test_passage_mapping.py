@@ -11,7 +11,7 @@ import pytest
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
 from sextant.services.mapper.passage_map.passage_grid import PassageGrid, cell_centres
-from sextant.services.mapper.passage_map.passage_mapping import Outlook, Survey
+from sextant.services.mapper.passage_map.passage_mapping import PassageMapping, ViewProposal
 from sextant.services.mapper.passage_map.voxel_cloud import Strip
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
 from sextant.services.simulator.physics.terrain import build_terrain
@@ -45,7 +45,7 @@ class Robot:
         elevation = ElevationGrid()
         elevation.seed_plane([(-0.45, -0.5), (0.54, -0.5), (0.54, 0.5), (-0.45, 0.5)], [0.0, 0.0, 0.0])
         self.known: ElevationSnapshot = elevation.snapshot()
-        self.survey = Survey(PROFILE, Strip((-0.45, 0.0), 0.0), self.known, REACH)
+        self.mapping = PassageMapping(PROFILE, Strip((-0.45, 0.0), 0.0), self.known, REACH)
 
     def look(self, T: Array, frames: int = 6) -> PassageGrid:
         self.T = T
@@ -53,17 +53,17 @@ class Robot:
         for _ in range(frames):
             depth = self.camera.measure(self.renderer.inverse_depth(T_camera))
             scan = reduce_scan(depth, CAMERA.intrinsics, CAMERA.sensor, T_camera, max_range=REACH, max_points=14_000)
-            self.survey.add(scan.origin + scan.points * 1e-3, scan.count)
-        return self.survey.grid(self.known)
+            self.mapping.add(scan.origin + scan.points * 1e-3, scan.count)
+        return self.mapping.grid(self.known)
 
-    def outlook(self, grid: PassageGrid) -> Outlook:
-        return self.survey.outlook(grid, self.T, apply(inverse(self.T), self.feet))
+    def view_proposal(self, grid: PassageGrid) -> ViewProposal:
+        return self.mapping.view_proposal(grid, self.T, apply(inverse(self.T), self.feet))
 
 
 def test_a_foot_is_offered_the_pillars_and_nothing_beside_them() -> None:
     robot = Robot()
     grid = robot.look(robot.T)
-    evaluation = robot.survey.evaluation(grid, HEIGHT, 0.0)
+    evaluation = robot.mapping.evaluation(grid, HEIGHT, 0.0)
     centres = cell_centres(grid.strip, grid.resolution)
     accessible = evaluation < 0
     true = robot.terrain.height_at(centres[accessible])
@@ -89,15 +89,15 @@ def test_looks_as_proposed_leave_less_and_less_unseen_until_none_is_worth_it() -
     robot = Robot()
     grid = robot.look(robot.T)
     unseen = [np.count_nonzero(grid.unseen)]
-    assert "hidden behind" in robot.outlook(grid).words
+    assert "hidden behind" in robot.view_proposal(grid).words
     for _ in range(6):
-        view = robot.outlook(grid).view
+        view = robot.view_proposal(grid).view
         if view is None:
             break
         assert np.count_nonzero(view.sees) >= 20
         grid = robot.look(view.T_world_body)
         unseen.append(np.count_nonzero(grid.unseen))
-    assert robot.outlook(grid).view is None
+    assert robot.view_proposal(grid).view is None
     assert (np.diff(unseen) < 0).all()
     assert unseen[0] - unseen[-1] > 900
 
@@ -106,8 +106,8 @@ def test_a_strip_that_is_no_whole_number_of_cells_leaves_the_survey_as_it_was() 
     robot = Robot()
     before = robot.look(robot.T)
     with pytest.raises(ValueError, match="whole cells"):
-        robot.survey.move_to(Strip((0.0, 0.0), 0.0, 1.005, 1.0), robot.known)
-    np.testing.assert_array_equal(robot.survey.grid(robot.known).elevation, before.elevation)
+        robot.mapping.move_to(Strip((0.0, 0.0), 0.0, 1.005, 1.0), robot.known)
+    np.testing.assert_array_equal(robot.mapping.grid(robot.known).elevation, before.elevation)
 
 
 def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> None:
@@ -115,10 +115,10 @@ def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> 
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     count = np.full(len(points), 8, dtype=np.uint8)
     known = ElevationGrid(64).snapshot()
-    survey = Survey(PROFILE, Strip((0.0, 0.0), 0.0), known, REACH)
-    survey.add(points[::2], count[::2])
-    survey.add(points[1::2] + np.array([0.0, 0.0, 0.012]), count[1::2], height_drift=0.012)
-    told = survey.grid(replace(known, height_drift=0.012))
+    mapping = PassageMapping(PROFILE, Strip((0.0, 0.0), 0.0), known, REACH)
+    mapping.add(points[::2], count[::2])
+    mapping.add(points[1::2] + np.array([0.0, 0.0, 0.012]), count[1::2], height_drift=0.012)
+    told = mapping.grid(replace(known, height_drift=0.012))
     np.testing.assert_allclose(told.elevation[np.isfinite(told.elevation)], 0.012, atol=1e-6)
     assert np.isfinite(told.elevation).sum() >= len(points)
 
@@ -126,10 +126,10 @@ def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> 
 def test_a_layer_of_the_map_is_told_in_the_cells_of_a_strip_askew() -> None:
     known = ElevationGrid(64).snapshot()
     strip = Strip((-0.1, 0.05), math.pi / 2, 0.4, 0.2)
-    survey = Survey(PROFILE, strip, known, REACH)
+    mapping = PassageMapping(PROFILE, strip, known, REACH)
     row, column = np.indices(known.elevation.shape)
     centres = cell_centres(strip, known.resolution)
-    found = survey.of_map(row * 100 + column, known.origin, -1)
+    found = mapping.of_map(row * 100 + column, known.origin, -1)
     wanted = np.rint((centres - known.origin) / known.resolution).astype(int)
     beyond = np.any((wanted < 0) | (wanted >= 64), axis=-1)
     assert 0 < beyond.sum() < beyond.size

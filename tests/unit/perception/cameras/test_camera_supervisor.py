@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.cameras.camera import CameraError, Frame, RecordingOverError
-from sextant.services.perception.cameras.camera_supervisor import LAST_RETRY_S, Keeper
-from sextant.services.perception.cameras.image_quality import Watch
+from sextant.services.perception.cameras.camera_supervisor import LAST_RETRY_S, CameraSupervisor
+from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 
 
 class Script:
     """A camera that returns scripted pictures, nothing, or errors."""
 
-    about = "scripted camera"
+    description = "scripted camera"
     recorded = False
 
     def __init__(self, acts: Iterator[object]):
@@ -49,8 +49,8 @@ class Rig:
                 opener(len(self.opened))
             return Script(self.acts)
 
-        watch = Watch(kit.profile.camera.sensor, (48, 64))
-        self.keeper = Keeper("scripted", opens, watch, kit.clock)
+        watch = ImageQualityCheck(kit.profile.camera.sensor, (48, 64))
+        self.keeper = CameraSupervisor("scripted", opens, watch, kit.clock)
 
     def pictures(self, make):  # type: ignore[no-untyped-def]
         """Yield endless pictures, each stamped with the current time."""

@@ -78,7 +78,7 @@ def read_all(camera: FolderCamera, kit, color: bool = False):  # type: ignore[no
 def test_colour_is_paired_by_time_and_is_red_green_blue(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     add_color(folder)
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
-    assert "with colour" in camera.about
+    assert "with colour" in camera.description
     frames = read_all(camera, kit, color=True)
     assert [None if f is None or f.rgb is None else f.rgb[0, 0].tolist() for f in frames] == [
         [10, 20, 30],
@@ -99,11 +99,11 @@ def test_pictures_that_cannot_be_read_are_passed_over_and_named(folder: Path, ki
     (folder / "depth" / f"{STAMPS[1] * 1e-9:.6f}.png").unlink()
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert [frame is None for frame in read_all(camera, kit)] == [False, True, False, False]
-    assert "1 images could not be read" in camera.about
-    assert "no such file" in camera.about
+    assert "1 images could not be read" in camera.description
+    assert "no such file" in camera.description
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert [frame is None for frame in read_all(camera, kit, color=True)] == [True, True, True, False]
-    assert "a picture of 64x48 pixels expected, found 32x24" in camera.about
+    assert "a picture of 64x48 pixels expected, found 32x24" in camera.description
 
 
 def test_a_recording_of_another_camera_is_refused(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]

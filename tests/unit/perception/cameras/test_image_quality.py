@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sextant.services.perception.cameras.image_quality import Watch, is_noise, measured_share
+from sextant.services.perception.cameras.image_quality import ImageQualityCheck, is_noise, measured_share
 
 PERIOD = 33_000_000
 
 
 def look(kit, pictures) -> list[str]:  # type: ignore[no-untyped-def]
-    watch = Watch(kit.profile.camera.sensor, (48, 64))
+    watch = ImageQualityCheck(kit.profile.camera.sensor, (48, 64))
     return [watch.look(picture, PERIOD * k) for k, picture in enumerate(pictures)]
 
 

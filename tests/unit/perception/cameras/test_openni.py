@@ -156,7 +156,7 @@ def lib(monkeypatch: pytest.MonkeyPatch) -> Library:
 def test_pictures_come_unmirrored_and_are_given_back(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert lib.depth is not None
     with OpenNI(kit.profile.camera, kit.clock) as camera:
-        assert camera.about == "PrimeSense PS1080"
+        assert camera.description == "PrimeSense PS1080"
         assert (lib.depth.mode, lib.depth.mirrored, lib.depth.started) == ((64, 48, 30, "1 mm"), False, True)
         assert lib.device.registered is None
         assert camera.read(True) is None

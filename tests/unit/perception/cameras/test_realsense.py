@@ -148,7 +148,7 @@ def colored(kit):  # type: ignore[no-untyped-def]
 
 def test_pictures_come_with_times_of_the_clock_and_as_copies(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     with RealSense(kit.profile.camera, kit.clock) as camera:
-        assert camera.about == "Intel RealSense D435I, no. 0123, USB 3.2"
+        assert camera.description == "Intel RealSense D435I, no. 0123, USB 3.2"
         assert lib.streams == [("depth", 64, 48, "z16", 30)]
         assert camera.read(False) is None
         data = kit.ground(1)
@@ -172,7 +172,7 @@ def test_colour_comes_with_its_depth_where_there_is_one(kit, lib: Library) -> No
     for has_color in (True, False):
         lib.has_color = has_color
         camera = RealSense(colored(kit), kit.clock)
-        assert camera.about.endswith("with colour") is has_color
+        assert camera.description.endswith("with colour") is has_color
         lib.frames = [FrameSet(Picture(kit.ground(n), n, 33.0 * n), Picture(rgb, n) if has_color else None) for n in (1, 2)]
         frame, bare = camera.read(True), camera.read(False)
         assert frame is not None

@@ -16,7 +16,7 @@ from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Me
 class Device:
     """A camera with one picture per period, until it is unplugged."""
 
-    about = "test camera"
+    description = "test camera"
     recorded = False
 
     def __init__(self, kit, rgb=None) -> None:  # type: ignore[no-untyped-def]

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from sextant.services.perception.reduction.free_space_rays import free_sights
+from sextant.services.perception.reduction.free_space_rays import compute_free_rays
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 WALL = np.array([[1.2, -0.3, 0.0, 1.3, 0.3, 0.1]])
 
 
 def sights(world, depth, T, **settings):
-    return free_sights(depth, world.intrinsics, world.sensor, T, **settings)
+    return compute_free_rays(depth, world.intrinsics, world.sensor, T, **settings)
 
 
 def test_sights_end_where_the_scan_does_and_lie_over_the_ground(world):
@@ -49,5 +49,5 @@ def test_pixels_without_return_count_only_where_all_above_them_is_empty_and_when
 
 def test_a_picture_of_any_size_gives_no_more_sights_than_a_message_has_room_for() -> None:
     pixels = Intrinsics(1440, 1440, 800.0, 800.0, 720.0, 720.0)
-    seen = free_sights(np.full((1440, 1440), 2000, dtype=np.uint16), pixels, DepthSensor(), np.eye(4), max_range=0.9)
+    seen = compute_free_rays(np.full((1440, 1440), 2000, dtype=np.uint16), pixels, DepthSensor(), np.eye(4), max_range=0.9)
     assert 900 < len(seen) <= 2000

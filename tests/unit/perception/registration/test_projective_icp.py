@@ -11,12 +11,16 @@ from sextant.services.perception.registration.projective_icp import (
     Acceptance,
     Registration,
     _Aligned,
-    belief,
+    apply_twist,
+    check_jump,
+    constraint_weights,
     error_twist,
-    jump,
-    moved,
 )
-from sextant.services.perception.registration.relocalization_map import AnchorMap, Found, Misfit
+from sextant.services.perception.registration.relocalization_map import (
+    MapContradiction,
+    RelocalizationMap,
+    RelocalizationResult,
+)
 from sextant.shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
@@ -75,7 +79,7 @@ def test_error_twist_inverts_moved():
     for _ in range(20):
         T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
         twist = rng.normal(scale=0.4, size=6)
-        np.testing.assert_allclose(error_twist(moved(T, twist), T), twist, atol=1e-12)
+        np.testing.assert_allclose(error_twist(apply_twist(T, twist), T), twist, atol=1e-12)
 
 
 def test_a_direction_is_believed_by_its_information_over_that_of_noise():
@@ -85,7 +89,7 @@ def test_a_direction_is_believed_by_its_information_over_that_of_noise():
         L = np.tril(rng.normal(size=(6, 6))) + 3.0 * np.eye(6)
         U, _ = np.linalg.qr(rng.normal(size=(6, 6)))
         H = L @ (U * ratios) @ U.T @ L.T
-        B, unknown = belief(Match(H, np.zeros(6), L @ L.T, 2, 1.0, 1.0, 0.0))
+        B, unknown = constraint_weights(Match(H, np.zeros(6), L @ L.T, 2, 1.0, 1.0, 0.0))
         share = np.clip((ratios - 2.0) / 3.0, 0.0, 1.0)
         np.testing.assert_allclose(B @ H, 0.05 * L @ (U * share * ratios) @ U.T @ L.T, rtol=1e-5, atol=1e-5 * np.abs(H).max())
         assert unknown.shape == (3, 6)
@@ -158,7 +162,7 @@ def test_a_wrong_prior_is_corrected_as_far_as_the_scene_shows(world, offset):
     registration.update(world.depth_image(T, boxes, np.random.default_rng(3)), 0, T, TIGHT)
     T_next = world.camera_pose(0.63, 0.004, yaw=0.01)
     depth = world.depth_image(T_next, boxes, np.random.default_rng(4))
-    result = registration.update(depth, 1, moved(T_next, np.array(offset)), WIDE)
+    result = registration.update(depth, 1, apply_twist(T_next, np.array(offset)), WIDE)
     assert result.ok
     assert len(result.degenerate) == 0
     error = error_twist(result.T_world_camera, T_next)
@@ -183,7 +187,7 @@ def test_failure_gives_the_prior_and_the_reason(world):
     registration = Registration(world.intrinsics, world.sensor)
     T = world.camera_pose(0.3)
     registration.update(world.depth_image(T, world.scenes["steps"]), 0, T, TIGHT)
-    prior = moved(T, np.array([0.001, 0, 0, 0, 0, 0]))
+    prior = apply_twist(T, np.array([0.001, 0, 0, 0, 0, 0]))
 
     dark = registration.update(np.zeros((480, 640), np.uint16), 1, prior, WIDE)
     away = registration.update(world.depth_image(world.camera_pose(2.8)), 2, world.camera_pose(2.8), TIGHT)
@@ -204,14 +208,16 @@ def test_a_jump_is_measured_against_the_prior():
     T = from_xyz_rpy([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
     acceptance = Acceptance(jump_distance=0.02, jump_angle=0.02)
     covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
-    assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
-    assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
-    assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # the floor shows these
+    assert check_jump(apply_twist(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
+    assert "jump of 0.061 m in x" in check_jump(apply_twist(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
+    assert (
+        check_jump(apply_twist(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""
+    )  # the floor shows these
     foot = np.array([-0.1, 0.15, -0.25])  # [m] from the camera: the robot tips about it when another foot slips off an edge
     tipped = np.array([0.0, 0.14, 0.0])
-    assert jump(moved(T, np.concatenate([-np.cross(tipped, foot), tipped])), T, covariance, acceptance) == ""
-    assert "deg in pitch" in jump(moved(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
-    assert "deg in yaw" in jump(moved(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
+    assert check_jump(apply_twist(T, np.concatenate([-np.cross(tipped, foot), tipped])), T, covariance, acceptance) == ""
+    assert "deg in pitch" in check_jump(apply_twist(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
+    assert "deg in yaw" in check_jump(apply_twist(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
 
 
 def test_a_lost_map_starts_anew_after_many_failures(world):
@@ -267,15 +273,17 @@ def test_a_place_that_only_one_search_finds_is_not_believed(world, monkeypatch, 
     for x in np.arange(0.0, 0.6, 0.05):
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # every frame is in doubt
+    monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
     away = {"x": 0.0}
 
     def search(self, T_expected):
         away["x"] += 0.1
-        return _Aligned(moved(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match)
+        return _Aligned(
+            apply_twist(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match
+        )
 
     monkeypatch.setattr(Registration, "_search", search)
-    monkeypatch.setattr(Registration, "_objection", lambda *_: objection)
+    monkeypatch.setattr(Registration, "_rejection_reason", lambda *_: objection)
     registration._match = registration._align(T, np.linalg.inv(WIDE)).match
     for i in range(40):
         found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
@@ -290,7 +298,7 @@ def test_a_search_shifts_no_direction_that_the_frame_does_not_observe(world):
     registration.update(world.depth_image(T, world.scenes["flat"], rng), 0, T, TIGHT)
     registration.update(world.depth_image(T, world.scenes["flat"], rng), 1, T, TIGHT)
     for along, refused in ((0.0, False), (0.18, True)):
-        better = registration._align(moved(T, np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])), np.linalg.inv(WIDE))
+        better = registration._align(apply_twist(T, np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])), np.linalg.inv(WIDE))
         assert len(better.degenerate) == 3
         assert bool(registration._unobserved_shift(better, T)) is refused
 
@@ -303,8 +311,10 @@ def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypa
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
     keyframes = len(registration.keyframe_poses)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # every frame is in doubt
-    monkeypatch.setattr(AnchorMap, "find", lambda *_: Found(world.camera_pose(0.55 + away[0], *away[1:]), ""))
+    monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
+    monkeypatch.setattr(
+        RelocalizationMap, "find", lambda *_: RelocalizationResult(world.camera_pose(0.55 + away[0], *away[1:]), "")
+    )
     for i in range(5):
         found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
         assert found.ok

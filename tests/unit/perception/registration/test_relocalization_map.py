@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sextant.services.perception.registration.relocalization_map import AnchorMap
+from sextant.services.perception.registration.relocalization_map import RelocalizationMap
 from sextant.shared.geometry import from_xyz_rpy
 
 SIGMA = 0.0016  # [1/m]
@@ -34,7 +34,7 @@ def view(T, heights, half=0.7, step=0.011):
 
 
 def test_what_has_been_seen_fits():
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     assert anchor.misfit(points, LEVEL).share == 0.0  # the map is empty
     anchor.add(points, LEVEL)
@@ -53,7 +53,7 @@ def test_what_has_been_seen_fits():
 )
 @example(x=-0.1875, y=-0.125, yaw=0.0, z=0.0, seed=1)  # every sixteenth point of this picture lies in one of eight columns
 def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, seed):
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, y: ground(x, y, seed), half=1.2), LEVEL)
     T = from_xyz_rpy([x, y, 0.5], [0.0, 0.0, yaw])
     points = view(T, lambda x, y: ground(x, y, seed))
@@ -69,7 +69,7 @@ def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, se
 
 
 def test_level_ground_cannot_tell():
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
 
     def floor(x, _):
         return np.zeros(len(x))
@@ -87,7 +87,7 @@ def test_level_ground_cannot_tell():
 @given(x=st.floats(0.0, 0.3), beyond=st.floats(0.28, 0.42))
 def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
     """Check the view beyond a level floor: it would fit there, but may be new ground."""
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, _: np.zeros(len(x)), half=0.7), LEVEL)
     expected = from_xyz_rpy([x, 0.7 + beyond, 0.5], [0.0, 0.0, 0.0])
     points = view(expected, lambda x, _: np.zeros(len(x)), half=0.3)
@@ -96,7 +96,7 @@ def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
 
 
 def test_ground_never_seen_is_said_to_be():
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     anchor.add(points, LEVEL)
     assert "no mapped ground within" in anchor.find(points, from_xyz_rpy([3.0, 0.0, 0.5], [0.0, 0.0, 0.0])).reason
@@ -110,7 +110,7 @@ def test_ground_never_seen_is_said_to_be():
 @pytest.mark.parametrize(("height", "doubted"), [(0.1, True), (0.0, False), (-0.1, True)])
 def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
     camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     floor = view(LEVEL, lambda x, _: np.zeros(len(x)))
     in_camera = floor + LEVEL[:3, 3] - camera[:3, 3]
     anchor.add(in_camera, camera)
@@ -121,7 +121,7 @@ def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
 
 def test_a_face_that_comes_into_view_is_not_doubted():
     camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
-    anchor = AnchorMap(SIGMA)
+    anchor = RelocalizationMap(SIGMA)
     y = np.repeat(np.arange(-0.7, 0.7, 0.01), 80)
     floor = np.column_stack([np.tile(np.arange(-0.4, 0.4, 0.01), 140), y, np.full(len(y), -0.5)])
     lower = np.column_stack([np.full(len(y), 0.405), y, np.tile(np.linspace(-0.5, -0.45, 80), 140)])

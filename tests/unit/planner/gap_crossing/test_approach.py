@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.approach import BEFORE, PassageMode
-from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
-from sextant.services.planner.gap_crossing.state_machine import Outcome, Over, Refused, Standing
-from sextant.services.planner.navigation.path_follower import Heading
+from sextant.services.planner.gap_crossing.approach import START_DISTANCE_M, GapCrossingController
+from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
+from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome, WorldStance
+from sextant.services.planner.navigation.path_follower import MotionCommand
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.robot.profiles import load_profile
@@ -135,8 +135,8 @@ def test_a_goal_that_is_none_is_refused_in_words(changes: dict[str, Any], words:
 
 def test_a_goal_far_beyond_the_map_takes_no_more_room_than_the_map() -> None:
     terrain = Terrain(gap(0.8))
-    near, far = (gap_ahead(terrain, np.zeros(2), np.array([x, 0.0]), 0.0) for x in (2.5, 9e3))
-    assert isinstance(near, Verge)
+    near, far = (detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0) for x in (2.5, 9e3))
+    assert isinstance(near, GapEdge)
     assert near == far
 
 
@@ -158,7 +158,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
 ) -> None:
     errands: list[Any] = []
 
-    class Errand:
+    class GapCrossing:
         """A crossing that ends at once."""
 
         report = None
@@ -167,26 +167,26 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
             errands.append(self)
             self.walked = walked
 
-        def advance(self, *_: object) -> Over:
-            return Over("no gap ahead of the robot")
+        def advance(self, *_: object) -> Completed:
+            return Completed("no gap ahead of the robot")
 
-    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.Errand", Errand)
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", GapCrossing)
     rig, terrain = Rig(), Terrain(gap(0.8))
-    mode = PassageMode(load_profile("phantomx_mk2"), Settings())
+    mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
     body = rig.state.T_odom_body.copy()
-    body[0, 3] = EDGE - BEFORE
-    standing = Standing(body, apply(body, rig.state.feet))
+    body[0, 3] = EDGE - START_DISTANCE_M
+    standing = WorldStance(body, apply(body, rig.state.feet))
     goal = replace(GOAL, passage=True)
 
-    def ended() -> Outcome | Heading:
+    def ended() -> Outcome | MotionCommand:
         for k in range(100):
             state = replace(rig.state, stamp_ns=rig.state.stamp_ns + k * 20_000_000)
             found = mode.lead(goal, state, standing, body, terrain, None, "")
-            if isinstance(found, Over | Refused):
+            if isinstance(found, Completed | CannotCross):
                 return found
         raise AssertionError("no end")
 
-    assert ended() == Over("no gap ahead of the robot")
+    assert ended() == Completed("no gap ahead of the robot")
     assert not mode.ordered(goal)
-    assert ended() == (Over("no gap ahead of the robot") if walked else Refused("no gap to cross was found from here"))
+    assert ended() == (Completed("no gap ahead of the robot") if walked else CannotCross("no gap to cross was found from here"))
     assert len(errands) == (2 if walked else 1)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.planner.gap_crossing.backtracking import Trail
+from sextant.services.planner.gap_crossing.backtracking import StepHistory
 from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array
 
@@ -30,7 +30,7 @@ def way(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(0, 30))
 def test_the_way_back_leads_through_the_same_stances(seed: int, n: int, done: int) -> None:
     root, steps, seen = way(seed, n)
-    trail, done = Trail(), min(done, n)
+    trail, done = StepHistory(), min(done, n)
     trail.begin(root, steps)
     trail.ended(done)
     body, feet = seen[done]
@@ -52,7 +52,7 @@ def test_the_way_back_leads_through_the_same_stances(seed: int, n: int, done: in
 
 def test_no_foot_goes_back_to_what_gave_way() -> None:
     root, steps, _ = way(3, 8)
-    trail = Trail()
+    trail = StepHistory()
     trail.begin(root, steps)
     whole = trail.back([], 0.05)
     assert len(whole) > 2
@@ -63,7 +63,7 @@ def test_no_foot_goes_back_to_what_gave_way() -> None:
 
 def test_it_goes_back_only_so_often() -> None:
     root, steps, _ = way(5, 8)
-    trail = Trail()
+    trail = StepHistory()
     for times in range(5):
         trail.begin(root, steps)
         assert bool(trail.back([], 0.05)) == (times < 3)

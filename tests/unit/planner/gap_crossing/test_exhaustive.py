@@ -19,9 +19,9 @@ from sextant.deploy.evaluation.passage_fields import (
     thesis_blocks,
 )
 from sextant.services.planner.gap_crossing.exhaustive import has_way, passable
-from sextant.services.planner.gap_crossing.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
@@ -93,7 +93,7 @@ def test_what_the_roadmap_crosses_is_never_called_impassable() -> None:
         roadmap.begin(field, STANCE, GOAL_X, 0)
         while (found := roadmap.grow(SETTINGS.budget)) is None:
             pass
-        if isinstance(found, Crossing) and found.complete:
+        if isinstance(found, SectionPlan) and found.complete:
             crossed += 1
             assert has_way(PROFILE, SETTINGS, field, STANCE, GOAL_X, 50_000) is not False
     assert crossed >= 2
@@ -111,6 +111,6 @@ def test_feet_on_nothing_are_refused() -> None:
 
 def test_cells_of_another_size_than_the_lattice_are_refused() -> None:
     level = np.zeros((100, 50), dtype=np.float32)
-    field = Field(level, np.full(level.shape, -5, dtype=np.int8), 0.02, np.eye(4))
+    field = StripMap(level, np.full(level.shape, -5, dtype=np.int8), 0.02, np.eye(4))
     with pytest.raises(ValueError, match="lattice"):
         has_way(PROFILE, SETTINGS, field, STANCE, 1.2)

@@ -5,8 +5,14 @@ import pytest
 
 from sextant.deploy.evaluation.passage_fields import field_of, stance_at
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.failure_reasons import NOBODY, WORDS, Why, fault_in_words, in_words
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.failure_reasons import (
+    TEST_NAMES,
+    WHOLE_ROBOT,
+    FailureReason,
+    describe_fault,
+    explain_failure,
+)
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN
@@ -16,7 +22,9 @@ STROKES = np.full(6, 0.20)
 EDGE = float(STANCE.feet[:, 0].max()) + 0.03  # [m] {strip} x at which a gap begins
 
 
-def said(bare: list[tuple[float, float]], test: int = roadmap_search.FOOTHOLD, leg: int = 0, length: float = 2.0) -> Why:
+def said(
+    bare: list[tuple[float, float]], test: int = roadmap_search.FOOTHOLD, leg: int = 0, length: float = 2.0
+) -> FailureReason:
     """Return the reason when a leg fails a test and the ground has bare stretches [m].
 
     The stretches are given along x {strip}.
@@ -28,16 +36,16 @@ def said(bare: list[tuple[float, float]], test: int = roadmap_search.FOOTHOLD, l
     for begin, end in bare:
         evaluation[(x > begin) & (x < end)] = 5
     fails = np.zeros((roadmap_search.TESTS, 7), dtype=np.int64)
-    fails[test, leg], fails[roadmap_search.MARGIN, NOBODY] = 7, 2
-    return in_words(fails, STANCE.body, STANCE.feet, STROKES, Field(ground, evaluation, 0.01, np.eye(4)))
+    fails[test, leg], fails[roadmap_search.MARGIN, WHOLE_ROBOT] = 7, 2
+    return explain_failure(fails, STANCE.body, STANCE.feet, STROKES, StripMap(ground, evaluation, 0.01, np.eye(4)))
 
 
 @pytest.mark.parametrize("leg", range(7))
 def test_whose_test_stops_it_most_often_is_said(leg: int) -> None:
     why = said([], roadmap_search.TORQUE, leg)
     assert why.leg == leg
-    who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
-    assert why.words.startswith(f"no step from (0.44, 0.00) m: {who}{WORDS[roadmap_search.TORQUE]} (7 of 9")
+    who = "" if leg == WHOLE_ROBOT else f"{LEGS[leg]} leg: "
+    assert why.words.startswith(f"no step from (0.44, 0.00) m: {who}{TEST_NAMES[roadmap_search.TORQUE]} (7 of 9")
     assert not why.unseen
 
 
@@ -68,10 +76,10 @@ def test_a_stretch_up_to_the_end_of_the_strip_may_be_longer() -> None:
 
 def test_a_foot_beside_the_strip_is_no_error() -> None:
     ground = np.zeros((60, 60), dtype=np.float32)
-    field = Field(ground, np.full((60, 60), -5, dtype=np.int8), 0.01, np.eye(4))
+    field = StripMap(ground, np.full((60, 60), -5, dtype=np.int8), 0.01, np.eye(4))
     fails = np.ones((roadmap_search.TESTS, 7), dtype=np.int64)
     for off in ([0.0, -3.0, 0.0], [5.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.0, 3.0, 0.0]):
-        assert in_words(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("no step from (")
+        assert explain_failure(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("no step from (")
 
 
 def test_where_much_is_unknown_another_look_is_asked_for() -> None:
@@ -81,14 +89,14 @@ def test_where_much_is_unknown_another_look_is_asked_for() -> None:
 
 
 def test_nothing_that_failed_is_nobodys_fault() -> None:
-    field = Field(np.zeros((9, 9), np.float32), np.full((9, 9), UNKNOWN, np.int8), 0.01, np.eye(4))
+    field = StripMap(np.zeros((9, 9), np.float32), np.full((9, 9), UNKNOWN, np.int8), 0.01, np.eye(4))
     fails = np.zeros((roadmap_search.TESTS, 7), dtype=np.int64)
-    why = in_words(fails, STANCE.body, STANCE.feet, STROKES, field)
-    assert (why.words, why.unseen, why.leg) == ("no step is possible at (0.44, 0.00) m", False, NOBODY)
+    why = explain_failure(fails, STANCE.body, STANCE.feet, STROKES, field)
+    assert (why.words, why.unseen, why.leg) == ("no step is possible at (0.44, 0.00) m", False, WHOLE_ROBOT)
 
 
 def test_a_stance_that_is_no_beginning_is_told_leg_by_leg() -> None:
     found = np.array([0, roadmap_search.REACH, 0, 0, 0, roadmap_search.UNDER, roadmap_search.MARGIN])
-    words = fault_in_words(found, 0.03)
+    words = describe_fault(found, 0.03)
     assert words.endswith(f"{LEGS[1]} leg: out of reach; {LEGS[5]} leg: foot under the body; support margin too small")
     assert "3 cm" in words

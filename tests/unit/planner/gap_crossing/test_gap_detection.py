@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sextant.services.planner.gap_crossing.gap_detection import Verge, gap_ahead
+from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
 
@@ -26,27 +26,27 @@ def score(begin: float, end: float) -> Callable[[Array, Array], Array]:
 @pytest.mark.parametrize("length", [0.1, 0.5])
 def test_a_gap_begins_where_the_ground_ends(make_terrain: Maker, begin: float, length: float) -> None:
     terrain = make_terrain(ditch(begin, begin + length), score(begin, begin + length))
-    found = gap_ahead(terrain, HERE, GOAL, 0.0)
-    assert isinstance(found, Verge)
+    found = detect_gap(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(begin, abs=0.021)
     assert found.heading == pytest.approx(0.0)
 
 
 def test_over_level_ground_there_is_none(make_terrain: Maker) -> None:
     assert (
-        gap_ahead(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight line to the goal"
+        detect_gap(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight line to the goal"
     )
 
 
 def test_what_is_narrower_than_a_step_is_none(make_terrain: Maker) -> None:
-    assert isinstance(gap_ahead(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0), str)
+    assert isinstance(detect_gap(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0), str)
 
 
 def test_a_wall_before_it_is_said(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where((x > 0.4) & (x < 0.6), 0.3, np.where(x > 0.9, -0.4, 0.0)) + 0.0 * y, score(0.38, 9.0)
     )
-    found = gap_ahead(terrain, HERE, GOAL, 0.0)
+    found = detect_gap(terrain, HERE, GOAL, 0.0)
     assert isinstance(found, str)
     assert "an obstacle" in found
 
@@ -55,7 +55,7 @@ def test_unseen_ground_is_no_gap_yet(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y, lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y
     )
-    assert isinstance(gap_ahead(terrain, HERE, GOAL, 0.0), str)
+    assert isinstance(detect_gap(terrain, HERE, GOAL, 0.0), str)
 
 
 def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
@@ -69,8 +69,8 @@ def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
         lambda x, y: np.where(inside(x) & ~pillars(x, y), -0.4, 0.0),
         lambda x, y: np.where(inside(x) & ~pillars(x, y), 9.0, 0.0),
     )
-    found = gap_ahead(terrain, HERE, GOAL, 0.0)
-    assert isinstance(found, Verge)
+    found = detect_gap(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(0.5, abs=0.021)
 
 
@@ -79,11 +79,11 @@ def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, sho
     """Check a goal above the gap, so near its edge that no wall could begin before it."""
     edge = float(GOAL[0]) - short
     terrain = make_terrain(ditch(edge, 9.0), score(edge, 9.0), half=2.0)
-    found = gap_ahead(terrain, HERE, GOAL, 0.0)
-    assert isinstance(found, Verge)
+    found = detect_gap(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(edge, abs=0.021)
 
 
 def test_a_wall_right_before_the_goal_is_said(make_terrain: Maker) -> None:
     terrain = make_terrain(lambda x, y: np.where(x > 1.52, 0.3, 0.0) + 0.0 * y, score(1.5, 9.0), half=2.0)
-    assert gap_ahead(terrain, HERE, GOAL, 0.0) == "an obstacle blocks the straight line to the goal after 1.5 m"
+    assert detect_gap(terrain, HERE, GOAL, 0.0) == "an obstacle blocks the straight line to the goal after 1.5 m"

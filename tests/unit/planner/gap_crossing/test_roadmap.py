@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from sextant.deploy.evaluation.passage_checker import violations
 from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
 from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, Roadmap, Stance
+from sextant.services.planner.gap_crossing.roadmap import NoSection, Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.roadmap_search import nearest_seen
 from sextant.services.planner.gap_crossing.sections import bare
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
@@ -35,11 +35,13 @@ def roadmap() -> Roadmap:
     return Roadmap(PROFILE, SETTINGS)
 
 
-def level(length: float = 2.0) -> Field:
+def level(length: float = 2.0) -> StripMap:
     return field_of(np.zeros((round(length / 0.01), 100), dtype=np.float32))
 
 
-def grown(roadmap: Roadmap, field: Field, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6) -> Crossing | NoWay:
+def grown(
+    roadmap: Roadmap, field: StripMap, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6
+) -> SectionPlan | NoSection:
     roadmap.begin(field, stance, goal_x, seed)
     while (outcome := roadmap.grow(part)) is None:
         pass
@@ -48,7 +50,7 @@ def grown(roadmap: Roadmap, field: Field, stance: Stance, goal_x: float, seed: i
 
 def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
     found = grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 1.2)
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     assert found.complete
     assert found.steps[-1].body[0] >= 1.2 - 1e-9
     assert min(step.margin for step in found.steps) >= SETTINGS.margin
@@ -60,13 +62,13 @@ def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
 def test_the_same_seed_makes_the_same_plan_in_whatever_portions(roadmap: Roadmap) -> None:
     field, stance = level(), stance_at(PROFILE, START, HEIGHT)
     first, second = grown(roadmap, field, stance, 0.9, 3), grown(roadmap, field, stance, 0.9, 3, part=7)
-    assert isinstance(first, Crossing)
-    assert isinstance(second, Crossing)
+    assert isinstance(first, SectionPlan)
+    assert isinstance(second, SectionPlan)
     assert [(s.leg, *s.touchdown, *s.body, s.clearance) for s in first.steps] == [
         (s.leg, *s.touchdown, *s.body, s.clearance) for s in second.steps
     ]
     other = grown(roadmap, field, stance, 0.9, 4)
-    assert isinstance(other, Crossing)
+    assert isinstance(other, SectionPlan)
     assert [s.leg for s in other.steps] != [s.leg for s in first.steps] or (other.end.feet != first.end.feet).any()
 
 
@@ -75,9 +77,9 @@ def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) ->
     field = field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
     for seed in range(4):
         found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed)
-        if isinstance(found, Crossing):
+        if isinstance(found, SectionPlan):
             break
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     x0, y0 = field.corner
     for step in found.steps:
         if step.leg >= 0:
@@ -90,7 +92,7 @@ def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) ->
 def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
     field = field_of(heights([], GAP), HEIGHT)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoSection)
     assert "without a foothold" in found.reason
     assert not found.unseen
     assert found.furthest.body[0] < NEAR
@@ -100,7 +102,7 @@ def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
 def test_without_a_way_it_tells_the_steps_to_the_furthest_stance_and_whose_test_fails(roadmap: Roadmap) -> None:
     field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
     found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoSection)
     np.testing.assert_array_equal(found.steps[-1].body, found.furthest.body)
     feet = stance.feet.copy()
     for step in found.steps:
@@ -116,14 +118,14 @@ def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -
     elevation[110:] = np.nan
     known = np.isfinite(elevation)
     F = field_of(np.zeros((200, 100), dtype=np.float32)).evaluation
-    field = Field(elevation, np.where(known, F, np.int8(UNKNOWN)), 0.01, np.eye(4))
+    field = StripMap(elevation, np.where(known, F, np.int8(UNKNOWN)), 0.01, np.eye(4))
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), 1.5)
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     assert not found.complete
     assert "known" in found.reason
     end = found.steps[-1].body[0]
     on = grown(roadmap, field, found.end, 1.5)
-    assert isinstance(on, Crossing), "no section ends where nothing leads on"
+    assert isinstance(on, SectionPlan), "no section ends where nothing leads on"
     assert on.end.body[0] > end
     assert max(step.touchdown[0] for step in found.steps if step.leg >= 0) < 1.10
 
@@ -134,10 +136,10 @@ def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadma
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
     evaluation[from_:to] = evaluation[from_:to] if far_side_seen else UNKNOWN
-    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    field = StripMap(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
-    assert isinstance(found, Crossing) is far_side_seen
-    if isinstance(found, NoWay):
+    assert isinstance(found, SectionPlan) is far_side_seen
+    if isinstance(found, NoSection):
         assert found.unseen
         assert "cells ahead are unknown" in found.reason
 
@@ -150,7 +152,7 @@ def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Ro
     expanded = []
     for field in (plain, unseen):
         found = [grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed) for seed in range(1, 6)]
-        assert all(isinstance(way, Crossing) and way.complete for way in found)
+        assert all(isinstance(way, SectionPlan) and way.complete for way in found)
         expanded.append(sum(way.expanded for way in found))
     assert expanded[1] < 3 * expanded[0], "nor does it take much longer"
 
@@ -178,15 +180,15 @@ def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: 
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
     evaluation[from_:to] = UNKNOWN
-    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    field = StripMap(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
     near = round(START / field.resolution)
     verge = (near + int(np.argmax(bare(field)[near:])) + 1) * field.resolution
     level = stance_at(PROFILE, START, HEIGHT)
     ahead = np.array([verge - level.feet[:, 0].max(), 0.0, 0.0])
     stance = Stance(level.body + ahead, level.feet + ahead)
     ways = [grown(roadmap, field, stance, NEAR + GAP + BEYOND, seed) for seed in range(1, 7)]
-    assert all(isinstance(way, NoWay) and way.closer is None for way in ways)
-    assert any(isinstance(way, NoWay) and way.unseen for way in ways), "or it would not go closer in any case"
+    assert all(isinstance(way, NoSection) and way.closer is None for way in ways)
+    assert any(isinstance(way, NoSection) and way.unseen for way in ways), "or it would not go closer in any case"
 
 
 def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
@@ -194,7 +196,7 @@ def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadm
     feet = stance.feet.copy()
     feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their coxa axes
     found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
-    assert isinstance(found, Crossing)
+    assert isinstance(found, SectionPlan)
     assert found.steps[0].leg == -1
     assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.repair + 1e-9
 
@@ -205,7 +207,7 @@ def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
     feet[0, 0] += 0.2
     feet[3, 1] -= 0.2
     found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoSection)
     assert "left front leg: out of reach" in found.reason
     assert "right rear leg: out of reach" in found.reason
     assert (found.leg, found.steps) == (0, ())
@@ -241,7 +243,7 @@ def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadma
     raw = np.frombuffer(b"x" + field.elevation.tobytes(), dtype=np.uint8)[1:].view(np.float32).reshape(field.elevation.shape)
     evaluation = field.evaluation.copy()
     evaluation.setflags(write=False)
-    grown(roadmap, Field(raw, evaluation, field.resolution, np.eye(4)), stance_at(PROFILE, START, HEIGHT), 0.7)
+    grown(roadmap, StripMap(raw, evaluation, field.resolution, np.eye(4)), stance_at(PROFILE, START, HEIGHT), 0.7)
     assert len(roadmap_search.grow.signatures) == compiled  # type: ignore[attr-defined]
 
 
@@ -255,7 +257,7 @@ def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Ro
     evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # no foothold to the side of the foot or ahead of it
     if not sunk:
         evaluation[i - 2 : i + 3, j - 2 : j + 3] = -5  # but the foot's own place carries
-    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    field = StripMap(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
     grown(roadmap, field, Stance(stance.body, feet), 1.9, part=2000)
     reached = roadmap.sampled(np.random.default_rng(0), 4000)
     back = min(float(s.feet[0, 0]) for s in reached)
@@ -266,8 +268,8 @@ def test_where_it_ends_is_said_in_the_world_and_by_how_much_the_gap_is_too_wide(
     elevation = heights([], 0.8)
     plain = field_of(elevation, HEIGHT)
     elsewhere = from_xyz_rpy((5.0, 2.0, 0.0), np.zeros(3))
-    field = Field(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
+    field = StripMap(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.8 + BEYOND)
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoSection)
     assert re.match(r"no step from \(5\.\d\d, (1\.9|2\.0)\d\) m: ", found.reason), found.reason
     assert re.search(r"without a foothold, \d+ cm more than the leg's reach of \d+ cm", found.reason), found.reason

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sextant.deploy.evaluation.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
 from sextant.services.planner.gap_crossing.sections import goal_behind, without
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN
 
 PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
@@ -94,8 +94,8 @@ def test_what_gave_way_carries_nothing_and_all_else_stays(x: float, y: float, z:
     np.testing.assert_array_equal(again.elevation, after.elevation)
 
 
-def unseen_here_and_there() -> Field:
+def unseen_here_and_there() -> StripMap:
     rng = np.random.default_rng(0)
     unseen = rng.random(PILLARS.evaluation.shape) < 0.1
     elevation = np.where(unseen, np.float32(np.nan), PILLARS.elevation)
-    return Field(elevation, np.where(unseen, np.int8(UNKNOWN), PILLARS.evaluation), PILLARS.resolution, np.eye(4))
+    return StripMap(elevation, np.where(unseen, np.int8(UNKNOWN), PILLARS.evaluation), PILLARS.resolution, np.eye(4))

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.services.planner.gap_crossing.roadmap import NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.state_machine import (
     ATTEMPTS,
     PLANNINGS,
     STRIP,
-    Errand,
-    Move,
+    CannotCross,
+    Completed,
+    GapCrossing,
+    NextStep,
     Outcome,
-    Over,
-    Refused,
-    Standing,
     Wait,
+    WorldStance,
 )
-from sextant.services.planner.gap_crossing.strip_map import Field
+from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN, Mode, PassageMap
@@ -37,17 +37,17 @@ NX, NY = (round(length / 0.01) for length in STRIP)
 class Planned:
     """A substitute for the roadmap that returns prescribed results after a while."""
 
-    def __init__(self, *found: Crossing | NoWay) -> None:
+    def __init__(self, *found: SectionPlan | NoSection) -> None:
         self.found = list(found)
-        self.begun: list[tuple[Field, Stance, float, int]] = []
+        self.begun: list[tuple[StripMap, Stance, float, int]] = []
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
-    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
         self.begun.append((field, stance, goal_x, seed))
         self.grown = 0
 
-    def grow(self, expansions: int) -> Crossing | NoWay | None:
+    def grow(self, expansions: int) -> SectionPlan | NoSection | None:
         assert expansions > 0
         self.grown += 1
         return self.found.pop(0) if self.grown == 3 else None
@@ -60,30 +60,30 @@ class Robot:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
         self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
         self.sections, self.looks, self.gap = sections, looks, gap
-        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL, list(yielded))
+        self.crossing = GapCrossing(PROFILE, Settings(), sections, self.standing, GOAL, list(yielded))
         self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
         self.now_ns = 0
         self.map: PassageMap | None = None
-        self.maps, self.moves, self.heard = True, list[Move](), list[str]()
+        self.maps, self.moves, self.heard = True, list[NextStep](), list[str]()
         self.refuse = ""
 
     @property
-    def standing(self) -> Standing:
-        return Standing(self.T, self.feet)
+    def standing(self) -> WorldStance:
+        return WorldStance(self.T, self.feet)
 
     def tick(self) -> Outcome:
         self.now_ns += 40 * MS
         self.state = replace(self.state, stamp_ns=self.now_ns)
         if self.maps and self.now_ns % (480 * MS) == 0:
             self.map = self.look()
-        outcome = self.errand.advance(self.state, self.standing, self.map, self.refuse)
+        outcome = self.crossing.advance(self.state, self.standing, self.map, self.refuse)
         if isinstance(outcome, Wait):
             self.heard.append(outcome.words)
-        if isinstance(outcome, Move) and not self.refuse:
+        if isinstance(outcome, NextStep) and not self.refuse:
             self.walk(outcome)
         return outcome
 
-    def walk(self, move: Move) -> None:
+    def walk(self, move: NextStep) -> None:
         """Execute a step; it has ended at the next tick."""
         self.moves.append(move)
         self.T = move.stride.body_goal
@@ -100,7 +100,7 @@ class Robot:
         shows[150:170, 40:60] = self.looks > 0
         raised = self.T.copy()
         raised[2, 3] += 0.07
-        (request,) = [r for r in [self.errand.request(self.now_ns + 10**9)] if r is not None]
+        (request,) = [r for r in [self.crossing.request(self.now_ns + 10**9)] if r is not None]
         T = from_xyz_rpy((*request.origin, 0.0), (0.0, 0.0, request.heading))
         return PassageMap(
             self.now_ns, 0.01, apply(T, np.array([0.005, 0.005 - STRIP[1] / 2, 0.0]))[:2], request.heading, heights,
@@ -114,15 +114,15 @@ class Robot:
             self.tick()
         raise AssertionError(f"waited in vain: {self.heard[-3:]}")
 
-    def until_end(self, ticks: int = 2000) -> Over | Refused:
+    def until_end(self, ticks: int = 2000) -> Completed | CannotCross:
         for _ in range(ticks):
             outcome = self.tick()
-            if isinstance(outcome, Over | Refused):
+            if isinstance(outcome, Completed | CannotCross):
                 return outcome
         raise AssertionError(f"no end after {ticks} ticks: {self.heard[-3:]}")
 
 
-def section(x: float, to: float, count: int = 6) -> Crossing:
+def section(x: float, to: float, count: int = 6) -> SectionPlan:
     """Return `count` steps that move body and legs equally far, in {strip}.
 
     The strip begins 0.5 m behind the robot's first place.
@@ -131,16 +131,16 @@ def section(x: float, to: float, count: int = 6) -> Crossing:
     bodies = [np.array([0.5 + x + (to - x) * (k + 1) / count, 0.0, HEIGHT]) for k in range(count)]
     feet = rest + np.array([0.5 + to, 0.0, HEIGHT])
     steps = tuple(PassageStep(k, feet[k], 0.03, bodies[k], 0.05) for k in range(count))
-    return Crossing(steps, True, "at the goal", 9, 4, Stance(bodies[-1], feet))
+    return SectionPlan(steps, True, "at the goal", 9, 4, Stance(bodies[-1], feet))
 
 
-def no_way(reason: str = "nothing carries") -> NoWay:
-    return NoWay(reason, False, Stance(np.array([0.6, 0.0, HEIGHT]), np.zeros((6, 3))), 5, 5, {})
+def no_way(reason: str = "nothing carries") -> NoSection:
+    return NoSection(reason, False, Stance(np.array([0.6, 0.0, HEIGHT]), np.zeros((6, 3))), 5, 5, {})
 
 
 def test_it_looks_plans_walks_and_ends_behind_the_gap() -> None:
     robot = Robot(Planned(section(0.0, 0.9), section(0.9, 1.85)), looks=2)
-    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert robot.until_end() == Completed("no gap ahead of the robot")
     raised, higher, back, *steps = robot.moves
     assert [m.stride.swing.any() for m in (raised, higher, back)] == [False] * 3
     assert raised.stride.body_goal[2, 3] == pytest.approx(HEIGHT + 0.07)
@@ -165,8 +165,8 @@ def test_what_planning_came_to_is_told_once() -> None:
     reports = []
     while not reports:
         robot.tick()
-        reports += [r for r in [robot.errand.report] if r is not None]
-    assert robot.errand.report is None
+        reports += [r for r in [robot.crossing.report] if r is not None]
+    assert robot.crossing.report is None
     (report,) = reports
     assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
 
@@ -177,7 +177,7 @@ def test_it_goes_closer_to_what_is_unknown_once_nothing_else_is_left() -> None:
     robot = Robot(Planned(*[none] * (ATTEMPTS + 1), section(0.2, 1.85)))
     robot.until(lambda: bool(robot.moves))
     assert len(robot.sections.begun) == ATTEMPTS, "not before other samples have found nothing either"
-    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert robot.until_end() == Completed("no gap ahead of the robot")
     assert [m.stride.body_goal[0, 3] for m in robot.moves][5] == pytest.approx(0.2)
     found = Robot(Planned(none, section(0.0, 1.85)))
     found.until_end()
@@ -195,7 +195,7 @@ def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg
     report = None
     while report is None:
         robot.tick()
-        report = robot.errand.report
+        report = robot.crossing.report
     assert report.state == "no way"
     assert report.leg.tolist() == [*range(6), 6]
     (field, *_), *_ = robot.sections.begun
@@ -210,19 +210,19 @@ def test_a_way_is_told_with_nothing_that_stops_it() -> None:
     report = None
     while report is None:
         robot.tick()
-        report = robot.errand.report
+        report = robot.crossing.report
     assert (report.state, len(report.stopped), report.leg.tolist()) == ("complete", 0, [*range(6)])
 
 
 def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
     robot = Robot(Planned(*[no_way("all")] * (PLANNINGS * ATTEMPTS - 1), no_way("left front leg: out of reach")))
-    assert robot.until_end() == Refused("left front leg: out of reach")
+    assert robot.until_end() == CannotCross("left front leg: out of reach")
     assert len({seed for *_, seed in robot.sections.begun}) == PLANNINGS * ATTEMPTS
 
 
 def test_where_no_way_was_found_it_plans_once_more_on_a_newer_map() -> None:
     robot = Robot(Planned(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
-    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert robot.until_end() == Completed("no gap ahead of the robot")
     assert "surveying the gap again: all" in robot.heard
     maps = [field for field, *_ in robot.sections.begun]
     assert maps[ATTEMPTS] is not maps[ATTEMPTS - 1]
@@ -245,7 +245,7 @@ def test_a_step_that_was_not_taken_is_due_again() -> None:
 
 def test_over_ground_that_carries_anywhere_there_is_nothing_to_cross() -> None:
     robot = Robot(Planned(), gap=False)
-    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert robot.until_end() == Completed("no gap ahead of the robot")
     assert robot.sections.begun == []
 
 
@@ -255,9 +255,9 @@ def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -
     asked = 0
     for _ in range(100):
         robot.tick()
-        asked += robot.errand.request(robot.now_ns) is not None
+        asked += robot.crossing.request(robot.now_ns) is not None
     assert 9 <= asked <= 11
-    assert robot.until_end() == Refused("no valid map of the gap received from the mapper")
+    assert robot.until_end() == CannotCross("no valid map of the gap received from the mapper")
 
 
 def test_a_map_from_before_the_robot_stood_still_does_not_count() -> None:
@@ -296,7 +296,7 @@ def test_refused_steps_lead_to_another_look_and_in_the_end_to_a_refusal() -> Non
     robot.until(lambda: bool(robot.sections.begun))
     robot.refuse = "out of reach"
     end = robot.until_end()
-    assert isinstance(end, Refused)
+    assert isinstance(end, CannotCross)
     assert "made no progress" in end.reason
 
 
@@ -359,7 +359,7 @@ def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, ob
     look = robot.look
     robot.look = lambda: replace(look(), **changes)  # type: ignore[arg-type, method-assign]
     end = robot.until_end()
-    assert isinstance(end, Refused)
+    assert isinstance(end, CannotCross)
     assert words in end.reason
     assert robot.sections.begun == []
 
@@ -391,7 +391,7 @@ def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
 
 def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> None:
     robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
-    assert robot.until_end() == Over("no gap ahead of the robot")
+    assert robot.until_end() == Completed("no gap ahead of the robot")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
     assert any("backtracking 2 steps to find another path: stuck" in words for words in robot.heard)
     assert [m.words for m in robot.moves[6:8]] == [f"gap crossing, backtracking in section 2: step {k} of 2" for k in (1, 2)]
@@ -403,13 +403,13 @@ def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> Non
 
 def test_what_it_has_backed_off_from_in_vain_is_no_way() -> None:
     end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ((1 + PLANNINGS) * ATTEMPTS))).until_end()
-    assert end == Refused("stuck")
+    assert end == CannotCross("stuck")
 
 
 def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
     end = Robot(Planned(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
-    assert isinstance(end, Refused)
+    assert isinstance(end, CannotCross)
     assert end.reason.endswith("cells ahead are unknown; no better view is available")
 
 
@@ -446,7 +446,7 @@ def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
     robot = Robot(Planned())
     robot.T = from_xyz_rpy((0.0, 0.5, HEIGHT), np.zeros(3))
     end = robot.until_end()
-    assert isinstance(end, Refused)
+    assert isinstance(end, CannotCross)
     assert "0.50 m and 0 deg off the centre line" in end.reason
 
 
@@ -454,4 +454,4 @@ def test_a_map_from_the_future_is_not_planned_on() -> None:
     robot = Robot(Planned())
     look = robot.look
     robot.look = lambda: replace(look(), stamp_ns=robot.now_ns + 10**10)  # type: ignore[method-assign]
-    assert robot.until_end() == Refused("no valid map of the gap received from the mapper")
+    assert robot.until_end() == CannotCross("no valid map of the gap received from the mapper")

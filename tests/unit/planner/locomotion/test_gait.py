@@ -12,8 +12,8 @@ from sextant.services.planner.locomotion.gait import (
     GAITS,
     Gait,
     active_sextant,
-    carried_on,
     directions,
+    extrapolate_pose,
     nominal_touchdowns,
     swing_order,
 )
@@ -80,8 +80,8 @@ def walked(gait: Gait, velocity: tuple[float, float], yaw_rate: float, steps: in
     body, feet, sets = np.eye(4), REST.copy(), []
     for _ in range(steps):
         swing = swinging(gait, along, apply(inverse(body), feet))
-        body = carried_on(body, travel, turn, 1.0)
-        feet[swing, :2] = nominal_touchdowns(REST, carried_on(body, travel, turn, gait.stances / 2))[swing]
+        body = extrapolate_pose(body, travel, turn, 1.0)
+        feet[swing, :2] = nominal_touchdowns(REST, extrapolate_pose(body, travel, turn, gait.stances / 2))[swing]
         sets.append(swing)
     return sets
 
@@ -164,8 +164,8 @@ def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None
     """
     travel = np.array([0.05, 0.02]) / gait.stances
     T_end = from_xyz_rpy((0.3, -0.1, 0.1), (0.0, 0.0, 0.7))
-    T_after = carried_on(T_end, travel, 0.0, gait.stances)
-    touchdown = nominal_touchdowns(REST, carried_on(T_end, travel, 0.0, gait.stances / 2))
+    T_after = extrapolate_pose(T_end, travel, 0.0, gait.stances)
+    touchdown = nominal_touchdowns(REST, extrapolate_pose(T_end, travel, 0.0, gait.stances / 2))
     feet = np.column_stack([touchdown, np.zeros(6)])
     first, last = (apply(inverse(T), feet)[:, :2] - REST[:, :2] for T in (T_end, T_after))
     np.testing.assert_allclose(first, -last, atol=1e-12)
@@ -176,8 +176,8 @@ def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None
 def test_steps_add_up(x: float, y: float, turn: float, a: float, b: float) -> None:
     """Check that a + b steps turn and travel as far as a steps and then b steps."""
     T, travel = from_xyz_rpy((0.3, -0.1, 0.1), (0.0, 0.0, 0.7)), np.array([x, y])
-    both = carried_on(carried_on(T, travel, turn, a), travel, turn, b)
-    once = carried_on(T, travel, turn, a + b)
+    both = extrapolate_pose(extrapolate_pose(T, travel, turn, a), travel, turn, b)
+    once = extrapolate_pose(T, travel, turn, a + b)
     np.testing.assert_allclose(both[:2, :2], once[:2, :2], atol=1e-9)
     # Each part of an arc is walked along its chord.
     np.testing.assert_allclose(both[:3, 3], once[:3, 3], atol=1e-9 + 0.2 * turn**2 * np.hypot(x, y) * (a + b))

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.planner.locomotion.leg_clearance import (
-    Touching,
-    Way,
-    cleared,
+    LegCollision,
+    StepMotion,
+    find_clearances,
     links_at,
     rises_clear,
     stands_clear,
@@ -36,7 +36,7 @@ FLAT = flat_terrain(0, np.zeros(2), 0.0)
 Maker = Callable[..., Terrain]
 
 
-def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = True) -> Way:
+def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = True) -> StepMotion:
     """Return a tripod's step over level ground.
 
     The right middle foot stands further out by `out` [m].
@@ -47,11 +47,11 @@ def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = T
     swing = TRIPOD if even else ~TRIPOD
     half = np.array([travel / 2, 0.0, 0.0])
     start = apply(T_start, rest) - half
-    return Way(start, np.where(swing[:, None], apply(T_end, rest) + half, start), T_start, T_end, swing)
+    return StepMotion(start, np.where(swing[:, None], apply(T_end, rest) + half, start), T_start, T_end, swing)
 
 
-def asked(way: Way, ground: Terrain) -> Array | Touching:
-    return cleared(way, LOW, MARGIN, FOOT_MARGIN, HIGHEST, PROFILE, ground)
+def asked(way: StepMotion, ground: Terrain) -> Array | LegCollision:
+    return find_clearances(way, LOW, MARGIN, FOOT_MARGIN, HIGHEST, PROFILE, ground)
 
 
 def ridge(make_terrain: Maker, height: float, until: float = 0.08) -> Terrain:
@@ -69,7 +69,7 @@ def test_level_and_sloping_ground_raises_nothing(travel: float, yaw: float, even
     np.testing.assert_array_equal(asked(way, FLAT), LOW)
     tilt = from_xyz_rpy((0.0, 0.0, 0.0), (np.arctan(across), -np.arctan(along), 0.0))
     slope = np.array([-tilt[0, 2], -tilt[1, 2]]) / tilt[2, 2]
-    leaning = Way(apply(tilt, way.start), apply(tilt, way.end), tilt @ way.T_start, tilt @ way.T_end, way.swing)
+    leaning = StepMotion(apply(tilt, way.start), apply(tilt, way.end), tilt @ way.T_start, tilt @ way.T_end, way.swing)
     np.testing.assert_array_equal(asked(leaning, plane_terrain(0, np.zeros(2), 0.0, slope)), LOW)
 
 
@@ -77,7 +77,7 @@ def test_a_foot_is_lifted_where_its_shank_would_cut_a_ridge_beside_its_way(make_
     lifts = []
     for height in (0.04, 0.07, 0.08):
         found = asked(step(out=0.045), ridge(make_terrain, height))
-        assert not isinstance(found, Touching)
+        assert not isinstance(found, LegCollision)
         np.testing.assert_array_equal(np.delete(found, MIDDLE), np.delete(LOW, MIDDLE))
         lifts.append(found[MIDDLE])
     assert lifts[0] == LOW[MIDDLE]
@@ -88,7 +88,7 @@ def test_a_step_that_no_lift_clears_is_refused_by_leg_link_and_place(make_terrai
     high = asked(step(out=0.045), ridge(make_terrain, 0.10))
     where_it_lands = asked(step(out=0.045), ridge(make_terrain, 0.07, until=0.3))
     for found in (high, where_it_lands):
-        assert isinstance(found, Touching)
+        assert isinstance(found, LegCollision)
         assert found.leg == MIDDLE
         assert found.reason.startswith("right middle leg: its tibia would touch the ground at (0.")
 
@@ -105,7 +105,7 @@ def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_te
     way = step(even=False)
     block = make_terrain(lambda x, y: np.where((x > 0.165) & (x < 0.2) & (y > 0.09) & (y < 0.12), 0.125, 0.0))
     found = asked(way, block)
-    assert isinstance(found, Touching)
+    assert isinstance(found, LegCollision)
     assert found.reason.startswith("left front leg: its femur would touch")
     assert not way.swing[found.leg]
 
@@ -134,10 +134,10 @@ def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: M
     wall.map.elevation[wall.map.elevation > 0.0] = np.nan
     np.testing.assert_array_equal(asked(step(out=0.045), wall), LOW)
     sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # the map has the robot stand knee-deep in the ground
-    assert not isinstance(asked(step(), sunk), Touching)
+    assert not isinstance(asked(step(), sunk), LegCollision)
 
 
-def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
+def folded(make_terrain: Maker, block: float) -> tuple[StepMotion, Terrain]:
     """Return a step of the left front foot, 6.7 cm from its coxa, next to a block.
 
     The block, of a given height [m], begins 3.5 cm to the side of the foot.
@@ -147,7 +147,7 @@ def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
     start, end = way.start.copy(), way.end.copy()
     start[0], end[0] = near, near + np.array([0.137, 0.019, 0.0])
     ground = make_terrain(lambda x, y: np.where((y > 0.155) & (y < 0.3) & (x > 0.14), block, 0.0))
-    return Way(start, end, way.T_start, way.T_end, way.swing), ground
+    return StepMotion(start, end, way.T_start, way.T_end, way.swing), ground
 
 
 def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(make_terrain: Maker) -> None:
@@ -158,11 +158,11 @@ def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(ma
     way, level = folded(make_terrain, 0.0)
     np.testing.assert_array_equal(asked(way, level), LOW)
     found = asked(*folded(make_terrain, 0.034))
-    assert isinstance(found, Touching)
+    assert isinstance(found, LegCollision)
     assert found.leg == 0
     assert found.reason.startswith("left front leg: its foot would be pushed against the ground at (0.1")
     way, block = folded(make_terrain, 0.034)
-    lifted = cleared(way, LOW, MARGIN, -np.inf, HIGHEST, PROFILE, block)
+    lifted = find_clearances(way, LOW, MARGIN, -np.inf, HIGHEST, PROFILE, block)
     np.testing.assert_array_equal(lifted, LOW)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sextant.services.planner.locomotion.missing_ground import Holes
+from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.terrain import GOOD, NONE, flat_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import HAZARDS, ActuatorState
@@ -26,13 +26,13 @@ def lost(at: tuple[float, float], stamp_ns: int = 5) -> ActuatorState:
 
 
 def test_without_findings_the_map_stays_what_it_is() -> None:
-    holes = Holes()
+    holes = MissingGround()
     holes.update(heard(), np.eye(4))
     assert holes.marked(FLAT) is FLAT
 
 
 def test_a_hole_is_refused_with_what_is_near_and_nothing_else() -> None:
-    holes = Holes()
+    holes = MissingGround()
     holes.update(lost((0.2, 0.1)), from_xyz_rpy((0.1, 0.0, 0.0), np.zeros(3)))
     marked = holes.marked(FLAT)
     near, far = np.array([[0.3, 0.1], [0.32, 0.12]]), np.array([[0.3, 0.16], [0.2, 0.1]])
@@ -45,7 +45,7 @@ def test_a_hole_is_refused_with_what_is_near_and_nothing_else() -> None:
 
 
 def test_a_finding_counts_once_and_ground_that_was_found_is_no_hole() -> None:
-    holes = Holes()
+    holes = MissingGround()
     for _ in range(5):
         holes.update(lost((0.2, 0.1)), np.eye(4))
     assert len(holes.places) == 1

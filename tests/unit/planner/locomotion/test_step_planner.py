@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.leg_clearance import clearance_to_sink
-from sextant.services.planner.locomotion.step_planner import SHARES, Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -28,7 +28,7 @@ Flags = NDArray[np.bool_]
 
 PROFILE = load_profile("phantomx_mk2")
 SETTINGS = Settings()
-PLANNER = StridePlanner(PROFILE, SETTINGS)
+PLANNER = StepPlanner(PROFILE, SETTINGS)
 HEIGHT = 0.11
 TRIPOD = np.arange(6) % 2 == 0
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
@@ -44,18 +44,18 @@ def command(
 
 def standing(
     asked: VelocityCommand | None = None, swing: Flags = TRIPOD, T: Array | None = None, feet: Array | None = None
-) -> Situation:
+) -> StepStart:
     body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)) if T is None else T
-    return Situation(body, apply(body, PROFILE.rest_feet(HEIGHT)) if feet is None else feet, swing, asked or command())
+    return StepStart(body, apply(body, PROFILE.rest_feet(HEIGHT)) if feet is None else feet, swing, asked or command())
 
 
-def stride(at: Situation, terrain: Terrain = FLAT) -> Stride:
+def stride(at: StepStart, terrain: Terrain = FLAT) -> PlannedStep:
     found = PLANNER.plan(at, terrain)
-    assert isinstance(found, Stride), found
+    assert isinstance(found, PlannedStep), found
     return found
 
 
-def walkable(found: Stride, at: Situation) -> None:
+def walkable(found: PlannedStep, at: StepStart) -> None:
     """Check the properties of every step."""
     feet = apply(inverse(found.body_goal), found.touchdown)
     assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
@@ -110,7 +110,7 @@ def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> Non
     ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * ACCEPTABLE
     at = standing()
     found = PLANNER.plan(at, ground)
-    if isinstance(found, Blocked):
+    if isinstance(found, NoStep):
         assert found.reason
         return
     walkable(found, at)
@@ -125,7 +125,7 @@ def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
     for edge in np.arange(0.34, 0.10, -0.01):
         ground = make_terrain(score=lambda x, y, edge=edge: np.where(x > edge, 9.0, 0.0))
         found = PLANNER.plan(standing(command(0.06)), ground)
-        shares.append(found.share if isinstance(found, Stride) else 0.0)
+        shares.append(found.share if isinstance(found, PlannedStep) else 0.0)
     assert shares[0] == 1.0
     assert shares[-1] == 0.0
     assert shares == sorted(shares, reverse=True)
@@ -135,7 +135,7 @@ def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
 def test_the_words_are_those_of_the_whole_stride(make_terrain: Maker) -> None:
     nothing = make_terrain(score=lambda x, y: np.full_like(x, np.nan))
     found = PLANNER.plan(standing(), nothing)
-    assert isinstance(found, Blocked)
+    assert isinstance(found, NoStep)
     assert found.leg in np.flatnonzero(TRIPOD)
     assert found.reason.startswith("left front leg: no foothold")
     assert "not seen" in found.reason
@@ -145,7 +145,7 @@ def test_a_body_off_its_feet_is_named() -> None:
     feet = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))
     away = from_xyz_rpy((0.11, 0.0, HEIGHT), np.zeros(3))
     found = PLANNER.plan(standing(command(0.01), T=away, feet=feet), FLAT)
-    assert isinstance(found, Blocked)
+    assert isinstance(found, NoStep)
     assert "inside the support polygon" in found.reason or "out of reach" in found.reason
 
 
@@ -172,20 +172,20 @@ def staircase(make_terrain: Maker, riser: float, tread: float) -> Terrain:
     return make_terrain(lambda x, y: riser * steps(x), near_edge, half=2.0)
 
 
-def climbs(planner: StridePlanner, ground: Terrain) -> list[Stride]:
+def climbs(planner: StepPlanner, ground: Terrain) -> list[PlannedStep]:
     """Return the steps from level ground to x = 1.4 m, or as far as they go."""
     at, strides = standing(command(0.10)), []
     while at.T_world_body[0, 3] < 1.4:
         found = planner.plan(at, ground)
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             break
         walkable(found, at)
         strides.append(found)
-        at = Situation(found.body_goal, found.touchdown, ~at.swing, at.command)
+        at = StepStart(found.body_goal, found.touchdown, ~at.swing, at.command)
     return strides
 
 
-def lean_deg(found: Stride) -> float:
+def lean_deg(found: PlannedStep) -> float:
     return float(np.degrees(np.arccos(min(found.body_goal[2, 2], 1.0))))
 
 
@@ -200,7 +200,7 @@ def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tre
 
 def test_high_stairs_need_a_body_that_leans(make_terrain: Maker) -> None:
     ground = staircase(make_terrain, 0.06, 0.25)
-    level = climbs(StridePlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
+    level = climbs(StepPlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
     assert level[-1].body_goal[0, 3] < 1.0
     assert max(map(lean_deg, climbs(PLANNER, ground))) > 3.0
 
@@ -213,7 +213,7 @@ def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None
         feet[3:5, 2] = PROFILE.foot.radius - low
         at = standing(command(0.01), T=body, feet=feet.copy())
         found = PLANNER.plan(at, FLAT)
-        if isinstance(found, Stride):
+        if isinstance(found, PlannedStep):
             walkable(found, at)
             heights.append(found.body_goal[2, 3])
     assert heights[0] == pytest.approx(HEIGHT)
@@ -235,8 +235,8 @@ def test_legs_that_must_reach_down_make_it_stoop_too(make_terrain: Maker) -> Non
 
 @pytest.mark.parametrize(("asked", "why"), [(command(height=0.25), "body height"), (command(lift=0.2), "lift of")])
 def test_commands_that_no_ground_allows_are_named(asked: VelocityCommand, why: str) -> None:
-    assert why in PLANNER.objection(asked)
-    assert PLANNER.objection(command()) == ""
+    assert why in PLANNER.validation_error(asked)
+    assert PLANNER.validation_error(command()) == ""
 
 
 def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> None:
@@ -280,7 +280,7 @@ def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
         lambda x, y: np.where(np.hypot(x - foot[0], y - foot[1]) < 0.05, 9.0, 0.0),
     )
     found = PLANNER.plan(at, ring)
-    assert isinstance(found, Blocked)
+    assert isinstance(found, NoStep)
     assert found.leg == 0
     assert "left front leg: an obstacle on the foot's path needs" in found.reason
     assert "cm of lift" in found.reason
@@ -396,7 +396,7 @@ def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
     feet, shares = apply(body, rest), []
     for _ in range(4 * len(rhythm.groups)):
         swing = swing_order(rhythm, along, apply(inverse(body), feet), rest)[0]
-        found = stride(Situation(body, feet, swing, asked))
+        found = stride(StepStart(body, feet, swing, asked))
         for T in (body, found.body_goal):
             assert support_margin(feet[~swing][:, :2], T[:2, 3]) >= PROFILE.stance.support_margin
         assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(found.body_goal), found.touchdown))).all()
@@ -412,9 +412,9 @@ def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
 
 def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
     slow = command(0.05)
-    assert PLANNER.short_of(slow, stride(standing(slow))) == ""
+    assert PLANNER.describe_slowdown(slow, stride(standing(slow))) == ""
     fast = replace(command(0.10), gait="wave")
-    words = PLANNER.short_of(fast, stride(standing(fast, np.arange(6) == 3)))
+    words = PLANNER.describe_slowdown(fast, stride(standing(fast, np.arange(6) == 3)))
     assert re.fullmatch(r", speed limited to \d\.\d of 10\.0 cm/s \(leg reach and joint speed in the wave gait\)", words)
 
 
@@ -426,8 +426,8 @@ def test_who_asks_for_more_speed_never_gets_less() -> None:
         feet, along = apply(body, rest), directions(asked.velocity, 0.0, rest)
         for _ in range(8):
             order = swing_order(GAITS["tripod"], along, apply(inverse(body), feet), rest)
-            found, _ = PLANNER.choose([Situation(body, feet, swing, asked) for swing in order], wide_flat(body))
-            assert isinstance(found, Stride)
+            found, _ = PLANNER.choose([StepStart(body, feet, swing, asked) for swing in order], wide_flat(body))
+            assert isinstance(found, PlannedStep)
             speed = float(found.body_goal[0, 3] - body[0, 3]) / found.duration
             body, feet = found.body_goal, found.touchdown
         speeds.append(speed)
@@ -444,7 +444,7 @@ def test_legs_that_step_instead_of_others_say_why() -> None:
     x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
     score = np.where(np.hypot(x - bad[0], y - bad[1]) < 0.12, 9.0, 0.0).astype(np.float32)
     found, way = PLANNER.choose([due, others], Terrain(replace(FLAT.map, score=score)))
-    assert isinstance(found, Stride)
+    assert isinstance(found, PlannedStep)
     assert way >= len(SHARES)
     assert found.instead.startswith("left front leg: no foothold")
     assert PLANNER.choose([others, due], FLAT)[0].instead == ""  # type: ignore[union-attr]
@@ -462,9 +462,9 @@ def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherw
         bad = PLANNER.plan(at, FLAT).nominal[leg]  # type: ignore[union-attr]
         score[np.hypot(x - bad[0], y - bad[1]) < PROFILE.stance.search_radius + 0.015] = 9.0
     ditch = Terrain(replace(FLAT.map, score=score))
-    assert all(isinstance(PLANNER.plan(at, ditch), Blocked) for at in situations)
+    assert all(isinstance(PLANNER.plan(at, ditch), NoStep) for at in situations)
     found, _ = PLANNER.choose(situations, ditch)
-    assert isinstance(found, Stride)
+    assert isinstance(found, PlannedStep)
     far = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[found.swing], axis=1)
     assert PROFILE.stance.search_radius < far.max() < 1.6 * PROFILE.stance.search_radius
 
@@ -475,18 +475,18 @@ def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set
     found, way = PLANNER.choose(situations, FLAT, refused)
     left = [k for k in range(2 * len(SHARES)) if k not in refused]
     if not left:
-        assert isinstance(found, Blocked)
+        assert isinstance(found, NoStep)
     else:
         assert way == left[0]  # on level ground every choice is possible
-        assert isinstance(found, Stride)
+        assert isinstance(found, PlannedStep)
         np.testing.assert_array_equal(found.swing, situations[way // len(SHARES)].swing)
         assert found.share == SHARES[way % len(SHARES)]
 
 
-def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[Situation]:
+def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[StepStart]:
     along = directions(asked.velocity, asked.yaw_rate, PROFILE.rest_feet(HEIGHT))
     order = swing_order(GAITS[asked.gait], along, apply(inverse(body), feet), PROFILE.rest_feet(HEIGHT))
-    return [Situation(body, feet, swing, asked) for swing in order]
+    return [StepStart(body, feet, swing, asked) for swing in order]
 
 
 def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> None:
@@ -499,16 +499,16 @@ def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> 
     feet = apply(body, PROFILE.rest_feet(HEIGHT)) + np.column_stack([behind, np.zeros(6)])
     at = situations_of(body, feet, asked)
     blocked, _ = PLANNER.choose(at, FLAT)
-    assert isinstance(blocked, Blocked)
+    assert isinstance(blocked, NoStep)
     assert "out of reach" in blocked.reason
     found, way = PLANNER.gather(at, FLAT)
-    assert isinstance(found, Stride)
+    assert isinstance(found, PlannedStep)
     assert way >= len(at) * len(SHARES), "no way of `choose` has its number"
     walkable(found, next(one for one in at if (one.swing == found.swing).all()))
     np.testing.assert_allclose(found.body_goal[:2, 3], body[:2, 3])
     other, _ = PLANNER.gather(at, FLAT, {way})
-    assert isinstance(other, Blocked) or (other.swing != found.swing).all(), "what was refused is not tried again"
-    assert isinstance(PLANNER.choose(situations_of(found.body_goal, found.touchdown, asked), FLAT)[0], Stride)
+    assert isinstance(other, NoStep) or (other.swing != found.swing).all(), "what was refused is not tried again"
+    assert isinstance(PLANNER.choose(situations_of(found.body_goal, found.touchdown, asked), FLAT)[0], PlannedStep)
 
 
 @given(st.lists(st.floats(-0.02, 0.02), min_size=12, max_size=12))
@@ -519,10 +519,10 @@ def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[floa
     feet = rest + np.column_stack([np.reshape(off, (6, 2)), np.zeros(6)])
     for _ in range(4):
         found, _ = PLANNER.gather(situations_of(body, feet, command()), FLAT)
-        if isinstance(found, Blocked):
+        if isinstance(found, NoStep):
             break
         body, feet = found.body_goal, found.touchdown
-    assert isinstance(found, Blocked)
+    assert isinstance(found, NoStep)
     for legs in (TRIPOD, ~TRIPOD):
         assert np.linalg.norm((feet - rest)[legs], axis=1).sum() <= 0.03
 
@@ -539,7 +539,7 @@ def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
     block = np.hypot(x - x0, y - y0) < 0.012
     ground = Terrain(replace(FLAT.map, elevation=np.where(block, height, 0.0).astype(np.float32)))
     found = PLANNER.plan(at, ground)
-    if isinstance(found, Stride):
+    if isinstance(found, PlannedStep):
         swing = found.swing
         along = ground.ground_along(found.start[:, :2], found.touchdown[:, :2])
         needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.sink_margin)
@@ -573,15 +573,15 @@ def test_the_body_makes_room_for_a_folded_leg_before_its_foot_is_pushed_against_
     situations = [standing(swing=legs, feet=feet) for legs in (TRIPOD, ~TRIPOD)]
     others = frozenset(range(len(SHARES), 2 * len(SHARES)))
     shift, way = PLANNER.choose(situations, block, others)
-    assert isinstance(shift, Stride)
+    assert isinstance(shift, PlannedStep)
     assert not shift.swing.any()
     assert "left front leg: its foot would be pushed against the ground" in shift.instead
     assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(shift.body_goal), feet))).all()
     assert support_margin(feet[:, :2], shift.body_goal[:2, 3]) >= PROFILE.stance.support_margin
     after, _ = PLANNER.choose([replace(at, T_world_body=shift.body_goal) for at in situations], block, others)
-    assert isinstance(after, Stride)
+    assert isinstance(after, PlannedStep)
     np.testing.assert_array_equal(after.swing, TRIPOD)
     assert not after.instead, "nothing stands in the way of the legs that are due"
     pushed, _ = PLANNER.choose(situations, block, others | {way})
-    assert isinstance(pushed, Stride)
+    assert isinstance(pushed, PlannedStep)
     assert pushed.swing[0], "the last resort, once the actuator refuses the shift as well"

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.services.planner.navigation.path_follower import Heading, Pilot
-from sextant.services.planner.navigation.path_planner import NoWay
+from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower
+from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
 from sextant.shared.robot.profiles import load_profile
@@ -42,7 +42,7 @@ class Robot:
         yaw: float = 0.0,
         stands: Callable[[Array], bool] = lambda T: True,
     ) -> None:
-        self.pilot = Pilot(PROFILE)
+        self.pilot = PathFollower(PROFILE)
         self.terrain = terrain
         self.T = from_xyz_rpy((x, y, 0.1), (0.0, 0.0, yaw))
         self.now_ns = 0
@@ -52,11 +52,11 @@ class Robot:
         self.words: list[str] = []
         self.ended = False
 
-    def step(self, to: Goal) -> Heading | NoWay:
+    def step(self, to: Goal) -> MotionCommand | NoPath:
         self.now_ns += round(STEP_S * S)
         self.terrain = Terrain(self.terrain.map.__class__(**{**_fields(self.terrain), "stamp_ns": self.now_ns}))
         found = self.pilot.lead(to, self.terrain, self.T, self.T, self.now_ns)
-        if isinstance(found, Heading):
+        if isinstance(found, MotionCommand):
             self.words.append(found.words)
             places = [] if self.held else [self.after(command) for command in found.commands]
             self.T = next((T for T in places if self.stands(T)), self.T)
@@ -74,7 +74,7 @@ class Robot:
     def walk(self, to: Goal, steps: int = 150) -> "Robot":
         for _ in range(steps):
             found = self.step(to)
-            self.ended = isinstance(found, NoWay) or not found.commands
+            self.ended = isinstance(found, NoPath) or not found.commands
             if self.ended:
                 break
         return self
@@ -134,7 +134,7 @@ def test_where_there_is_no_way_it_says_why_at_once_and_stands(make_terrain: Make
     robot = Robot(make_terrain(pen, half=1.28))
     for _ in range(5):
         found = robot.step(goal((2.0, 0.0)))
-        assert isinstance(found, NoWay)
+        assert isinstance(found, NoPath)
         assert found.reason.startswith("no path to (2.0, 0.0): blocked by a step of more than 6 cm")
         assert found.reason.endswith("there is no opening")
     np.testing.assert_array_equal(robot.T, from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3)))
@@ -194,7 +194,7 @@ def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) ->
 
     robot = Robot(make_terrain(seen, half=1.28), yaw=np.radians(-90.0))
     found = robot.step(goal((1.2, 0.0)))
-    assert isinstance(found, Heading)
+    assert isinstance(found, MotionCommand)
     assert not found.commands[0].velocity.any()
     assert found.commands[0].yaw_rate > 0
     yaws = [yaw_of(robot.walk(goal((1.2, 0.0)), steps=1).T) for _ in range(3)]
@@ -208,7 +208,7 @@ def test_over_ground_that_it_has_seen_it_walks_while_it_turns_to_what_it_has_not
 
     robot = Robot(make_terrain(seen, half=1.28), yaw=np.radians(-170.0))
     found = robot.step(goal((1.2, 0.0)))
-    assert isinstance(found, Heading)
+    assert isinstance(found, MotionCommand)
     assert found.commands[0].velocity[0] < 0.0, "backward"
     assert abs(found.commands[0].yaw_rate) > 0.0
 
@@ -251,7 +251,7 @@ def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make
     robot = Robot(make_terrain(half=1.28))
     to = Goal(0, np.array([[1.0, 0.0]]), 0.03, speed, 0.10, 0.04)
     found = robot.step(to)
-    assert isinstance(found, Heading)
+    assert isinstance(found, MotionCommand)
     fastest = max(float(np.linalg.norm(command.velocity)) for command in found.commands)
     assert fastest == pytest.approx(min(speed, PROFILE.stance.max_speed))
 
@@ -262,7 +262,7 @@ def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make
 )
 def test_a_goal_that_makes_no_sense_is_refused_in_words(odd: dict[str, Any], words: str, make_terrain: Maker) -> None:
     found = Robot(make_terrain(half=1.28)).step(replace(goal((0.5, 0.0)), **odd))
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoPath)
     assert words in found.reason
     assert "expected, found" in found.reason
 
@@ -270,10 +270,10 @@ def test_a_goal_that_makes_no_sense_is_refused_in_words(odd: dict[str, Any], wor
 def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6))
     found = robot.step(goal((0.8, -0.3)))
-    assert isinstance(found, NoWay)
+    assert isinstance(found, NoPath)
     assert found.reason.startswith("no path to (0.8, -0.3): a step of more than 6 cm")
     assert found.reason.endswith("is too close to the goal")
-    assert isinstance(robot.step(goal((0.0, -0.3))), Heading), "another goal is another matter"
+    assert isinstance(robot.step(goal((0.0, -0.3))), MotionCommand), "another goal is another matter"
 
 
 def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: Maker) -> None:
@@ -314,5 +314,5 @@ def test_led_away_by_somebody_else_it_finds_its_way_from_there(make_terrain: Mak
     robot.T = from_xyz_rpy((0.0, 5.0, 0.1), np.zeros(3))
     robot.terrain = make_terrain(half=1.28, origin=(0.0, 5.0))
     found = robot.step(goal((1.0, 0.0)))
-    assert isinstance(found, Heading)
+    assert isinstance(found, MotionCommand)
     assert found.commands

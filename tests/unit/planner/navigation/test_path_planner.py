@@ -8,15 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.planner.navigation.path_planner import NoWay, Way, cheapest_cells, cost_of, find_way, straightened, widest
-from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, OPEN, STEP, WORDS, Crossing
+from sextant.services.planner.navigation.path_planner import (
+    NoPath,
+    PlannedPath,
+    cheapest_cells,
+    cost_of,
+    find_path,
+    find_widest_path,
+    straightened,
+)
+from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, OBSTACLE_NAMES, OPEN, STEP, CostMap
 from sextant.shared.geometry import Array
 
 EDGE = 0.05
 HALF = 0.25  # [m] half of the robot's width
 
 
-def crossing(cost: Array, stops: Array | None = None) -> Crossing:
+def cost_map(cost: Array, stops: Array | None = None) -> CostMap:
     """Return ground with given costs, where closed cells are steps."""
     closed = np.isinf(cost)
     kinds = np.where(closed, STEP, OPEN) if stops is None else stops
@@ -26,7 +34,7 @@ def crossing(cost: Array, stops: Array | None = None) -> Crossing:
     room = np.min([far, *(np.linalg.norm(grid - cell, axis=2) for cell in cells)], axis=0) * EDGE
     nothing = np.zeros(cost.shape)
     needs = np.full(cost.shape, HALF)
-    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, kinds.astype(np.int8), nothing > 0, nothing)
+    return CostMap(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, kinds.astype(np.int8), nothing > 0, nothing)
 
 
 def reference(cost: Array, start: tuple[int, int]) -> Array:
@@ -66,7 +74,7 @@ def grounds(draw: st.DrawFn) -> Array:
 @settings(max_examples=80, deadline=None)
 @given(grounds())
 def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) -> None:
-    ground, end = crossing(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
+    ground, end = cost_map(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
     best = reference(cost, (0, 0))
     cells, reached = cheapest_cells(ground.cost, ground.room, (0, 0), end)
     if cells is None:
@@ -85,7 +93,7 @@ def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) ->
 @settings(max_examples=40, deadline=None)
 @given(grounds())
 def test_the_way_back_costs_the_same(cost: Array) -> None:
-    ground, end = crossing(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
+    ground, end = cost_map(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
     there, _ = cheapest_cells(ground.cost, ground.room, (0, 0), end)
     back, _ = cheapest_cells(ground.cost, ground.room, end, (0, 0))
     assert (there is None) == (back is None)
@@ -96,7 +104,7 @@ def test_the_way_back_costs_the_same(cost: Array) -> None:
 @settings(max_examples=80, deadline=None)
 @given(grounds())
 def test_straightened_it_is_no_dearer_and_crosses_nothing_closed(cost: Array) -> None:
-    ground = crossing(cost)
+    ground = cost_map(cost)
     cells, _ = cheapest_cells(ground.cost, ground.room, (0, 0), (cost.shape[0] - 1, cost.shape[1] - 1))
     if cells is None:
         return
@@ -111,28 +119,28 @@ def test_straightened_it_is_no_dearer_and_crosses_nothing_closed(cost: Array) ->
 
 def test_over_open_ground_it_is_straight_and_ends_at_the_goal() -> None:
     start, goal = np.array([0.11, 0.12]), np.array([1.83, 0.77])
-    way = find_way(crossing(np.ones((40, 20))), start, goal, 0.03)
-    assert isinstance(way, Way)
+    way = find_path(cost_map(np.ones((40, 20))), start, goal, 0.03)
+    assert isinstance(way, PlannedPath)
     np.testing.assert_array_equal(way.corners, [start, goal])
     assert way.cost == pytest.approx(float(np.linalg.norm(goal - start)))
 
 
 def test_within_a_cell_it_is_straight_too() -> None:
     start, goal = np.array([0.11, 0.12]), np.array([0.14, 0.12])
-    way = find_way(crossing(np.ones((40, 20))), start, goal, 0.03)
-    assert isinstance(way, Way)
+    way = find_path(cost_map(np.ones((40, 20))), start, goal, 0.03)
+    assert isinstance(way, PlannedPath)
     np.testing.assert_array_equal(way.corners, [start, goal])
 
 
 def test_what_is_dear_is_gone_around_if_that_is_cheaper() -> None:
     cost = np.ones((40, 40))
     cost[18:22, 5:35] = 30.0
-    way = find_way(crossing(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
-    assert isinstance(way, Way)
+    way = find_path(cost_map(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
+    assert isinstance(way, PlannedPath)
     assert np.ptp(way.corners[:, 1]) > 0.7
     cost[18:22] = 30.0
-    way = find_way(crossing(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
-    assert isinstance(way, Way)
+    way = find_path(cost_map(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
+    assert isinstance(way, PlannedPath)
     assert np.ptp(way.corners[:, 1]) < 0.1, "there is no cheaper one"
 
 
@@ -141,9 +149,9 @@ def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int)
     cost = np.ones((40, 20))
     cost[27:29] = np.inf
     stops = np.where(np.isinf(cost), kind, OPEN)
-    found = find_way(crossing(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
-    assert found == NoWay(
-        f"no path to (1.8, 0.5): blocked by {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no opening"
+    found = find_path(cost_map(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
+    assert found == NoPath(
+        f"no path to (1.8, 0.5): blocked by {OBSTACLE_NAMES[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no opening"
     )
 
 
@@ -153,7 +161,7 @@ def test_the_widest_way_is_the_one_that_is_left_when_all_narrower_cells_are_clos
     rng = np.random.default_rng(seed)
     room = np.where(rng.random((8, 9)) < 0.3, 0.0, rng.random((8, 9)))
     start, end = (0, 0), (7, 8)
-    least, cell = widest(room, start, end)
+    least, cell = find_widest_path(room, start, end)
 
     def reached(above: float) -> bool:
         open_ = room > above
@@ -177,10 +185,10 @@ def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -
     cost, first = np.ones((40, 20)), 6
     cost[27:29] = np.inf
     cost[27:29, first : first + open_cells] = 1.0
-    ground = crossing(cost)
+    ground = cost_map(cost)
     ground.cost[ground.room < HALF] = np.inf
-    found = find_way(ground, np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
-    assert isinstance(found, NoWay)
+    found = find_path(ground, np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
+    assert isinstance(found, NoPath)
     room = (open_cells // 2 + 1) * EDGE
     at = f"(1.4, {(first + open_cells / 2) * EDGE:.1f})"
     assert found.reason.endswith(
@@ -192,11 +200,11 @@ def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_d
     cost = np.ones((40, 20))
     cost[28:30] = np.inf
     start, goal = np.array([0.5, 0.5]), np.array([1.43, 0.5])
-    found = find_way(crossing(cost), start, goal, 0.03)
-    assert isinstance(found, NoWay)
-    assert found.reason.startswith(f"no path to (1.4, 0.5): {WORDS[STEP]} at (1.4, 0.5)")
-    way = find_way(crossing(cost), start, goal, 0.2)
-    assert isinstance(way, Way)
+    found = find_path(cost_map(cost), start, goal, 0.03)
+    assert isinstance(found, NoPath)
+    assert found.reason.startswith(f"no path to (1.4, 0.5): {OBSTACLE_NAMES[STEP]} at (1.4, 0.5)")
+    way = find_path(cost_map(cost), start, goal, 0.2)
+    assert isinstance(way, PlannedPath)
     assert way.corners[-1][0] < 1.4
 
 
@@ -208,16 +216,16 @@ def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_no
     cost[room < HALF] = np.inf
     nothing = np.zeros(cost.shape)
     needs = np.full(cost.shape, HALF)
-    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, stops.astype(np.int8), nothing > 0, nothing)
-    out = find_way(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)
-    assert isinstance(out, Way)
+    ground = CostMap(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, stops.astype(np.int8), nothing > 0, nothing)
+    out = find_path(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)
+    assert isinstance(out, PlannedPath)
     assert out.corners[:, 0].max() == 0.93
-    assert isinstance(find_way(ground, np.array([0.93, 0.5]), np.array([1.8, 0.5]), 0.03), NoWay)
+    assert isinstance(find_path(ground, np.array([0.93, 0.5]), np.array([1.8, 0.5]), 0.03), NoPath)
 
 
 def test_a_goal_beyond_the_cells_is_walked_towards() -> None:
-    way = find_way(crossing(np.ones((40, 20))), np.array([0.5, 0.5]), np.array([9.0, 0.5]), 0.03)
-    assert isinstance(way, Way)
+    way = find_path(cost_map(np.ones((40, 20))), np.array([0.5, 0.5]), np.array([9.0, 0.5]), 0.03)
+    assert isinstance(way, PlannedPath)
     assert 1.9 < way.corners[-1][0] <= 2.0
 
 
@@ -225,16 +233,16 @@ def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
     cost = np.ones((40, 60))
     cost[18:22, 10:50] = np.inf
     start, goal = np.array([0.5, 1.5]), np.array([1.5, 1.5])
-    ground = crossing(cost)
-    assert isinstance(find_way(ground, start, goal, 0.03), Way)
+    ground = cost_map(cost)
+    assert isinstance(find_path(ground, start, goal, 0.03), PlannedPath)
     near = ground.beside(start, goal, 0.9)
-    found = find_way(near, start, goal, 0.03)
-    assert isinstance(found, NoWay)
-    assert WORDS[FAR] in found.reason
+    found = find_path(near, start, goal, 0.03)
+    assert isinstance(found, NoPath)
+    assert OBSTACLE_NAMES[FAR] in found.reason
 
 
 def test_the_cost_of_a_way_to_a_place_far_away_takes_no_memory() -> None:
-    ground = crossing(np.ones((4, 4)))
+    ground = cost_map(np.ones((4, 4)))
     tracemalloc.start()
     cost = cost_of(ground, np.array([[0.1, 0.1], [1e6, 0.1]]))
     _, most = tracemalloc.get_traced_memory()

@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.planner.navigation.stall_detection import Progress
+from sextant.services.planner.navigation.stall_detection import StallDetector
 from sextant.shared.geometry import Array
 
 S = 1_000_000_000
 SPEED = 0.1
 
 
-def update(progress: Progress, t: float, left: float, error: float = 0.0, place: Array | None = None) -> str:
+def update(progress: StallDetector, t: float, left: float, error: float = 0.0, place: Array | None = None) -> str:
     moving = np.array([t, 0.0, 0.0])  # away from the previous place
     return progress.update(round(t * S), moving if place is None else place, left, error, SPEED)
 
 
 def test_who_comes_nearer_gets_on_however_slowly_and_who_stands_does_not() -> None:
-    progress = Progress()
+    progress = StallDetector()
     assert not any(update(progress, t, 9.0 - 0.02 * t) for t in range(200))
     place = np.array([1.0, 2.0, 3.0])
     words = [update(progress, 200 + t, 5.0, 0.0, place) for t in range(6)]
@@ -30,7 +30,7 @@ def test_who_comes_nearer_gets_on_however_slowly_and_who_stands_does_not() -> No
 
 
 def test_who_turns_to_where_it_should_face_gets_on_at_each_place() -> None:
-    progress, t = Progress(), 0
+    progress, t = StallDetector(), 0
     for left in (3.0, 2.5, 2.0):
         for error in np.radians(np.arange(170.0, 0.0, -3.0)):
             t += 1
@@ -38,14 +38,14 @@ def test_who_turns_to_where_it_should_face_gets_on_at_each_place() -> None:
 
 
 def test_a_detour_is_no_standstill() -> None:
-    progress = Progress()
+    progress = StallDetector()
     assert not any(update(progress, t, 3.0 - 0.1 * t) for t in range(20))
     progress.changed = True
     assert not any(update(progress, 20 + t, 6.0 - 0.1 * t, max(2.0 - 0.2 * t, 0.0)) for t in range(60))
 
 
 def test_a_longer_way_that_nobody_gave_is_one() -> None:
-    progress = Progress()
+    progress = StallDetector()
     assert not any(update(progress, t, 3.0 - 0.1 * t) for t in range(20))
     words = [update(progress, 20 + t, 6.0 - 0.1 * t) for t in range(20)]
     assert "no progress for 16 s" in words
@@ -54,7 +54,7 @@ def test_a_longer_way_that_nobody_gave_is_one() -> None:
 @given(st.floats(0.06, 3.0), st.floats(0.2, 3.0), st.floats(2.0, 40.0))
 @settings(max_examples=30)
 def test_two_ways_by_turns_lead_nowhere(way: float, turn: float, period: float) -> None:
-    progress = Progress()
+    progress = StallDetector()
     for t in np.arange(0.0, 6 * (2 * period + 17.0), 0.5):
         progress.changed = True
         there_and_back = 0.5 - 0.5 * float(np.cos(2 * np.pi * t / period))
@@ -64,7 +64,7 @@ def test_two_ways_by_turns_lead_nowhere(way: float, turn: float, period: float) 
 
 
 def test_a_pause_is_no_standstill() -> None:
-    progress, place = Progress(), np.zeros(3)
+    progress, place = StallDetector(), np.zeros(3)
     assert not update(progress, 0.0, 3.0, 0.0, place)
     assert not update(progress, 3600.0, 3.0, 0.0, place)
     assert not update(progress, 3601.0, 3.0, 0.0, place)
@@ -72,12 +72,12 @@ def test_a_pause_is_no_standstill() -> None:
 
 
 def test_who_is_asked_to_walk_slowly_may() -> None:
-    progress = Progress()
+    progress = StallDetector()
     assert not any(progress.update(t * S, np.array([0.005 * t, 0.0, 0.0]), 3.0 - 0.005 * t, 0.0, 0.005) for t in range(100))
 
 
 def test_time_without_data_is_not_time_without_progress() -> None:
-    progress, place = Progress(), np.zeros(3)
+    progress, place = StallDetector(), np.zeros(3)
     for second in range(60):
         progress.pause()
         assert progress.update(second * 10**9, place, 1.0, 0.0, 0.1) == ""

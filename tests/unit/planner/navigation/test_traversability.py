@@ -9,33 +9,33 @@ import pytest
 from sextant.services.planner.navigation.traversability import (
     BARE,
     HOLE,
-    MAX_STEP,
+    MAX_STEP_M,
     OPEN,
     STEP,
     STUCK,
-    Crossing,
-    Prices,
-    SeenGround,
-    Size,
+    CostMap,
+    CostWeights,
+    LocalGroundMap,
+    RequiredSpace,
 )
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 
 CAMERA = load_profile("phantomx_mk2").camera
-SIZE = Size(0.25, 0.18, 0.40)
+SIZE = RequiredSpace(0.25, 0.18, 0.40)
 HERE = from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3))
 NOWHERE = np.zeros((0, 2))
 Maker = Callable[..., Terrain]
 
 
-def crossed(terrain: Terrain, stuck: Array = NOWHERE) -> Crossing:
-    ground = SeenGround()
-    ground.see(terrain, HERE, CAMERA, 0.0)
-    return ground.crossing(SIZE, Prices(), np.zeros(3), stuck, 0.08)
+def crossed(terrain: Terrain, stuck: Array = NOWHERE) -> CostMap:
+    ground = LocalGroundMap()
+    ground.add_map(terrain, HERE, CAMERA, 0.0)
+    return ground.cost_map(SIZE, CostWeights(), np.zeros(3), stuck, 0.08)
 
 
-def kinds(found: Crossing) -> set[int]:
+def kinds(found: CostMap) -> set[int]:
     return set(np.unique(found.stops).tolist())
 
 
@@ -78,7 +78,7 @@ def test_a_step_is_crossed_and_a_wall_is_not(rise: float, stops: int, make_terra
 
 
 def test_a_slope_is_no_wall(make_terrain: Maker) -> None:
-    assert np.tan(np.radians(20.0)) * 0.15 < MAX_STEP
+    assert np.tan(np.radians(20.0)) * 0.15 < MAX_STEP_M
     assert kinds(crossed(make_terrain(lambda x, y: np.tan(np.radians(20.0)) * x, half=1.28))) == {OPEN}
 
 
@@ -108,10 +108,10 @@ def test_between_holes_there_is_room_where_there_is_none_between_walls(
     def height(x: Array, y: Array) -> Array:
         return np.where(np.abs(y) > half, lower, 0.0) + 0.0 * x
 
-    ground, terrain = SeenGround(), make_terrain(height, edges(height), half=1.28)
+    ground, terrain = LocalGroundMap(), make_terrain(height, edges(height), half=1.28)
     for _ in range(4):
-        ground.see(terrain, HERE, CAMERA, 0.0)
-    found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
+        ground.add_map(terrain, HERE, CAMERA, 0.0)
+    found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
     assert np.isfinite(found.cost[found.cell(np.array([0.7, 0.0]))]) == open_
 
 
@@ -120,9 +120,9 @@ def test_a_wall_is_no_hole_to_a_robot_on_top_of_it(make_terrain: Maker) -> None:
         return np.where(x > 0.6, 0.3, 0.0)
 
     terrain, places = make_terrain(height, edges(height), half=1.28), ((0.43, 0.0), (0.82, 0.0))
-    ground = SeenGround()
-    ground.see(terrain, HERE, CAMERA, 0.0)
-    found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
+    ground = LocalGroundMap()
+    ground.add_map(terrain, HERE, CAMERA, 0.0)
+    found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
     below, above = (found.cell(np.array(place)) for place in places)
     assert np.isinf(found.cost[below])
     assert np.isfinite(found.cost[above])
@@ -153,9 +153,9 @@ def test_what_is_not_seen_is_dearer_the_further_the_robot_must_turn_to_it(yaw: f
     def height(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) > 0.55, np.nan, 0.0)
 
-    ground = SeenGround()
-    ground.see(make_terrain(height, height, half=1.28), HERE, CAMERA, 0.0)
-    found = ground.crossing(SIZE, Prices(), np.array([0.0, 0.0, yaw]), NOWHERE, 0.08)
+    ground = LocalGroundMap()
+    ground.add_map(make_terrain(height, height, half=1.28), HERE, CAMERA, 0.0)
+    found = ground.cost_map(SIZE, CostWeights(), np.array([0.0, 0.0, yaw]), NOWHERE, 0.08)
     off = yaw + np.array([0.0, 0.6, 1.2, 1.8, 2.4, 3.1])
     for side in (off, 2.0 * yaw - off):
         costs = found.at(found.cost, np.column_stack([np.cos(side), np.sin(side)]))
@@ -172,10 +172,10 @@ def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it
         return np.where((x > 0.7) & (x < 0.8), 0.3, hole(x, y))
 
     for height, expected in ((hole, {OPEN, HOLE}), (behind, {OPEN, STEP})):
-        ground, terrain = SeenGround(), make_terrain(height, height, half=1.28)
+        ground, terrain = LocalGroundMap(), make_terrain(height, height, half=1.28)
         for _ in range(6):
-            ground.see(terrain, HERE, CAMERA, 0.0)
-        found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
+            ground.add_map(terrain, HERE, CAMERA, 0.0)
+        found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
         assert kinds(found) == expected
 
 
@@ -186,15 +186,15 @@ def test_where_it_got_stuck_is_closed(make_terrain: Maker) -> None:
 
 
 def test_what_was_seen_is_kept_when_the_map_moves_on(make_terrain: Maker) -> None:
-    ground = SeenGround()
+    ground = LocalGroundMap()
 
     def wall(x: Array, y: Array) -> Array:
         return np.where((x > 0.5) & (x < 0.7), 0.3, 0.0)
 
     for x in np.arange(0.0, 2.1, 0.5):
         terrain = make_terrain(wall, edges(wall), half=1.0, origin=(float(x), 0.0))
-        ground.see(terrain, from_xyz_rpy((x, 0.0, 0.1), np.zeros(3)), CAMERA, 0.0)
-    found = ground.crossing(SIZE, Prices(), np.array([2.0, 0.0, 0.0]), NOWHERE, 0.08)
+        ground.add_map(terrain, from_xyz_rpy((x, 0.0, 0.1), np.zeros(3)), CAMERA, 0.0)
+    found = ground.cost_map(SIZE, CostWeights(), np.array([2.0, 0.0, 0.0]), NOWHERE, 0.08)
     assert found.stops[found.cell(np.array([0.52, 0.0]))] == STEP
     assert not found.unseen[found.cell(np.array([-0.8, 0.5]))]
     assert found.unseen[found.cell(np.array([2.0, 1.5]))]

@@ -214,9 +214,9 @@ def end_self() -> None:
 CONNECT = ["--connect", "tcp/127.0.0.1:1"]
 
 
-def run(make: Any, argv: list[str], rehearse: Any = None) -> int:
+def run(make: Any, argv: list[str], compile_functions: Any = None) -> int:
     with shutdown.ShutdownRequested() as told:
-        return process.run("planner", Settings, make, told, argv, rehearse)
+        return process.run("planner", Settings, make, told, argv, compile_functions)
 
 
 def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
@@ -238,10 +238,10 @@ def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
 def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() -> None:
     heard: list[Any] = []
 
-    def rehearse(profile: RobotProfile, settings: Settings) -> None:
+    def compile_functions(profile: RobotProfile, settings: Settings) -> None:
         heard.append((profile.name, settings, list(NoLink.opened)))
 
-    assert run(lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], rehearse) == 0
+    assert run(lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], compile_functions) == 0
     assert heard == [("phantomx_mk2", Settings(port=3), [])]
     assert len(NoLink.opened) == 1
 
