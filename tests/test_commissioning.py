@@ -71,7 +71,7 @@ def emulators() -> Iterator[list[Emulator]]:
 
 
 @pytest.mark.live
-def test_the_tutorial_runs_as_it_is_written(
+def test_commissioning_tutorial_runs_as_written(
     emulators: list[Emulator], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -121,7 +121,7 @@ def test_the_tutorial_runs_as_it_is_written(
     assert told.count("does not answer") == 1, "who was not asked is not missing"
 
 
-def test_every_command_of_the_page_is_one() -> None:
+def test_commands_of_commissioning_page_exist() -> None:
     shown = [words for words in commands(TEXT) if words[0] == "sextant"]
     inline = [line.split() for line in re.findall(r"`sextant ([^`]+)`", TEXT)]
     assert len(shown) > 6
@@ -129,7 +129,7 @@ def test_every_command_of_the_page_is_one() -> None:
         assert callable(cli.parse(words).command)
 
 
-def test_the_robot_of_the_page_is_one(tmp_path: Path) -> None:
+def test_profile_of_commissioning_page_is_valid(tmp_path: Path) -> None:
     (text,) = re.findall(r"^```toml\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
     (tmp_path / "own.toml").write_text(text)
     assert load_profile(str(tmp_path / "own.toml")).calibration[0].leg == "left front"

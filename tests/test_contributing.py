@@ -16,22 +16,22 @@ PATHS = sorted(set(re.findall(r"\b(?:benchmarks|services|shared|deploy|tests|doc
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_a_path_exists(path: str) -> None:
+def test_named_path_exists(path: str) -> None:
     assert (ROOT / path.rstrip(".")).exists()
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\bmake (\w+)", TEXT))))
-def test_a_target_of_make_exists(target: str) -> None:
+def test_named_make_target_exists(target: str) -> None:
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_the_names_that_it_tells_to_extend_exist() -> None:
+def test_named_extension_points_exist() -> None:
     assert all(isinstance(model, ServoModel) for model in MODELS)
     assert set(GAITS) == {"tripod", "ripple", "wave"}
     assert scenario.load_scenario("flat").name == "flat"
 
 
-def test_the_citation_is_valid_yaml_with_the_version_of_the_package() -> None:
+def test_citation_is_valid_yaml_with_package_version() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert f'version = "{cited["version"]}"' in project
@@ -39,7 +39,7 @@ def test_the_citation_is_valid_yaml_with_the_version_of_the_package() -> None:
     assert {reference["authors"][0]["family-names"] for reference in cited["references"]} == {"Lotriet", "Masri"}
 
 
-def test_the_hooks_before_a_commit_are_the_checks_of_make() -> None:
+def test_pre_commit_hooks_match_make_check() -> None:
     hooks = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]}
     (recipe,) = re.findall(r"^check:[^\n]*\n((?:\t[^\n]*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     tools = [line.removeprefix("\t$(BIN)/").split(" --check")[0].removesuffix(" .") for line in recipe.splitlines()]
@@ -58,7 +58,7 @@ def test_the_hooks_before_a_commit_are_the_checks_of_make() -> None:
         ("Did something", True, False),
     ],
 )
-def test_the_hooks_hold_a_commit_subject(subject: str, length: bool, form: bool) -> None:
+def test_hooks_check_commit_subject(subject: str, length: bool, form: bool) -> None:
     hooks = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]}
     text = f"{subject}\n\n{100 * 'b'}\n"
     assert (re.search(hooks["subject-length"]["entry"], text, re.MULTILINE) is None) == length

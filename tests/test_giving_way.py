@@ -20,21 +20,21 @@ print(is_giving_way(), weight())
 """
 
 
-def _said(file: Path) -> list[str]:
+def _script_output(file: Path) -> list[str]:
     root = Path(__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", _SCRIPT, str(file)], cwd=root, capture_output=True, text=True, check=True)
     return done.stdout.split("\n")[:2]
 
 
-def test_a_worker_weighs_little_while_the_file_exists_and_then_takes_its_weight_back(tmp_path: Path) -> None:
+def test_worker_lowers_priority_while_live_file_exists(tmp_path: Path) -> None:
     file = tmp_path / "live"
     file.touch()
-    during, after = _said(file)
+    during, after = _script_output(file)
     assert during == "True 10"
     assert after.startswith("False")
     grouped = Path("/proc/self/autogroup").exists()
     assert after == ("False 0" if grouped or os.geteuid() == 0 else "False 10"), "a process may take back nothing but as root"
 
 
-def test_without_the_file_nobody_gives_way(tmp_path: Path) -> None:
-    assert _said(tmp_path / "none")[0] == "False 0"
+def test_worker_keeps_priority_without_live_file(tmp_path: Path) -> None:
+    assert _script_output(tmp_path / "none")[0] == "False 0"

@@ -22,7 +22,7 @@ CONFLICT = ("ERROR: Cannot install numpy==1.0 and numpy==2.0 because these packa
     [(OFFLINE, ["No package index is reachable, so "]), (CONFLICT, [CONFLICT[0]])],
     ids=["offline", "another error"],
 )
-def test_make_without_a_package_index_says_so_in_one_line(tmp_path: Path, pip: tuple[str, ...], said: list[str]) -> None:
+def test_make_reports_unreachable_package_index_in_one_line(tmp_path: Path, pip: tuple[str, ...], said: list[str]) -> None:
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
     python = tmp_path / ".venv" / "bin" / "python"
@@ -56,7 +56,7 @@ def test_a_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["exit 0", "exit 1", "kill -TERM $PPID; exec sleep 0.1"])
-def test_the_mark_of_live_tests_is_gone_however_they_end(tmp_path: Path, end: str) -> None:
+def test_live_marker_file_is_removed_after_any_exit(tmp_path: Path, end: str) -> None:
     (tmp_path / "bin").mkdir()
     python = tmp_path / "bin" / "python"
     python.write_text(f"#!/bin/sh\n{end}\n")

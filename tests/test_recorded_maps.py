@@ -32,7 +32,7 @@ def layers(name: str, z: NDArray[np.float32], first: tuple[int, int] = (0, 0)) -
 
 
 @pytest.mark.parametrize("name", RESOLUTION)
-def test_some_ground_carries_a_foot_and_what_is_unknown_does_not(name: str) -> None:
+def test_recorded_map_has_footholds_and_none_on_unknown_cells(name: str) -> None:
     z = heights(name)
     made = layers(name, z)
     unknown = np.isnan(z)
@@ -44,7 +44,7 @@ def test_some_ground_carries_a_foot_and_what_is_unknown_does_not(name: str) -> N
 
 
 @pytest.mark.parametrize("name", RESOLUTION)
-def test_risers_and_rims_carry_no_foot(name: str) -> None:
+def test_risers_and_edges_are_no_footholds(name: str) -> None:
     """Neither layer accepts a cell with neighbours 3 cm above or below it."""
     z = heights(name)
     made = layers(name, z)
@@ -59,7 +59,7 @@ def test_risers_and_rims_carry_no_foot(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RESOLUTION)
-def test_a_window_led_across_has_the_layers_of_each_place(name: str) -> None:
+def test_moving_window_gives_same_layers_as_full_update(name: str) -> None:
     z = np.pad(heights(name), N, constant_values=np.nan)
     kept = FootholdLayers((N, N), RESOLUTION[name], None, WEIGHTS)
     rng = np.random.default_rng(4)

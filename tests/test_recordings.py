@@ -28,7 +28,7 @@ SOMEWHERE_NEAR = np.diag([0.05**2] * 6)  # [m, rad] covariance of a hand that mo
 TREADS = (0.17, 0.36, 0.55, 0.93, 1.13)  # [m] above the floor, measured
 
 
-def test_the_kitchen_recording_is_read() -> None:
+def test_kitchen_recording_is_complete() -> None:
     kitchen = tum.read_recording(recording("kinect_kitchen"))
     assert len(kitchen) == 300
     assert kitchen.depth(0).any()
@@ -37,7 +37,7 @@ def test_the_kitchen_recording_is_read() -> None:
     assert kitchen.camera.gravity_world is not None
 
 
-def test_a_kinect_carried_through_a_kitchen_stays_within_20_mm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kitchen_trajectory_error_is_within_20_mm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["replay", str(recording("kinect_kitchen")), "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table["frames"] == table["poses"] == 300
@@ -46,7 +46,7 @@ def test_a_kinect_carried_through_a_kitchen_stays_within_20_mm(tmp_path: Path, c
 
 
 @pytest.mark.parametrize(("first", "second", "registers"), [(1, 2, True), (2, 3, True), (3, 4, False), (4, 5, True)])
-def test_pictures_of_a_staircase_register_or_are_refused(first: int, second: int, registers: bool) -> None:
+def test_staircase_images_register_or_are_refused(first: int, second: int, registers: bool) -> None:
     stairs = tum.read_recording(recording("primesense_stairs"))
     registration = Registration(stairs.camera.intrinsics, DepthSensor(depth_scale=stairs.camera.depth_scale))
     registration.update(stairs.depth(first - 1), first, np.eye(4), SOMEWHERE_NEAR)
@@ -57,10 +57,10 @@ def test_pictures_of_a_staircase_register_or_are_refused(first: int, second: int
         assert np.array_equal(result.T_world_camera, np.eye(4))
 
 
-def test_treads_are_mapped_at_their_height() -> None:
+def test_stair_treads_are_mapped_at_measured_height() -> None:
     stairs = tum.read_recording(recording("primesense_stairs"))
     intrinsics, sensor = stairs.camera.intrinsics, DepthSensor(depth_scale=stairs.camera.depth_scale)
-    T = standing_on_the_floor(intrinsics.points(metres(stairs.depth(0), sensor)))
+    T = camera_pose_above_floor(intrinsics.points(depth_in_metres(stairs.depth(0), sensor)))
     registration, grid = (
         Registration(intrinsics, sensor),
         ElevationGrid(512, 0.01, FusionModel.of_sensor(sensor, intrinsics.fx)),
@@ -78,7 +78,7 @@ def test_treads_are_mapped_at_their_height() -> None:
     for tread in TREADS:
         # Treads above the camera show only the upper rims of their risers.
         off = 0.012 if tread < T[2, 3] else 0.025
-        assert commonest(staircase[np.isfinite(staircase)], tread) == pytest.approx(tread, abs=off)
+        assert most_frequent_height(staircase[np.isfinite(staircase)], tread) == pytest.approx(tread, abs=off)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_treads_are_mapped_at_their_height() -> None:
     # alone (small_gicp's GICP and point-to-plane too) is off by 0.7 to 1.2 deg in the same direction.
     [("pair_1", 0.3), ("pair_2", 0.8)],
 )
-def test_pairs_agree_with_motion_capture(pair: str, turn_deg: float) -> None:
+def test_image_pairs_agree_with_motion_capture(pair: str, turn_deg: float) -> None:
     folder = recording("rgbd_pairs")
     camera = tum.read_camera(folder / "camera.toml")
     registration = Registration(camera.intrinsics, DepthSensor(depth_scale=camera.depth_scale))
@@ -96,27 +96,27 @@ def test_pairs_agree_with_motion_capture(pair: str, turn_deg: float) -> None:
     for name in ("prev", "curr"):
         depth = cv2.imread(str(folder / pair / f"dep_{name}.png"), cv2.IMREAD_UNCHANGED)
         found.append(registration.update(np.asarray(depth), len(found), np.eye(4), SOMEWHERE_NEAR))
-    moved = inverse(captured(folder / pair / "pose_prev.txt")) @ captured(folder / pair / "pose_curr.txt")
+    moved = inverse(read_pose(folder / pair / "pose_prev.txt")) @ read_pose(folder / pair / "pose_curr.txt")
     error = inverse(moved) @ found[1].T_world_camera
     assert found[1].ok
     assert np.linalg.norm(error[:3, 3]) < 0.005
     assert np.degrees(np.linalg.norm(log_so3(error[:3, :3]))) < turn_deg
 
 
-def test_the_depth_of_the_second_pair_does_not_belong_to_its_pose() -> None:
+def test_second_pair_has_same_depth_image_with_other_pose() -> None:
     folder = recording("rgbd_pairs")
     same = [(folder / pair / "dep_curr.png").read_bytes() for pair in ("pair_1", "pair_2")]
-    apart = inverse(captured(folder / "pair_1/pose_curr.txt")) @ captured(folder / "pair_2/pose_curr.txt")
+    apart = inverse(read_pose(folder / "pair_1/pose_curr.txt")) @ read_pose(folder / "pair_2/pose_curr.txt")
     assert same[0] == same[1]
     assert np.linalg.norm(apart[:3, 3]) > 0.01
 
 
-def metres(raw: NDArray[np.uint16], sensor: DepthSensor) -> Array:
+def depth_in_metres(raw: NDArray[np.uint16], sensor: DepthSensor) -> Array:
     """Return depth (h, w) [m], NaN where there is none."""
     return np.where(raw > 0, raw / sensor.depth_scale, np.nan)
 
 
-def standing_on_the_floor(points: Array) -> Array:
+def camera_pose_above_floor(points: Array) -> Array:
     """Return the pose (4, 4) over the floor of a camera that looks ahead.
 
     Its owner measured a height of 0.85 m and a pitch of 3.5 deg down. The pitch is known to a tenth of a degree, and the roll
@@ -138,14 +138,14 @@ def standing_on_the_floor(points: Array) -> Array:
     return transform(level, -plane[0] * level @ [0.0, 0.0, 1.0]) @ T
 
 
-def commonest(heights: Array, near: float) -> float:
+def most_frequent_height(heights: Array, near: float) -> float:
     """Return the most frequent height [m] within 6 cm of `near`, smoothed over 8 mm."""
     candidates = np.arange(near - 0.06, near + 0.06, 0.002)
     density = np.exp(-0.5 * ((heights[:, None] - candidates) / 0.008) ** 2).sum(axis=0)
     return float(candidates[np.argmax(density)])
 
 
-def captured(path: Path) -> Array:
+def read_pose(path: Path) -> Array:
     """Read a pose (4, 4) from a file with tx ty tz qx qy qz qw."""
     x, y, z, qx, qy, qz, qw = (float(word) for word in path.read_text().split())
     return transform(rotation_from_quaternion(np.array([qw, qx, qy, qz])), np.array([x, y, z]))

@@ -10,7 +10,7 @@ from benchmarks import cli
 pytestmark = pytest.mark.live
 
 
-def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_access_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["access", "--messages", "300", "--out", str(tmp_path)]) == 0
     assert "| what | tried | came through | |" in capsys.readouterr().out
     rows = {row["what"]: row for row in json.loads((tmp_path / "access.json").read_text())}

@@ -32,7 +32,7 @@ def record(folder: Path) -> None:
             writer.add(1_000_000_000 + 33_333_000 * k, np.rint(rows + noise).astype(np.uint16))
 
 
-def test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none(tmp_path: Path) -> None:
+def test_onboard_services_publish_images_and_report_missing_camera(tmp_path: Path) -> None:
     folder, endpoint = tmp_path / "ground", f"tcp/127.0.0.1:{free_port()}"
     record(folder)
     ids = PROFILE.servo_ids.ravel().tolist()

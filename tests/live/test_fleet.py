@@ -85,20 +85,20 @@ def robots() -> Iterator[dict[str, Robot]]:
         yield {"alpha": alpha, "beta": beta}
 
 
-def written(folder: Path, robots: dict[str, Robot], port: int, without: str = '"planner"') -> Path:
+def write_fleet_file(folder: Path, robots: dict[str, Robot], port: int, without: str = '"planner"') -> Path:
     tables = [f'[robots.{name}]\nconnect = ["{robot.endpoint}"]\nwithout = [{without}]\n' for name, robot in robots.items()]
     path = folder / "fleet.toml"
     path.write_text("".join(tables) + f"[page]\nport = {port}\n", encoding="utf-8")
     return path
 
 
-def glance(port: int, name: str) -> ClientConnection:
+def open_status_socket(port: int, name: str) -> ClientConnection:
     words: Any = [PROTOCOL]
     return connect(f"ws://127.0.0.1:{port}/{name}/socket?glance", subprotocols=words, compression=None)
 
 
-def shows(port: int, name: str, mode: str) -> bool:
-    with contextlib.suppress(Exception), glance(port, name) as page:
+def shows_mode(port: int, name: str, mode: str) -> bool:
+    with contextlib.suppress(Exception), open_status_socket(port, name) as page:
         return json.loads(page.recv(5.0)).get("mode") == mode  # raises while the console is not up or has no state
     return False
 
@@ -107,15 +107,15 @@ def process(base: Command, module: str, name: str = "") -> Process | None:
     return next((p for p in base.family() if module in p.words and (not name or name in p.words)), None)
 
 
-def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp_path: Path) -> None:
+def test_failure_of_one_robot_does_not_affect_others(robots: dict[str, Robot], tmp_path: Path) -> None:
     port = free_port()
-    with Command("fleet", str(written(tmp_path, robots, port)), cwd=tmp_path) as base:
+    with Command("fleet", str(write_fleet_file(tmp_path, robots, port)), cwd=tmp_path) as base:
         # 1. One address shows the state of each robot.
-        base.wait_for(lambda: shows(port, "alpha", Mode.HOLD), "the page of alpha")
-        base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page of beta")
+        base.wait_for(lambda: shows_mode(port, "alpha", Mode.HOLD), "the page of alpha")
+        base.wait_for(lambda: shows_mode(port, "beta", Mode.FAULT), "the page of beta")
         assert f"page of all robots: http://127.0.0.1:{port}/" in base.text()
         # 2. An order there reaches its robot only.
-        with glance(port, "alpha") as page:
+        with open_status_socket(port, "alpha") as page:
             page.send(json.dumps({"type": "order", "order": "off"}))
             base.wait_for(lambda: "off" in robots["alpha"].told, "the order at alpha")
         assert robots["beta"].told == []
@@ -126,7 +126,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
             os.kill(found.pid, signal.SIGKILL)
             base.wait_for(lambda m=module, n=name, old=found: process(base, m, n) not in (None, old), f"{module} again")
         base.wait_for(lambda: "alpha: mapper ended (killed by SIGKILL)" in base.text(), "the word of it")
-        base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page, again")
+        base.wait_for(lambda: shows_mode(port, "beta", Mode.FAULT), "the page, again")
         # 4. A machine that claims the same services is reported, and ends no process.
         mapper = process(base, "sextant.services.mapper", "alpha")
         robots["alpha"].rival = True
@@ -140,7 +140,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
                 mapper = None
                 base.wait_for(lambda old=found: process(base, "sextant.services.mapper", "alpha") != old, "its end")
         eventually(lambda: process(base, "sextant.services.mapper", "alpha") is None, "alpha's processes gone")
-        assert shows(port, "beta", Mode.FAULT)
+        assert shows_mode(port, "beta", Mode.FAULT)
         assert process(base, "sextant.services.mapper", "beta") is not None
         # 6. Ctrl-C ends all of it.
         base.interrupt()
@@ -149,7 +149,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
 
 
 @pytest.mark.skipif(not browsers.find(), reason=f"no browser found of {', '.join(browsers.BROWSERS)}: install Chromium")
-def test_one_page_shows_all_robots_and_leads_to_each(
+def test_fleet_page_shows_all_robots_and_opens_each(
     robots: dict[str, Robot], tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
     """Draw the picture of the docs.
@@ -157,9 +157,9 @@ def test_one_page_shows_all_robots_and_leads_to_each(
     pytest tests/live/test_fleet.py -k page --pictures docs
     """
     folder, port = Path(pytestconfig.getoption("--pictures") or tmp_path), free_port()
-    file = written(tmp_path, robots, port, '"mapper", "planner", "recorder"')
+    file = write_fleet_file(tmp_path, robots, port, '"mapper", "planner", "recorder"')
     with Command("fleet", str(file), cwd=tmp_path) as base, browsers.browser() as chromium:
-        base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page of beta")
+        base.wait_for(lambda: shows_mode(port, "beta", Mode.FAULT), "the page of beta")
         page = chromium.new_context(viewport={"width": SMALL[0], "height": 320}).new_page()
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
@@ -187,7 +187,7 @@ def test_one_page_shows_all_robots_and_leads_to_each(
         assert errors == []
 
 
-def test_a_base_is_loaded_with_a_recorded_robot(tmp_path: Path) -> None:
+def test_fleet_benchmark_loads_base_with_recorded_robot(tmp_path: Path) -> None:
     """Load a base for a short time; here the machine may be busy.
 
     The same command measures the capacity of a base.

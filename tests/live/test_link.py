@@ -35,17 +35,17 @@ def bed() -> Iterator[NetTestbed]:
         yield made
 
 
-def test_two_bare_machines_walk_by_the_commands_of_the_docs(bed: NetTestbed, tmp_path: Path) -> None:
-    walks_by_the_commands_of_the_docs(bed, tmp_path)
+def test_documented_commands_walk_on_two_network_namespaces(bed: NetTestbed, tmp_path: Path) -> None:
+    walk_by_documented_commands(bed, tmp_path)
 
 
-def test_they_do_where_only_their_connections_can_be_relayed(tmp_path: Path) -> None:
+def test_documented_commands_walk_through_relay(tmp_path: Path) -> None:
     skip_where_taken(PORT)
     with OneMachine(LINK) as bed:
-        walks_by_the_commands_of_the_docs(bed, tmp_path)
+        walk_by_documented_commands(bed, tmp_path)
 
 
-def documented(words: list[str], bed: NetTestbed, folder: Path) -> tuple[str, ...]:
+def documented_command(words: list[str], bed: NetTestbed, folder: Path) -> tuple[str, ...]:
     """Return a command of the page without its first word.
 
     The testbed's values replace the reader's own ones.
@@ -62,8 +62,8 @@ def documented(words: list[str], bed: NetTestbed, folder: Path) -> tuple[str, ..
     return (command, *(own.get(word, word) for word in rest))
 
 
-def walks_by_the_commands_of_the_docs(bed: NetTestbed, tmp_path: Path) -> None:
-    make_keys, *up = (documented(words, bed, tmp_path) for words in islice(commands(PAGE), 3))
+def walk_by_documented_commands(bed: NetTestbed, tmp_path: Path) -> None:
+    make_keys, *up = (documented_command(words, bed, tmp_path) for words in islice(commands(PAGE), 3))
     with Command(*make_keys, cwd=tmp_path) as new:
         assert new.status() == 0
     course = str(write_course(tmp_path, "beyond", 0.3))
@@ -81,7 +81,7 @@ def walks_by_the_commands_of_the_docs(bed: NetTestbed, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("bed")
-def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path) -> None:
+def test_robot_holds_during_radio_outage_and_resumes(tmp_path: Path) -> None:
     """Hold during cuts, and walk on; here the machine may be busy.
 
     The same command with more cuts measures the times.
@@ -126,7 +126,7 @@ with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))
 """
 
 
-def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: NetTestbed) -> None:
+def test_routers_reconnect_soon_after_outage(bed: NetTestbed) -> None:
     """Connect again soon after a cut that killed the connection.
 
     Its sockets were closed with unsent data and must not delay the new ones. Without a limit they do so for 3 s.

@@ -10,7 +10,7 @@ from tests.support.commands import Command
 pytestmark = pytest.mark.live
 
 
-def test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump(tmp_path: Path) -> None:
+def test_actuator_killed_during_walk_restarts_and_holds(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with Command("faults", "live-actuator-killed", "--phases", "1", "--out", str(out), cwd=tmp_path) as command:
         assert command.status() == 0, command.text()
@@ -24,7 +24,7 @@ def test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump
     assert json.loads(line)["outcome"]["goals_before_off"] == 0
 
 
-def test_an_actuator_that_is_stopped_in_mid_walk_is_found_to_hang_and_its_successor_holds(tmp_path: Path) -> None:
+def test_hung_actuator_is_replaced_and_robot_holds(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with Command("faults", "live-actuator-stopped", "--phases", "1", "--out", str(out), cwd=tmp_path) as command:
         assert command.status() == 0, command.text()

@@ -46,7 +46,7 @@ def report_in(out: Path) -> dict[str, object]:
     return table
 
 
-def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
+def test_custom_scenario_is_walked_over_zenoh(tmp_path: Path) -> None:
     course, out = write_course(tmp_path, "mine", 0.3), tmp_path / "out"
     with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
         assert command.status() == 0
@@ -74,7 +74,7 @@ kind = "plane"
 """
 
 
-def test_a_goal_on_the_wire_is_walked_to(tmp_path: Path) -> None:
+def test_published_goal_is_reached(tmp_path: Path) -> None:
     course, out = tmp_path / "there.toml", tmp_path / "out"
     course.write_text(_GOAL, encoding="utf-8")
     with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
@@ -87,12 +87,12 @@ def test_a_goal_on_the_wire_is_walked_to(tmp_path: Path) -> None:
     assert not counts.get(topics.VELOCITY.key), "nobody steers it"
 
 
-def named(command: Command, service: str) -> Callable[[], bool]:
+def killed_and_restarted(command: Command, service: str) -> Callable[[], bool]:
     """Return a condition: the command reported a kill and restarted the service."""
     return lambda: f"{service} ended (killed by SIGKILL)" in command.text() and command.service(service) is not None
 
 
-def test_services_that_are_killed_in_turn_are_named_and_started_again(tmp_path: Path) -> None:
+def test_killed_services_are_reported_and_restarted(tmp_path: Path) -> None:
     """Kill services: the walk goes on after each kill, or ends with a reason."""
     course, out = write_course(tmp_path, "long", 1.8), tmp_path / "out"
     killed: list[str] = []
@@ -104,7 +104,7 @@ def test_services_that_are_killed_in_turn_are_named_and_started_again(tmp_path: 
                 assert victim is not None
                 os.kill(victim.pid, signal.SIGKILL)
                 killed.append(service)
-                command.wait_for(named(command, service), f"the end of {service}")
+                command.wait_for(killed_and_restarted(command, service), f"the end of {service}")
                 ear.forget()
                 eventually(lambda: ear.walked(2) or not command.running(), f"the walk going on after {service}")
                 if not command.running():
@@ -123,7 +123,7 @@ def test_services_that_are_killed_in_turn_are_named_and_started_again(tmp_path: 
         assert killed == ["perception", "mapper", "planner", "actuator"]
 
 
-def test_a_simulator_that_is_killed_ends_the_run_with_that_reason(tmp_path: Path) -> None:
+def test_killed_simulator_ends_run_with_reason(tmp_path: Path) -> None:
     course, out = write_course(tmp_path, "short", 0.5), tmp_path / "out"
     with Command("run", str(course), "--seed", "1001", "--out", str(out), cwd=tmp_path) as command:
         command.wait_for(lambda: command.service("actuator"), "the services")
@@ -137,7 +137,7 @@ def test_a_simulator_that_is_killed_ends_the_run_with_that_reason(tmp_path: Path
     assert "simulator ended (killed by SIGKILL)" in str(report["reason"])
 
 
-def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> None:
+def test_parallel_runs_are_isolated_and_leave_no_orphans(tmp_path: Path) -> None:
     """End one run with Ctrl-C, and kill the launcher of the other."""
     outs = {name: tmp_path / name for name in ("left", "right")}
     words = {name: ("run", str(write_course(tmp_path, name, 8.0)), "--seed", "1002", "--out", str(outs[name])) for name in outs}
@@ -165,7 +165,7 @@ def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> No
         assert all(f"simulating {name}," in words for words in said), "it heard its own simulator alone"
 
 
-def serves(url: str) -> bool:
+def page_is_served(url: str) -> bool:
     """Return whether the page is available."""
     try:
         with urllib.request.urlopen(url, timeout=5.0) as answer:
@@ -231,7 +231,7 @@ def walk_by_the_program_of_the_readme(endpoint: str) -> None:
     assert ran.stdout.startswith("ready ")
 
 
-def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
+def send_order(order: str, status: int, folder: Path, *meet: str) -> str:
     """Return the output of `sextant order` with the expected exit status.
 
     The order is repeated if a servo of a busy machine answered late.
@@ -247,7 +247,7 @@ def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
     return told[-1]
 
 
-def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:
+def test_attached_run_walks_with_running_services(tmp_path: Path) -> None:
     skip_where_taken(BUS_PORT)
     course, out = str(write_course(tmp_path, "shared", 0.3)), tmp_path / "out"
     meet = ("--namespace", "sextant")
@@ -256,7 +256,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
         up.wait_for(lambda: up.service("actuator"), "the services")
         up.wait_for(lambda: re.search(r"the operator's page: (\S+)", up.text()), "where the page is")
         address = re.search(r"the operator's page: (\S+)", up.text())
-        up.wait_for(lambda: address is not None and serves(address[1]), "the page")
+        up.wait_for(lambda: address is not None and page_is_served(address[1]), "the page")
         with Command("run", course, "--connect", endpoint, *meet, "--out", str(out), cwd=tmp_path) as run:
             assert run.status() == 0
             assert len(run.family()) == 0
@@ -267,7 +267,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
             ("stand", 0, "hold: standing"),
             ("off", 0, "off: ordered off"),
         ):
-            assert words in ordered(order, status, tmp_path, "--connect", endpoint, *meet)
+            assert words in send_order(order, status, tmp_path, "--connect", endpoint, *meet)
         walk_by_the_program_of_the_readme(endpoint)
         walk_by_the_client_of_the_docs(endpoint)
         walk_by_the_public_client(endpoint)
@@ -277,7 +277,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
     assert report_in(out)["success"] is True
 
 
-def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> None:
+def test_onboard_and_offboard_start_in_either_order(tmp_path: Path) -> None:
     """Start the off-board half first: it has its own router and waits for the robot."""
     course, out = str(write_course(tmp_path, "split", 0.3)), tmp_path / "out"
     robot, base = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
@@ -308,7 +308,7 @@ def composed(file: str, mounts: dict[str, str], **variables: str) -> tuple[Launc
     return tuple(replace(c, after=tuple(n for n in c.after if n != WARM_UP)) for c in found if c.name != WARM_UP)
 
 
-def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compose_services_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Walk a shorter course than that of the file; all else is unchanged."""
     skip_where_taken(ROUTER_PORT, BUS_PORT)
     written = composed("compose.yaml", {NOTIFY_SOCKET: str(tmp_path / "NAME.notify")})
@@ -334,9 +334,7 @@ def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.Monk
     assert report["scenario"] == "low"
 
 
-def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_each_of_its_services_is_healthy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_offboard_compose_services_walk_secured_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     skip_where_taken(ROUTER_PORT, PAGE_PORT)
     keys, course = tmp_path / "keys", str(write_course(tmp_path, "beside", 0.3))
     with Command("keys", "new", str(keys), "--robot-address", "127.0.0.1", cwd=tmp_path) as new:

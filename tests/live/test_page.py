@@ -104,17 +104,17 @@ def walk(robot: PageRobot, hand: Hand) -> None:
             walking = time.monotonic()
 
 
-def stands(robot: PageRobot) -> None:
+def wait_until_standing(robot: PageRobot) -> None:
     robot.until(lambda: robot.is_in(Mode.HOLD), STAND_S, "standing")
 
 
-def is_stopped(robot: PageRobot, since_s: float) -> None:
+def wait_until_stopped(robot: PageRobot, since_s: float) -> None:
     """Wait until the console has ordered a stop since `since_s`, and the robot stands.
 
     A robot that waits for its next step stands too, without an order.
     """
     robot.until(lambda: np.isfinite(robot.stop_ordered_after(since_s)), what="the console's order to stop")
-    stands(robot)
+    wait_until_standing(robot)
 
 
 def x_of(robot: PageRobot) -> float:
@@ -122,7 +122,7 @@ def x_of(robot: PageRobot) -> float:
     return float(robot.pose.T_world_body[0, 3])
 
 
-def test_the_pad_walks_the_robot_while_it_is_held(robot: PageRobot, hand: Hand) -> None:
+def test_robot_walks_while_pad_is_held(robot: PageRobot, hand: Hand) -> None:
     begun = x_of(robot)
     walk(robot, hand)
     assert hand.says("#leader-words") == "you are in control"
@@ -130,7 +130,7 @@ def test_the_pad_walks_the_robot_while_it_is_held(robot: PageRobot, hand: Hand) 
     assert x_of(robot) > begun + 0.05
     since, swing = time.monotonic(), robot.swinging()
     hand.release()
-    stands(robot)
+    wait_until_standing(robot)
     robot.pass_time(1.0)
     assert robot.stands_after(since, swing) < SOON_S
     assert robot.state is not None
@@ -138,9 +138,7 @@ def test_the_pad_walks_the_robot_while_it_is_held(robot: PageRobot, hand: Hand) 
 
 
 @pytest.mark.parametrize("how", ["keys", "blur", "hidden", "frozen", "cut off"])
-def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
-    robot: PageRobot, chromium: Any, hand: Hand, how: str
-) -> None:
+def test_end_of_press_stops_robot_until_new_press(robot: PageRobot, chromium: Any, hand: Hand, how: str) -> None:
     page = hand.page
     if how == "keys":
         limit = time.monotonic() + PATIENCE_S
@@ -151,7 +149,7 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
             robot.pass_time(3.0)
         since = time.monotonic()
         page.keyboard.up("KeyW")
-        is_stopped(robot, since)
+        wait_until_stopped(robot, since)
         robot.pass_time(1.5)
         assert robot.is_in(Mode.HOLD)
         return
@@ -160,19 +158,19 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
     match how:
         case "blur":
             page.evaluate("window.dispatchEvent(new Event('blur'))")
-            is_stopped(robot, since)
+            wait_until_stopped(robot, since)
         case "hidden":
             page.evaluate("Object.defineProperty(document, 'hidden', {value: true, configurable: true})")
             page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-            is_stopped(robot, since)
+            wait_until_stopped(robot, since)
             page.evaluate("delete document.hidden")
         case "frozen":
             with browsers.frozen():
-                is_stopped(robot, since)
+                wait_until_stopped(robot, since)
         case "cut off":
             page.context.set_offline(True)
             page.evaluate("window.sextant.link.socket.close()")
-            is_stopped(robot, since)
+            wait_until_stopped(robot, since)
             page.context.set_offline(False)
             page.wait_for_function("() => window.sextant.link.open")
     robot.pass_time(1.5)
@@ -180,10 +178,10 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
     hand.release()
     walk(robot, hand)
     hand.release()
-    stands(robot)
+    wait_until_standing(robot)
 
 
-def test_torque_off_reaches_the_bus_while_it_walks(robot: PageRobot, hand: Hand) -> None:
+def test_torque_off_during_walk_reaches_servo_bus(robot: PageRobot, hand: Hand) -> None:
     walk(robot, hand)
     hand.release()
     hand.move_to("#off")
@@ -201,7 +199,7 @@ def test_torque_off_reaches_the_bus_while_it_walks(robot: PageRobot, hand: Hand)
     robot.stand(lambda: hand.click('[data-order="stand"]'))
 
 
-def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageRobot, chromium: Any, hand: Hand) -> None:
+def test_second_browser_can_stop_but_moves_only_after_takeover(robot: PageRobot, chromium: Any, hand: Hand) -> None:
     with open_page(robot, chromium) as second:  # before the walk: a press lapses while a browser is busy with opening a page
         walk(robot, hand)
         assert second.says("#leader-words") == "page 1 is in control"
@@ -212,7 +210,7 @@ def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageR
         assert robot.state is not None
         assert robot.state.lease.startswith("console 1 at "), "it has changed nothing"
         second.click("#stop")
-        stands(robot)
+        wait_until_standing(robot)
         robot.pass_time(1.0)
         assert robot.is_in(Mode.HOLD), "the first one still holds its pad, and has to press it again"
         second.click("#take-over")
@@ -224,11 +222,11 @@ def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageR
         assert robot.is_in(Mode.HOLD)
         walk(robot, second)
         second.release()
-        stands(robot)
+        wait_until_standing(robot)
     hand.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'no client is in control'")
 
 
-def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot, hand: Hand) -> None:
+def test_map_click_sets_goal_and_robot_reaches_it(robot: PageRobot, hand: Hand) -> None:
     page = hand.page
     page.wait_for_function("() => window.sextant.view.terrain.header !== null")
     hand.click("#above")
@@ -242,12 +240,12 @@ def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot,
     robot.until(lambda: robot.is_in(Mode.WALK), what="a walk to the goal")
     assert page.evaluate("window.sextant.view.robot.goal.visible")
     robot.until(lambda: abs(x_of(robot) - goal) < 0.1, what="the goal")
-    stands(robot)
+    wait_until_standing(robot)
     page.wait_for_function("() => document.getElementById('give-up').disabled")
     assert any("arrived" in line for line in page.locator("#entries li").all_inner_texts())
 
 
-def test_the_layers_the_pictures_and_the_panels_show_what_there_is(robot: PageRobot, hand: Hand) -> None:
+def test_map_layers_camera_images_and_panels_are_shown(robot: PageRobot, hand: Hand) -> None:
     page = hand.page
     for layer in ("evaluation", "variance", "score"):
         page.check(f'input[value="{layer}"]')
@@ -264,7 +262,7 @@ def test_the_layers_the_pictures_and_the_panels_show_what_there_is(robot: PageRo
     assert "V, hottest" in hand.says("#power")
 
 
-def test_a_console_that_dies_stops_the_robot_and_the_page_comes_back(robot: PageRobot, chromium: Any) -> None:
+def test_killed_console_stops_robot_and_page_reconnects(robot: PageRobot, chromium: Any) -> None:
     context = chromium.new_context()
     context.set_default_timeout(1e3 * PATIENCE_S)
     page = context.new_page()
@@ -274,14 +272,14 @@ def test_a_console_that_dies_stops_the_robot_and_the_page_comes_back(robot: Page
     robot.until(lambda: robot.state is not None and robot.state.lease == "", what="that nobody leads")
     walk(robot, hand)
     robot.kill("console")
-    stands(robot)
+    wait_until_standing(robot)
     page.wait_for_function("() => window.sextant.link.open")
     robot.pass_time(1.0)
     assert robot.is_in(Mode.HOLD), "the pad that is still held moves nothing"
     context.close()
 
 
-def test_it_looks_right_on_a_desk_and_on_a_phone(
+def test_page_looks_right_on_desktop_and_phone(
     robot: PageRobot, chromium: Any, hand: Hand, tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
     """Draw the pictures of the docs.
@@ -295,7 +293,7 @@ def test_it_looks_right_on_a_desk_and_on_a_phone(
     hand.page.wait_for_selector("#depth:not([hidden])")
     hand.page.screenshot(path=folder / "page.png")
     hand.release()
-    stands(robot)
+    wait_until_standing(robot)
     with open_page(robot, chromium, PHONE) as phone:
         phone.page.wait_for_function("() => window.sextant.view.terrain.header !== null")
         phone.page.wait_for_timeout(500)
@@ -314,9 +312,7 @@ def test_it_looks_right_on_a_desk_and_on_a_phone(
         assert (int.from_bytes(image[16:20], "big"), int.from_bytes(image[20:24], "big")) == size
 
 
-def test_a_recording_is_begun_and_ended_on_the_page_and_a_recorder_that_dies_is_said_and_goes_on(
-    robot: PageRobot, hand: Hand, recordings: Path
-) -> None:
+def test_page_controls_recording_and_reports_killed_recorder(robot: PageRobot, hand: Hand, recordings: Path) -> None:
     page = hand.page
     page.wait_for_function("() => !document.getElementById('record').disabled")
     before = set(recordings.iterdir())

@@ -29,7 +29,7 @@ def endpoints() -> Iterator[Endpoints]:
 
 
 @pytest.fixture
-def said(endpoints: Endpoints) -> Iterator[threading.Event]:
+def velocity_publisher(endpoints: Endpoints) -> Iterator[threading.Event]:
     """Publish velocities continuously until the event is set."""
     stop = threading.Event()
 
@@ -54,7 +54,7 @@ def met(endpoints: Endpoints) -> tuple[str, ...]:
     return ("--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
 
 
-def until(what: str, holds: object, within_s: float = 30.0) -> None:
+def wait_until(what: str, holds: object, within_s: float = 30.0) -> None:
     end = time.monotonic() + within_s
     assert callable(holds)
     while not holds():
@@ -62,13 +62,13 @@ def until(what: str, holds: object, within_s: float = 30.0) -> None:
         threading.Event().wait(0.05)
 
 
-def test_what_is_said_is_recorded_until_the_recorder_is_killed(
-    endpoints: Endpoints, said: threading.Event, tmp_path: Path
+def test_killed_recorder_loses_less_than_one_second(
+    endpoints: Endpoints, velocity_publisher: threading.Event, tmp_path: Path
 ) -> None:
     out = tmp_path / "recorded"
     recorder = subprocess.Popen(sextant("record", "--out", str(out), "--reserve", "0", *met(endpoints)), cwd=ROOT)
     file = out / "recording-0001.mcap"
-    until("frames on the disk", lambda: file.is_file() and file.stat().st_size > 8000)
+    wait_until("frames on the disk", lambda: file.is_file() and file.stat().st_size > 8000)
     killed_ns = time.monotonic_ns()
     recorder.kill()
     recorder.wait()
@@ -80,7 +80,9 @@ def test_what_is_said_is_recorded_until_the_recorder_is_killed(
     assert recover(file, tmp_path / "whole.mcap").messages == len(stamps)
 
 
-def test_a_recording_of_so_many_seconds_is_whole(endpoints: Endpoints, said: threading.Event, tmp_path: Path) -> None:
+def test_recording_of_given_duration_is_complete(
+    endpoints: Endpoints, velocity_publisher: threading.Event, tmp_path: Path
+) -> None:
     words = sextant("record", "--out", str(tmp_path), "--reserve", "0", "--seconds", "1", *met(endpoints))
     told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "recorded" in told
@@ -89,15 +91,15 @@ def test_a_recording_of_so_many_seconds_is_whole(endpoints: Endpoints, said: thr
     assert recording.complete
 
 
-def test_a_disk_without_room_is_refused_with_what_to_do(endpoints: Endpoints, tmp_path: Path) -> None:
+def test_insufficient_disk_space_is_refused_with_advice(endpoints: Endpoints, tmp_path: Path) -> None:
     words = sextant("record", "--out", str(tmp_path), "--reserve", "999999999", *met(endpoints))
     told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert told.returncode == 2
     assert "free some space, or record to another disk" in told.stderr
 
 
-def test_the_process_records_by_order_and_says_how_it_stands(
-    endpoints: Endpoints, said: threading.Event, tmp_path: Path
+def test_recorder_process_follows_commands_and_publishes_state(
+    endpoints: Endpoints, velocity_publisher: threading.Event, tmp_path: Path
 ) -> None:
     words = ("-m", "sextant.services.console.recorder", *met(endpoints), "--set", f"folder={tmp_path}", "--set", "reserve_mb=0")
     states: list[RecorderState] = []
@@ -105,12 +107,12 @@ def test_the_process_records_by_order_and_says_how_it_stands(
         link.subscribe(topics.RECORDER_STATE, lambda _, frame: states.append(codec.decode(frame, RecorderState)[0]))
         recorder = subprocess.Popen([sys.executable, *words], cwd=ROOT)
         try:
-            until("its first word", lambda: states)
+            wait_until("its first word", lambda: states)
             assert not states[-1].recording
             for record, sequence in ((True, 1), (False, 2)):
                 link.send(topics.RECORD, codec.encode(RecordCommand(time.monotonic_ns(), record, sequence)))
-                until("the order followed", lambda n=sequence: states[-1].sequence == n)
-                until("something written", lambda: states[-1].size > 5000)
+                wait_until("the order followed", lambda n=sequence: states[-1].sequence == n)
+                wait_until("something written", lambda: states[-1].size > 5000)
             assert not states[-1].recording
             assert states[-1].dropped == 0
         finally:

@@ -8,7 +8,7 @@ from benchmarks.access import live_role_attack
 pytestmark = pytest.mark.live
 
 
-def test_the_processes_of_a_robot_outlive_extreme_messages_and_torque_goes_off_when_ordered() -> None:
+def test_robot_survives_extreme_messages_and_obeys_torque_off() -> None:
     said: list[str] = []
     (row,) = live_role_attack.measure(["robot"], 400, 1, said.append)
     assert row.messages == 400

@@ -71,7 +71,7 @@ class Started:
                 continue
 
 
-def test_what_the_units_start_is_ready_in_order_gives_signs_of_life_and_ends_when_asked(tmp_path: Path) -> None:
+def test_systemd_units_start_in_order_pulse_and_stop(tmp_path: Path) -> None:
     course, folder = str(write_course(tmp_path, "unit", 0.3)), tmp_path / "units"
     bus, near = free_port(), f"tcp/127.0.0.1:{free_port()}"
     settings = ("--set", f"simulator.bus_port={bus}", "--set", f"actuator.port=socket://127.0.0.1:{bus}")
@@ -99,7 +99,7 @@ def test_what_the_units_start_is_ready_in_order_gives_signs_of_life_and_ends_whe
                 one.close()
 
 
-def test_a_unit_that_is_started_wrongly_ends_as_restarts_are_not_worth_it(tmp_path: Path) -> None:
+def test_invalid_unit_setting_exits_with_no_restart_status(tmp_path: Path) -> None:
     words = ("service", "install", "onboard", "--camera", "none", "--set", "actuator.arc=nonsense")
     assert cli.main([*words, "--folder", str(tmp_path)]) == 0
     service = read_unit((tmp_path / "sextant-actuator.service").read_text())["Service"]

@@ -49,7 +49,7 @@ def said(command: Command, *words: str) -> Callable[[], bool]:
     return lambda: any(all(word in line for word in words) for line in command.said)
 
 
-def test_a_run_on_a_computer_that_is_too_slow_names_what_is_late(tmp_path: Path) -> None:
+def test_slow_computer_run_reports_late_inputs(tmp_path: Path) -> None:
     course, out = write_course(tmp_path, "long", 8.0), tmp_path / "out"
     with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
         with Ear.at(command.endpoints()) as ear:

@@ -11,7 +11,7 @@ from tests.support.commands import Command
 pytestmark = pytest.mark.live
 
 
-def test_a_long_walk_weighs_every_process_and_times_every_stream(tmp_path: Path) -> None:
+def test_soak_measures_memory_of_processes_and_age_of_topics(tmp_path: Path) -> None:
     with Command("soak", "--minutes", "0.5", "--out", str(tmp_path), cwd=tmp_path, module="benchmarks") as bench:
         assert bench.status() in (0, 1), bench.text()  # in half a minute memory may well grow
         bench.gone()

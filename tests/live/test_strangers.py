@@ -14,7 +14,7 @@ from benchmarks.access import strangers
 pytestmark = pytest.mark.live
 
 
-def test_a_base_and_an_actuator_are_let_in_among_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_base_and_actuator_connect_among_unauthorized_clients(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["strangers", "--cuts", "2", "--rate", "200", "--restarts", "1", "--silent", "500", "--out", str(tmp_path)]
     assert cli.main(words) in (0, 1), "1 where a base was late, which is up to the machine"
     assert "| time from | n |" in capsys.readouterr().out

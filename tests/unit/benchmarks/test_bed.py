@@ -24,9 +24,7 @@ _FOREVER = 10**15
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(1, 1400)), max_size=60), st.floats(0, 200), st.floats(0.1, 100))
-def test_packets_arrive_whole_in_their_order_and_never_before_rate_and_delay_allow(
-    sent: list[tuple[int, int]], delay_ms: float, mbit: float
-) -> None:
+def test_packets_arrive_in_order_after_rate_and_delay(sent: list[tuple[int, int]], delay_ms: float, mbit: float) -> None:
     way, now_ns, due = Channel(Link(delay_ms, mbit), 0), 0, []
     for number, (after_ms, size) in enumerate(sent):
         now_ns += after_ms * _MS
@@ -47,7 +45,7 @@ def test_packets_arrive_whole_in_their_order_and_never_before_rate_and_delay_all
     assert way.dropped == 0
 
 
-def test_a_radio_that_is_full_drops_what_comes_last() -> None:
+def test_full_channel_drops_newest_packets() -> None:
     way = Channel(Link(0.0, 1.0), 0)
     packets = 2 * QUEUE_BYTES // 1000
     for _ in range(packets):
@@ -56,7 +54,7 @@ def test_a_radio_that_is_full_drops_what_comes_last() -> None:
     assert len(way.arrived(_FOREVER)) == packets - way.dropped
 
 
-def test_as_many_are_lost_as_asked_for_and_the_same_ones_by_the_same_seed() -> None:
+def test_packet_loss_matches_rate_and_seed() -> None:
     ways = [Channel(Link(1.0, 0.0, 0.05), seed) for seed in (4, 4, 5)]
     for way in ways:
         for number in range(20_000):
@@ -66,7 +64,7 @@ def test_as_many_are_lost_as_asked_for_and_the_same_ones_by_the_same_seed() -> N
     assert abs(ways[0].dropped / 20_000 - 0.05) < 0.005
 
 
-def test_nothing_comes_through_a_cut_neither_what_is_under_way_nor_what_is_sent() -> None:
+def test_outage_drops_packets_in_flight_and_sent_packets() -> None:
     way = Channel(Link(10.0), 0)
     way.send(b"under way", 0)
     way.cut = True
@@ -86,7 +84,7 @@ def test_nothing_comes_through_a_cut_neither_what_is_under_way_nor_what_is_sent(
     st.floats(0, 0.5),
     st.integers(0, 3),
 )
-def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before_rate_and_delay_allow(
+def test_stream_is_complete_and_ordered_despite_packet_loss(
     sent: list[tuple[int, int]], delay_ms: float, mbit: float, loss: float, seed: int
 ) -> None:
     air = RadioOutages(Link(delay_ms, mbit, loss), seed)
@@ -113,7 +111,7 @@ def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before
     assert air.packets == sum(-(-size // SEGMENT) for _, size in sent)
 
 
-def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
+def test_streams_share_rate_and_retransmit_lost_packets() -> None:
     air = RadioOutages(Link(0.0, 8.0), 0)  # one byte per microsecond
     one, other = Stream(air), Stream(air)
     one.send(bytes(SEGMENT), 0)
@@ -127,7 +125,7 @@ def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
     assert early + lossy.arrived(_FOREVER) == b"x" * 20
 
 
-def test_a_cut_holds_a_stream_up_and_loses_nothing_of_it() -> None:
+def test_outage_delays_stream_without_loss() -> None:
     air = RadioOutages(Link(10.0), 0)
     stream = Stream(air)
     stream.send(b"under way, ", 0)
@@ -140,15 +138,15 @@ def test_a_cut_holds_a_stream_up_and_loses_nothing_of_it() -> None:
     assert stream.arrived(_SEC + AGAIN_NS) == b"under way, sent"
 
 
-def _said(*changes: tuple[float, Mode, str, int, float]) -> list[Heard]:
+def _received_states(*changes: tuple[float, Mode, str, int, float]) -> list[Heard]:
     return [Heard(round(at * _SEC), mode, why, step, round(plan * _SEC)) for at, mode, why, step, plan in changes]
 
 
 _LATE = "no new plan received for 0.18 s; the step is reversed"
 
 
-def test_a_robot_that_holds_and_goes_on_by_a_fresh_plan_is_as_it_must_be() -> None:
-    heard = _said(
+def test_hold_and_resume_by_fresh_plan_passes() -> None:
+    heard = _received_states(
         (9.0, Mode.WALK, "walking", 3, 8.9),
         (10.2, Mode.WALK, _LATE, 3, 8.9),
         (10.6, Mode.HOLD, _LATE, 3, 8.9),
@@ -161,13 +159,13 @@ def test_a_robot_that_holds_and_goes_on_by_a_fresh_plan_is_as_it_must_be() -> No
     assert cut.problems == ()
 
 
-def test_a_robot_that_stands_when_the_radio_is_cut_holds_already() -> None:
-    heard = _said((9.0, Mode.HOLD, "standing", 3, 8.0), (11.5, Mode.WALK, "walking", 4, 11.2))
+def test_standing_robot_counts_as_holding_at_outage() -> None:
+    heard = _received_states((9.0, Mode.HOLD, "standing", 3, 8.0), (11.5, Mode.WALK, "walking", 4, 11.2))
     assert judge(10 * _SEC, 11 * _SEC, heard).held_s == 0.0
 
 
-def test_a_short_cut_need_not_stop_it() -> None:
-    heard = _said((9.0, Mode.WALK, "walking", 3, 8.9), (10.3, Mode.WALK, "walking", 4, 10.2))
+def test_short_outage_need_not_stop_robot() -> None:
+    heard = _received_states((9.0, Mode.WALK, "walking", 3, 8.9), (10.3, Mode.WALK, "walking", 4, 10.2))
     cut = judge(10 * _SEC, 10 * _SEC + 100 * _MS, heard)
     assert cut.held_s is None
     assert cut.back_s == 0.0
@@ -177,33 +175,39 @@ def test_a_short_cut_need_not_stop_it() -> None:
 @pytest.mark.parametrize(
     ("heard", "problem"),
     [
-        (_said((9.0, Mode.WALK, "walking", 3, 8.9), (12.5, Mode.WALK, "walking", 4, 12.4)), "held after never"),
+        (_received_states((9.0, Mode.WALK, "walking", 3, 8.9), (12.5, Mode.WALK, "walking", 4, 12.4)), "held after never"),
         (
-            _said((9.0, Mode.WALK, "walking", 3, 8.9), (10.4, Mode.HOLD, _LATE, 3, 8.9), (12.5, Mode.WALK, "walking", 4, 12.4)),
+            _received_states(
+                (9.0, Mode.WALK, "walking", 3, 8.9), (10.4, Mode.HOLD, _LATE, 3, 8.9), (12.5, Mode.WALK, "walking", 4, 12.4)
+            ),
             "held after 0.40 s",
         ),
-        (_said((9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9)), "walked again after never"),
+        (_received_states((9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9)), "walked again after never"),
         (
-            _said((9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9), (14.5, Mode.WALK, "walking", 4, 14.4)),
+            _received_states(
+                (9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9), (14.5, Mode.WALK, "walking", 4, 14.4)
+            ),
             "walked again after 2.50 s",
         ),
         (
-            _said((9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9), (12.5, Mode.WALK, "walking", 4, 9.9)),
+            _received_states(
+                (9.0, Mode.WALK, "walking", 3, 8.9), (10.2, Mode.HOLD, _LATE, 3, 8.9), (12.5, Mode.WALK, "walking", 4, 9.9)
+            ),
             "accepted a plan 2.60 s old",
         ),
     ],
 )
-def test_what_is_not_as_it_must_be_is_said(heard: list[Heard], problem: str) -> None:
+def test_outage_violation_is_reported(heard: list[Heard], problem: str) -> None:
     assert problem in judge(10 * _SEC, 12 * _SEC, heard).problems
 
 
-def test_what_was_heard_comes_through_its_line() -> None:
-    heard = _said((1.0, Mode.WALK, 'a "reason"\n', 3, -1.0))[0]
+def test_state_line_round_trips() -> None:
+    heard = _received_states((1.0, Mode.WALK, 'a "reason"\n', 3, -1.0))[0]
     assert Heard.of(heard.line()) == heard
     assert "\n" not in heard.line()
 
 
-def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afterwards() -> None:
+def test_namespaces_connect_only_through_radio_and_are_removed() -> None:
     with contextlib.ExitStack() as stack:
         try:
             bed = stack.enter_context(Namespaces(Link(5.0, 0.0, 0.0)))
@@ -236,7 +240,7 @@ def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afte
     assert "has ended" in gone.stderr
 
 
-def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
+def test_relay_carries_connections_with_outages() -> None:
     behind = free_port()
     with OneMachine(Link(5.0, 0.0, 0.0), behind=(behind,)) as bed:
         listen = (
@@ -270,7 +274,7 @@ def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
         assert bed.carried().from_robot == len("heard")
 
 
-def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unavailable_namespaces_are_reported_and_relay_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "benchmarks.net_testbed.not_there"))
     with pytest.raises(NetTestbedError, match=r"no two machines here: .*not_there"):
         Namespaces(Link()).__enter__()
@@ -283,7 +287,7 @@ def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("words", [(), ("robot", "true"), ("12",)])
-def test_entering_nowhere_says_what_was_expected(words: tuple[str, ...]) -> None:
+def test_enter_command_with_invalid_arguments_is_refused(words: tuple[str, ...]) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.net_testbed.enter", *words], capture_output=True, text=True, check=False
     )

@@ -37,7 +37,7 @@ SCENES = {**MAPPED, **REGISTERED}
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_scenes_are_built_by_their_seed(name: str) -> None:
+def test_scenes_are_deterministic_for_seed(name: str) -> None:
     one, same, other = (SCENES[name](np.random.default_rng(seed)) for seed in (1000, 1000, 1001))
 
     def heights(terrain: Terrain) -> np.ndarray:
@@ -48,7 +48,7 @@ def test_scenes_are_built_by_their_seed(name: str) -> None:
     assert random != np.array_equal(heights(one), heights(other))
 
 
-def test_legs_are_as_wrong_as_asked() -> None:
+def test_leg_odometry_error_matches_requested_scale() -> None:
     terrain = REGISTERED["flat"](np.random.default_rng(0))
     way = ride(terrain, np.random.default_rng(1), Errors(scale=0.05))
     told = np.linalg.norm(np.diff(way.T_odom_body[:, :2, 3], axis=0), axis=1).sum()
@@ -59,7 +59,7 @@ def test_legs_are_as_wrong_as_asked() -> None:
     np.testing.assert_allclose(way.T_odom_body[0], way.T_world_body[0])
 
 
-def test_slipping_legs_tell_more_than_was_walked() -> None:
+def test_slip_makes_odometry_longer_than_walked_distance() -> None:
     terrain = REGISTERED["flat"](np.random.default_rng(0))
     ways = [ride(terrain, np.random.default_rng(1), Errors(0.0, slip)) for slip in (0.0, 0.5)]
     lost = ways[1].T_odom_body[-1, 0, 3] - ways[0].T_odom_body[-1, 0, 3]
@@ -67,7 +67,7 @@ def test_slipping_legs_tell_more_than_was_walked() -> None:
     assert lost == pytest.approx(0.5 * speed_mps, abs=0.06)
 
 
-def test_a_robot_that_is_carried_off_walks_on_as_before() -> None:
+def test_displaced_robot_keeps_odometry_and_relative_motion() -> None:
     terrain = REGISTERED["flat"](np.random.default_rng(0))
     before, after = (
         ride(terrain, np.random.default_rng(1), Errors(carried_off=there))
@@ -83,7 +83,7 @@ def test_a_robot_that_is_carried_off_walks_on_as_before() -> None:
     )
 
 
-def test_a_ride_is_judged() -> None:
+def test_accuracy_of_synthetic_trajectory() -> None:
     result = accuracy.measure(MAPPED["steps"], 1000, survey=True)
     assert result.legs_drift == pytest.approx(0.1, abs=0.01)
     assert result.drift < 0.01
@@ -98,7 +98,7 @@ def test_a_ride_is_judged() -> None:
     assert result.model_coverage > 0.95
 
 
-def test_tables_tell_median_and_worst() -> None:
+def test_accuracy_table_shows_median_and_worst() -> None:
     rides = [accuracy.RideResult(0.001 * k, 0.1, 0, 0.01, 0.002, -0.001 * k, math.nan, 1.0 - 0.01 * k, 0) for k in range(5)]
     figures = accuracy.medians(rides)
     assert figures["drift"] == (0.002, 0.004)
@@ -113,7 +113,7 @@ def test_tables_tell_median_and_worst() -> None:
     assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
 
 
-def test_the_accuracy_command_leaves_its_tables(
+def test_accuracy_command_writes_tables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[tuple[object, int, Errors]] = []
@@ -132,7 +132,7 @@ def test_the_accuracy_command_leaves_its_tables(
     assert "3.0 (4.0)" in capsys.readouterr().out
 
 
-def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     methods = ("projective (default)", "kiss-icp")
     monkeypatch.setattr(speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
     monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
@@ -147,7 +147,7 @@ def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytes
     assert is_picture(tmp_path / "speed.png")
 
 
-def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
+def test_speed_requires_at_least_three_frames(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main(["speed", "--frames", "2"])
     assert "--frames: a whole number of 3 to 100000 expected, found '2'" in capsys.readouterr().err
@@ -168,7 +168,7 @@ def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
         ),
     ],
 )
-def test_what_cannot_be_timed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch, error: ImportError, said: str) -> None:
+def test_unavailable_method_is_named_and_skipped(monkeypatch: pytest.MonkeyPatch, error: ImportError, said: str) -> None:
     def absent(*_: object) -> registration_peers.RegistrationMethod:
         raise error
 
@@ -187,7 +187,7 @@ def is_picture(path: Path) -> bool:
     return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_the_stages_command_leaves_timings_and_a_picture(
+def test_stages_command_writes_timings_and_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def absent(*_: object) -> score_peers.Scores:
@@ -215,7 +215,7 @@ def test_the_stages_command_leaves_timings_and_a_picture(
     assert is_picture(tmp_path / "stages.png")
 
 
-def test_methods_take_turns_and_the_first_pieces_do_not_count() -> None:
+def test_race_rotates_methods_and_drops_warm_up() -> None:
     order: list[str] = []
     race = timing.Race("stage", "case", warm=1)
     race.start({name: lambda _, name=name: order.append(name) for name in "abc"})
@@ -226,7 +226,7 @@ def test_methods_take_turns_and_the_first_pieces_do_not_count() -> None:
     assert [t.method for t in race.timings({"b": {"figure": 1.0}})] == ["a", "b", "c"]
 
 
-def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> None:
+def test_thesis_icp_finds_observable_motion() -> None:
     way = ride(
         REGISTERED["stairs+pillars"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=20, length=0.2
     )
@@ -240,7 +240,7 @@ def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> No
     assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.05
 
 
-def test_a_survey_is_compared_where_both_maps_reach() -> None:
+def test_survey_is_compared_in_overlap_of_both_maps() -> None:
     truth = TrueGround(np.zeros((59, 39)), 0.01)
     layers, flags = np.full((3, 30, 20), 0.002, np.float32), np.zeros((30, 20), np.bool_)
     terrain = TerrainMap(0, 0.01, np.zeros(2), *layers, flags, flags.astype(np.int8))
@@ -263,7 +263,7 @@ def test_a_survey_is_compared_where_both_maps_reach() -> None:
         foothold_model.judged(replace(passage, origin=np.array([0.105, 0.05])), terrain, truth, seen)
 
 
-def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None:
+def test_steady_depth_drops_edge_and_invalid_pixels() -> None:
     camera = load_profile("phantomx_mk2").camera
     raw = np.full((camera.intrinsics.height, camera.intrinsics.width), 900, dtype=np.uint16)
     raw[:, 320:] = 1500  # a block's edge, with flying pixels
@@ -277,7 +277,7 @@ def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None
     assert kept.all()
 
 
-def test_slipping_legs_do_not_carry_the_registration_away_from_a_few_boxes() -> None:
+def test_registration_on_sparse_boxes_resists_leg_slip() -> None:
     rngs = [np.random.default_rng([1006, k]) for k in range(3)]
     way = ride(REGISTERED["sparse boxes"](rngs[0]), rngs[1], Errors(slip=0.5))
     camera, T_body_camera = CarriedCamera(way, rngs[2]), way.profile.camera.T_body_camera
@@ -293,7 +293,7 @@ def test_slipping_legs_do_not_carry_the_registration_away_from_a_few_boxes() -> 
     assert np.linalg.norm(T[:3, 3] - true[59][:3, 3]) < 0.03
 
 
-def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_passage_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["passage", "--seeds", "1000:1001", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "passage.json").read_text(encoding="utf-8"))
@@ -307,7 +307,7 @@ def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.Cap
     assert is_picture(tmp_path / "passage.png")
 
 
-def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> None:
+def test_page_report_shows_cost_and_kept_limits() -> None:
     from benchmarks.page import page
 
     cost = page.Cost(0.021, 0.01, 1.2e6, 14.0, 61.0, "a renderer")
@@ -326,7 +326,7 @@ def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> Non
     ]
 
 
-def test_what_recording_does_to_a_walk_is_told_beside_one_that_nobody_records() -> None:
+def test_recording_report_compares_with_unrecorded_walk() -> None:
     from benchmarks.robot import recording
 
     usual = recording.Way("nobody records", [np.array([0.02, 0.02, 0.021])])

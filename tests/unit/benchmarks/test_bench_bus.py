@@ -15,7 +15,7 @@ DEGREES = 12.0  # largest position error: 3 from the goal, 6 between the goals o
 
 
 @pytest.mark.parametrize("only", servo_bus.CASES)
-def test_what_is_believed_is_right_or_near(only: str) -> None:
+def test_accepted_readings_are_correct_or_close(only: str) -> None:
     (found,) = [one for one in servo_bus.measure(800, 1, only) if one.case == only]
     assert found.questions >= 800
     assert 0 <= found.wrong <= found.believed <= found.questions
@@ -29,18 +29,18 @@ def test_what_is_believed_is_right_or_near(only: str) -> None:
         assert found.by_reason
 
 
-def test_ten_percent_of_lost_answers_are_ten_percent() -> None:
+def test_unanswered_share_matches_loss_rate() -> None:
     found = {one.case: one for one in servo_bus.measure(2000, 2, "are lost")}
     assert found["1 % of the answers are lost"].unanswered / 2000 == pytest.approx(0.01, abs=0.008)
     assert found["10 % of the answers are lost"].unanswered / 2000 == pytest.approx(0.1, abs=0.03)
 
 
-def test_the_same_seed_breaks_the_same() -> None:
+def test_bus_faults_are_deterministic_for_seed() -> None:
     case = "10 % have two bits"
     assert servo_bus.measure(500, 3, case) == servo_bus.measure(500, 3, case) != servo_bus.measure(500, 4, case)
 
 
-def test_the_bus_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bus_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["bus", "--questions", "200", "--only", "have two b", "--out", str(tmp_path)]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
@@ -52,6 +52,6 @@ def test_the_bus_command_leaves_its_table(tmp_path: Path, capsys: pytest.Capture
     assert [row["case"] for row in table] == [case for case in servo_bus.CASES if "have two b" in case]
 
 
-def test_a_case_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_case_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bus", "--only", "three bits"]) == 2
     assert "part of one of these names expected: nothing; 1 % of the answers are lost" in capsys.readouterr().err

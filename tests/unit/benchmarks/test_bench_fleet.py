@@ -39,11 +39,11 @@ def load(robots: int, worst: Heard = WELL) -> Load:
         ({"scans": 0, "taken": 0, "scan_p99": float("inf")}, ("scans in the map after inf ms", "0 % of the scans integrated")),
     ],
 )
-def test_the_worst_robot_says_whether_all_are_carried(change: dict[str, float], words: tuple[str, ...]) -> None:
+def test_load_limits_are_those_of_worst_robot(change: dict[str, float], words: tuple[str, ...]) -> None:
     assert load(3, replace(WELL, **change)).limits == words
 
 
-def test_the_table_says_how_many_and_what_gave_out_and_is_kept() -> None:
+def test_fleet_table_shows_capacity_and_limits_and_round_trips() -> None:
     loads = (load(1), load(2), load(3, replace(WELL, pause_max=700.0)))
     words = fleet.in_words(loads)
     assert "supports 2 robots; with 3: no message of the planner for 700 ms, and 1.5 cores of the machine are busy." in words
@@ -54,7 +54,7 @@ def test_the_table_says_how_many_and_what_gave_out_and_is_kept() -> None:
     assert fleet.from_json(fleet.to_json(loads)) == loads
 
 
-def test_the_growth_is_drawn(tmp_path: Path) -> None:
+def test_fleet_load_figure_is_drawn(tmp_path: Path) -> None:
     fleet.draw(tmp_path / "fleet.png", (load(1), load(2)))
     assert (tmp_path / "fleet.png").read_bytes().startswith(b"\x89PNG")
 
@@ -80,7 +80,7 @@ class Base:
             self._hear[topics.STEP_PLAN](topics.STEP_PLAN, codec.encode(plan))
 
 
-def test_a_recorded_robot_says_all_in_time_and_counts_what_comes_back(tmp_path: Path) -> None:
+def test_replayed_robot_publishes_on_time_and_counts_replies(tmp_path: Path) -> None:
     path, base = tmp_path / "recording.mcap", Base()
     began_ns = 5_000 * MS  # robots have been up for a while
     said = [(topics.ACTUATOR_STATE, actuator_state(load_profile("phantomx_mk2"), stamp_ns=began_ns), began_ns)]
@@ -97,7 +97,7 @@ def test_a_recorded_robot_says_all_in_time_and_counts_what_comes_back(tmp_path: 
     assert heard.pause_max >= 30.0
 
 
-def test_a_recorded_robot_walks_the_plans_of_the_base_and_ends_a_step_that_is_not_one_of_them(tmp_path: Path) -> None:
+def test_replayed_robot_follows_base_plans_and_ends_other_steps(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     heard: list[tuple[int, float, int]] = []
 

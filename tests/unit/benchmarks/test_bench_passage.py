@@ -8,7 +8,7 @@ from sextant.shared.scenario.scenario import Course, Gap, Pillars, load_scenario
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_its_pillars_are_those_of_the_scenario(number: int) -> None:
+def test_benchmark_pillars_match_scenario(number: int) -> None:
     scenario = load_scenario(f"passage{number}")
     (course,) = (part for part in scenario.terrain if isinstance(part, Course))
     before, gap, _ = course.stretches

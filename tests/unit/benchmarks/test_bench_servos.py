@@ -34,7 +34,7 @@ class Recorder(MemoryPort):
 
 @pytest.mark.parametrize("library", [servo_packets.Ours, servo_packets.Sdk], ids=["sextant", "dynamixel-sdk"])
 @pytest.mark.parametrize("job", servo_packets.JOBS)
-def test_a_job_is_the_same_packets_whoever_does_it(library: type[servo_packets.Ours], job: str) -> None:
+def test_each_library_sends_same_packets_for_job(library: type[servo_packets.Ours], job: str) -> None:
     if library is servo_packets.Sdk:
         pytest.importorskip("dynamixel_sdk", reason="pip install -e '.[bench]' installs it")
     port = Recorder(Desk())
@@ -53,7 +53,7 @@ def test_a_job_is_the_same_packets_whoever_does_it(library: type[servo_packets.O
     assert asked == expected
 
 
-def test_the_servos_command_leaves_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_servos_command_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", "--rounds", "4", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads((tmp_path / "servos.json").read_text())
     assert table == json.loads(capsys.readouterr().out)

@@ -19,7 +19,7 @@ PART = np.arange(PARTS)
 NOISE = np.random.default_rng(0).normal(0.0, 0.1, PARTS)
 
 
-def walked(mb_h: float = 0.0, later_ms: float = 0.0) -> Soak:
+def soak_result(mb_h: float = 0.0, later_ms: float = 0.0) -> Soak:
     ages = (8.0 + later_ms * (PART > PARTS / 2) + NOISE).tolist()
     memory = (120.0 + mb_h * PART / PARTS + NOISE).tolist()
     return Soak(
@@ -28,62 +28,62 @@ def walked(mb_h: float = 0.0, later_ms: float = 0.0) -> Soak:
 
 
 @given(st.floats(-5.0, 5.0))
-def test_growth_is_found_through_noise(mb_h: float) -> None:
-    assert soak.growth_mb_h(walked(mb_h).memory_mb["mapper"], HOUR) == pytest.approx(mb_h, abs=0.2)
+def test_memory_growth_is_estimated_despite_noise(mb_h: float) -> None:
+    assert soak.growth_mb_h(soak_result(mb_h).memory_mb["mapper"], HOUR) == pytest.approx(mb_h, abs=0.2)
 
 
-def test_garbage_that_is_collected_is_no_growth_nor_is_what_a_start_takes() -> None:
+def test_collected_garbage_and_start_up_memory_are_no_growth() -> None:
     saw = 100.0 + 10.0 * (PART % 7) / 7 + 50.0 * np.minimum(PART / WARM_UP, 1.0)
     assert abs(soak.growth_mb_h(saw.tolist(), HOUR)) < 0.5
-    assert soak.faults(replace(walked(), memory_mb={"console": saw.tolist()})) == []
+    assert soak.faults(replace(soak_result(), memory_mb={"console": saw.tolist()})) == []
 
 
 @given(at=st.integers(0, PARTS - 1), step_mb=st.floats(0.0, 1.5))
-def test_memory_that_is_taken_once_is_no_growth_but_it_is_not_to_be_much(at: int, step_mb: float) -> None:
+def test_single_small_memory_step_is_no_growth(at: int, step_mb: float) -> None:
     assume(abs(at - (WARM_UP + PARTS) / 2) > 4)
     once = 120.0 + NOISE / 5.0 + step_mb * (at <= PART)
     assert soak.growth_mb_h(once.tolist(), HOUR) < 1.0
-    assert soak.faults(replace(walked(), memory_mb={"mapper": once.tolist()})) == []
-    much = (np.array(walked().memory_mb["mapper"]) + 30.0 * (PARTS / 2 <= PART)).tolist()
-    found = soak.faults(replace(walked(), memory_mb={"mapper": much}))
+    assert soak.faults(replace(soak_result(), memory_mb={"mapper": once.tolist()})) == []
+    much = (np.array(soak_result().memory_mb["mapper"]) + 30.0 * (PARTS / 2 <= PART)).tolist()
+    found = soak.faults(replace(soak_result(), memory_mb={"mapper": much}))
     assert any(
         re.fullmatch(r"mapper: memory has grown by (29.9|30.0|30.1) MB in all, less than 2 wanted", words) for words in found
     )
 
 
 @given(every=st.integers(1, 20), first=st.integers(0, 19), mb_h=st.floats(1.5, 5.0))
-def test_memory_that_is_taken_again_and_again_is_growth(every: int, first: int, mb_h: float) -> None:
-    steps = np.array(walked().memory_mb["mapper"]) + mb_h * every / PARTS * ((PART + first) // every)
-    assert soak.faults(replace(walked(), memory_mb={"mapper": steps.tolist()})) != []
+def test_repeated_memory_steps_are_growth(every: int, first: int, mb_h: float) -> None:
+    steps = np.array(soak_result().memory_mb["mapper"]) + mb_h * every / PARTS * ((PART + first) // every)
+    assert soak.faults(replace(soak_result(), memory_mb={"mapper": steps.tolist()})) != []
 
 
-def test_what_is_not_as_it_should_be_is_named() -> None:
-    assert soak.faults(walked()) == []
-    grows, _ = soak.faults(walked(mb_h=4.0))
+def test_soak_faults_are_named() -> None:
+    assert soak.faults(soak_result()) == []
+    grows, _ = soak.faults(soak_result(mb_h=4.0))
     assert grows.startswith(("mapper: memory grows by 4.", "mapper: memory grows by 3.9"))
-    (later,) = soak.faults(walked(later_ms=4.0))
+    (later,) = soak.faults(soak_result(later_ms=4.0))
     assert later == "perception/pose: age 12.0 ms at the end, 8.0 ms at the beginning"
-    broken = replace(walked(), ended=["mapper ended (killed)"], refused={"planner": 2, "mapper": 0})
+    broken = replace(soak_result(), ended=["mapper ended (killed)"], refused={"planner": 2, "mapper": 0})
     assert soak.faults(broken) == ["mapper ended (killed)", "planner: 2 messages were refused"]
 
 
 @pytest.mark.parametrize("parts", [[float("nan")] * PARTS, [100.0] + [float("nan")] * (PARTS - 1)])
-def test_what_was_hardly_seen_does_not_pass_for_well(parts: Sequence[float]) -> None:
-    found, _ = soak.faults(replace(walked(), memory_mb={"mapper": parts}))
+def test_missing_samples_fail_limits(parts: Sequence[float]) -> None:
+    found, _ = soak.faults(replace(soak_result(), memory_mb={"mapper": parts}))
     assert found == "mapper: memory grows by nan MB/h, less than 1 wanted"
-    assert len(soak.faults(replace(walked(), age_p50_ms={"perception/pose": parts}))) == 1
+    assert len(soak.faults(replace(soak_result(), age_p50_ms={"perception/pose": parts}))) == 1
 
 
-def test_it_is_told_in_words_and_comes_back_from_its_file() -> None:
-    gap = replace(walked(mb_h=5.0), age_p99_ms={"perception/pose": [float("nan"), *[9.0] * (PARTS - 1)]})
+def test_soak_report_text_survives_json_round_trip() -> None:
+    gap = replace(soak_result(mb_h=5.0), age_p99_ms={"perception/pose": [float("nan"), *[9.0] * (PARTS - 1)]})
     assert soak.in_words(soak.from_json(soak.to_json(gap))) == soak.in_words(gap)
     assert "| mapper | 121.5 | 124.4 | +5." in soak.in_words(gap)
-    assert soak.in_words(walked()).endswith("All limits are kept.")
+    assert soak.in_words(soak_result()).endswith("All limits are kept.")
     assert soak.in_words(gap).splitlines()[-2].startswith("mapper: memory grows by 5.")
 
 
 @given(st.lists(st.tuples(st.floats(0.0, HOUR), st.floats(0.0, 100.0)), min_size=1, max_size=50))
-def test_every_sample_is_in_one_part(samples: list[tuple[float, float]]) -> None:
+def test_each_sample_belongs_to_one_part(samples: list[tuple[float, float]]) -> None:
     parts = soak.by_part(samples, HOUR, 50)
     assert len(parts) == PARTS
     least, most = min(v for _, v in samples), max(v for _, v in samples)
@@ -91,7 +91,7 @@ def test_every_sample_is_in_one_part(samples: list[tuple[float, float]]) -> None
     assert {n for n, v in enumerate(parts) if np.isfinite(v)} == {min(int(t / HOUR * PARTS), PARTS - 1) for t, _ in samples}
 
 
-def test_memory_is_that_of_a_process_and_unknown_of_none() -> None:
+def test_own_memory_is_measured_and_nan_without_process() -> None:
     before = soak.own_mb(os.getpid())
     # Not with NumPy: it would reuse memory that earlier tests freed, and the process would not grow.
     with mmap.mmap(-1, 64_000_000, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) as held:

@@ -15,7 +15,7 @@ from tests.support.desk import PHANTOMX
 
 
 @pytest.mark.live  # its servos answer in real time, from this process
-def test_the_start_command_leaves_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_start_command_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["start", "--rounds", "2", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads((tmp_path / "start.json").read_text())
     assert table == json.loads(capsys.readouterr().out)
@@ -29,7 +29,7 @@ def test_the_start_command_leaves_its_figures(tmp_path: Path, capsys: pytest.Cap
         assert ms["max"] == max(one[f"{name}_ms"] for one in table["each"])
 
 
-def test_what_comes_first_is_noted_once() -> None:
+def test_only_first_read_and_write_times_are_stored() -> None:
     watched = start.Watched(PHANTOMX)
     watched.look()
     assert (watched.asked_ns, watched.told_ns, watched.goals) == (-1, -1, {})

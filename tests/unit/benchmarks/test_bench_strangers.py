@@ -28,7 +28,7 @@ FOUND = Found(
 )
 
 
-def test_the_table_tells_of_what_was_measured_and_survives_its_file() -> None:
+def test_strangers_table_shows_measurements_and_round_trips() -> None:
     assert from_json(to_json(FOUND)) == FOUND
     assert FOUND.late == 1
     table = in_words(FOUND)
@@ -37,7 +37,7 @@ def test_the_table_tells_of_what_was_measured_and_survives_its_file() -> None:
     assert "actuator" not in table
 
 
-def accepting(server: socket.socket, kept: list[socket.socket], said: dict[bytes, int]) -> None:
+def accept_connections(server: socket.socket, kept: list[socket.socket], said: dict[bytes, int]) -> None:
     """Accept all connections, and close those that send data."""
 
     def hear(connection: socket.socket) -> None:
@@ -57,11 +57,11 @@ def accepting(server: socket.socket, kept: list[socket.socket], said: dict[bytes
         threading.Thread(target=hear, args=(connection,), daemon=True).start()
 
 
-def test_strangers_of_all_kinds_come_at_an_exact_rate(tmp_path: Path) -> None:
+def test_stranger_load_has_exact_rate_and_all_kinds(tmp_path: Path) -> None:
     Authority(days=1).issue(tmp_path / "foreign", "console")
     kept, said = list[socket.socket](), dict[bytes, int]()
     with socket.create_server(("127.0.0.1", 0), backlog=1000) as server:
-        threading.Thread(target=accepting, args=(server, kept, said), daemon=True).start()
+        threading.Thread(target=accept_connections, args=(server, kept, said), daemon=True).start()
         words = ["--port", str(server.getsockname()[1]), "--rate", "200", "--keys", str(tmp_path / "foreign"), "--seconds", "1"]
         command = [sys.executable, "-m", "benchmarks.access.stranger_load", *words]
         with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -76,7 +76,7 @@ def test_strangers_of_all_kinds_come_at_an_exact_rate(tmp_path: Path) -> None:
     assert len(said) > 3, "and garbage"
 
 
-def test_silent_connections_are_opened_again_when_they_are_dropped() -> None:
+def test_dropped_silent_connections_are_reopened() -> None:
     kept = list[socket.socket]()
     with socket.create_server(("127.0.0.1", 0), backlog=100) as server:
         with Silent([server.getsockname()[1]], 20):

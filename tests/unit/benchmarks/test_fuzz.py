@@ -22,23 +22,23 @@ MESSAGES = 500  # for each target
 
 
 @pytest.fixture(scope="module")
-def every() -> dict[str, Target]:
+def fuzz_targets() -> dict[str, Target]:
     return {target.name: target for target in targets(Random(1))}
 
 
-def test_every_topic_is_among_what_takes_messages_in(every: dict[str, Target]) -> None:
-    assert {topic.key for topic in TOPICS} < set(every)
+def test_each_topic_is_a_fuzz_target(fuzz_targets: dict[str, Target]) -> None:
+    assert {topic.key for topic in TOPICS} < set(fuzz_targets)
 
 
-def test_good_messages_are_taken(every: dict[str, Target]) -> None:
-    for target in every.values():
+def test_valid_examples_are_accepted(fuzz_targets: dict[str, Target]) -> None:
+    for target in fuzz_targets.values():
         expected = {"bridge, host": 3, "bridge, board": 5}.get(
             target.name, len(target.examples) / 2
         )  # each bridge target receives one direction only
         assert sum(map(target.take, target.examples)) >= expected, target.name
 
 
-def test_broken_messages_are_taken_or_refused_and_nothing_else(tmp_path: Path) -> None:
+def test_broken_messages_are_accepted_or_refused_without_error(tmp_path: Path) -> None:
     found = table.table([fuzzing.fuzz(MESSAGES * len(fuzzing.names()), 1, (), tmp_path / "newest")])
     assert found.findings == ()
     for outcome in found.outcomes:
@@ -46,14 +46,14 @@ def test_broken_messages_are_taken_or_refused_and_nothing_else(tmp_path: Path) -
         assert 0 < outcome.taken < MESSAGES, f"{outcome.target}: what is broken is broken enough, and not too much"
 
 
-def test_the_same_seed_breaks_in_the_same_way(every: dict[str, Target]) -> None:
-    examples = every["planner/step"].examples
+def test_mutations_are_deterministic_for_seed(fuzz_targets: dict[str, Target]) -> None:
+    examples = fuzz_targets["planner/step"].examples
     for seed in range(50):
         assert broken(examples[0], examples, Random(seed)) == broken(examples[0], examples, Random(seed))
         assert odd([1, [2, "a"]], Random(seed)).__repr__() == odd([1, [2, "a"]], Random(seed)).__repr__()
 
 
-def test_what_fails_is_found_once_with_the_message_that_it_failed_of(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_failure_is_reported_once_with_its_message(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def take(data: bytes) -> bool:
         return data[40] > 0  # raises IndexError for short data
 
@@ -68,7 +68,7 @@ def test_what_fails_is_found_once_with_the_message_that_it_failed_of(monkeypatch
     assert table.markdown(table.from_json(table.to_json(found))) == table.markdown(found)
 
 
-def test_a_message_that_ends_the_process_is_left_behind(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_message_that_ends_process_is_saved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     class Ended(BaseException):
         pass
 
@@ -88,7 +88,7 @@ def test_a_message_that_ends_the_process_is_left_behind(monkeypatch: pytest.Monk
     assert rest[4 : 4 + length] == given[0]
 
 
-def test_the_command_says_what_it_found_and_gives_a_message_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuzz_command_reports_findings_and_repeats_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [sys.executable, "-m", "benchmarks", "fuzz", "--messages", "20000", "--jobs", "2", "--out", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -110,6 +110,6 @@ def test_the_command_says_what_it_found_and_gives_a_message_again(tmp_path: Path
         (["--give", "none"], "one --only expected"),
     ],
 )
-def test_wrong_words_are_told_what_to_do(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_fuzz_arguments_are_refused_with_hint(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["fuzz", *words]) == 2
     assert said in capsys.readouterr().err

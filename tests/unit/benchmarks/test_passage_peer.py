@@ -20,7 +20,9 @@ FIELDS = [
 ]
 
 
-def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def both_verdicts(
+    seed: int, leg: int, robot: int, ground: int, spread: float
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return verdicts and clearances of both for a stance with random offsets [m]."""
     rng, profile = np.random.default_rng(seed), PROFILES[robot]
     legs, rules, field = legs_of(profile, PASSAGE), rules_of(profile, PASSAGE), ground_of(FIELDS[ground])
@@ -39,17 +41,17 @@ def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(0, 1), st.integers(0, 1), st.floats(0.0, 0.06))
-def test_the_same_verdicts(seed: int, leg: int, robot: int, ground: int, spread: float) -> None:
-    (verdict, lifts), (told, told_lifts) = judged(seed, leg, robot, ground, spread)
+def test_numpy_peer_gives_same_verdicts(seed: int, leg: int, robot: int, ground: int, spread: float) -> None:
+    (verdict, lifts), (told, told_lifts) = both_verdicts(seed, leg, robot, ground, spread)
     np.testing.assert_array_equal(verdict, told)
     np.testing.assert_allclose(lifts, told_lifts, atol=1e-12)
 
 
-def test_all_kinds_of_verdicts_are_among_them() -> None:
+def test_samples_cover_all_verdicts() -> None:
     seen = {
         int(code)
         for seed in range(120)
-        for code in np.unique(judged(seed, seed % 6, 0, seed % 2, 0.02 + 0.02 * (seed % 3))[0][0])
+        for code in np.unique(both_verdicts(seed, seed % 6, 0, seed % 2, 0.02 + 0.02 * (seed % 3))[0][0])
     }
     assert seen >= {
         roadmap_search.OK,

@@ -22,7 +22,7 @@ NOW_NS = 10_000_000_000
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
-def test_what_is_sent_passes_the_schema_and_differs_from_the_example(topic: AnyTopic) -> None:
+def test_attack_messages_pass_schema_and_vary(topic: AnyTopic) -> None:
     rng = Random(topic.key)
     made = [worst(topic, (), NOW_NS, rng) for _ in range(30)]
     for message in made:
@@ -31,13 +31,13 @@ def test_what_is_sent_passes_the_schema_and_differs_from_the_example(topic: AnyT
     assert len({codec.encode(message) for message in made}) > 5 or len(schema(topic.type)) == 1
 
 
-def test_an_attacker_sends_what_its_role_may_and_nothing_else() -> None:
+def test_attacker_publishes_only_topics_of_its_role() -> None:
     for role in role_attack.ROLE_NAMES:
         attacker = role_attack.Attacker(role, 1)
         assert {attacker.next(NOW_NS)[0].key for _ in range(300)} <= {topic.key for topic in ROLE_NAMED[role].publishes}
 
 
-def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time() -> None:
+def test_row_passes_without_exit_or_growth_and_with_timely_torque_off() -> None:
     good = Row("viewer", 10, 1.0, (), (31.0,))
     assert good.passed
     assert not Row("viewer", 10, 1.0, (), (61.0,)).passed
@@ -62,19 +62,19 @@ def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time()
         (Mode.STAND, "resting", ""),
     ],
 )
-def test_only_the_reason_of_a_robot_that_cannot_walk_counts(mode: Mode, planner: str, reason: str) -> None:
+def test_standing_reason_is_empty_for_robot_that_can_walk(mode: Mode, planner: str, reason: str) -> None:
     state = actuator_state(load_profile("phantomx_mk2"), mode=mode, reason="a servo is silent")
     assert role_attack.why_it_stands(state, PlannerStatus(0, planner, "no foothold", 0, 0, -1)) == reason
     assert role_attack.why_it_stands(None, None) == ""
 
 
-def test_a_walk_in_lockstep_holds_against_a_robot_s_certificate() -> None:
+def test_lockstep_walk_withstands_attack_with_robot_certificate() -> None:
     row = role_attack.in_lockstep("robot", 150, 1)
     assert row.ended == ()
     assert row.passed, role_attack.in_words([row])
 
 
-def test_the_roles_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_roles_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--messages", "100", "--only", "console", "--out", str(tmp_path)]
     assert cli.main(["roles", "--lockstep", *words]) == 0
     assert "| `console` | 100 |" in capsys.readouterr().out

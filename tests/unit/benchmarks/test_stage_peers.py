@@ -22,7 +22,7 @@ MODEL = FusionModel()
 
 
 @pytest.mark.parametrize("scene", ["steps", "boxes"])
-def test_numpy_reduces_a_frame_to_the_same_cells(scene: str) -> None:
+def test_numpy_reduction_gives_same_cells(scene: str) -> None:
     way = ride(MAPPED[scene](np.random.default_rng(1000)), np.random.default_rng(1), Errors(), frames=3, length=0.1)
     camera, T = way.profile.camera, way.T_world_camera[0]
     depth = CarriedCamera(way, np.random.default_rng(2)).frame(0)
@@ -41,7 +41,7 @@ def test_numpy_reduces_a_frame_to_the_same_cells(scene: str) -> None:
     assert np.mean(np.array(off) < 0.002) > 0.95
 
 
-def test_open3d_sees_the_same_ground() -> None:
+def test_open3d_reduction_finds_same_ground() -> None:
     pytest.importorskip("open3d", reason="Open3D, of the bench extra, and what it needs of the system", exc_type=ImportError)
     way = ride(MAPPED["flat"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=3, length=0.1)
     camera, T = way.profile.camera, way.T_world_camera[0]
@@ -51,7 +51,7 @@ def test_open3d_sees_the_same_ground() -> None:
     assert abs(np.median(points[:, 2])) < 0.002
 
 
-def test_numpy_fuses_scans_into_the_same_map() -> None:
+def test_numpy_fusion_gives_same_map() -> None:
     rng = np.random.default_rng(0)
     ours, theirs = ElevationGrid(64, 0.01, MODEL), NumpyGrid(64, 0.01, MODEL)
     for k in range(40):
@@ -71,7 +71,7 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
     assert np.mean(np.abs(elevation - theirs.elevation)[known] < 1e-5) > 0.99
 
 
-def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
+def test_numpy_clearing_and_drift_tracking_match() -> None:
     rng = np.random.default_rng(3)
     ours, theirs = ElevationGrid(64, 0.01, MODEL), NumpyGrid(64, 0.01, MODEL)
     x, y = np.mgrid[-0.295:0.3:0.01, -0.295:0.3:0.01]
@@ -96,7 +96,7 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
 
 
 @pytest.mark.parametrize("name", score_peers.SCORE)
-def test_other_libraries_come_to_the_same_layers(name: str) -> None:
+def test_other_libraries_give_same_foothold_layers(name: str) -> None:
     pytest.importorskip({"SciPy": "scipy", "scikit-image": "skimage"}.get(name, "cv2"), reason="of the bench extra")
     rng = np.random.default_rng(1)
     x, y = np.mgrid[0:80, 0:60] * 0.01

@@ -24,7 +24,7 @@ from sextant.shared.wire.topics import TOPICS
 ROOT = Path(cli.__file__).resolve().parents[1]
 
 
-def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
+def test_help_imports_no_heavy_packages() -> None:
     code = "import sys\nfrom sextant.deploy import cli\ntry:\n    cli.main(['--help'])\nfinally:\n    print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     loaded = set(done.stdout.split())
@@ -62,7 +62,7 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_wrong_input_is_refused_with_its_cause_and_what_would_be_right(
+def test_invalid_input_is_refused_with_cause_and_suggestion(
     words: list[str], hint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -88,7 +88,7 @@ def test_wrong_input_is_refused_with_its_cause_and_what_would_be_right(
         ["up", "nobody"],
     ],
 )
-def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as refused:
         cli.main(words)
     assert refused.value.code == 2
@@ -111,7 +111,7 @@ class NoLink:
 @pytest.mark.parametrize(
     ("words", "robot"), [([], "phantomx_mk2"), (["--robot", "lotriet_rx64"], "lotriet_rx64")], ids=["its own", "another"]
 )
-def test_what_is_up_is_the_robot_that_is_asked_for(
+def test_up_starts_services_with_requested_robot_profile(
     words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.launch import host_launcher
@@ -147,7 +147,7 @@ def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -
     assert capsys.readouterr().out == (ROOT / "deploy" / "compose.offboard.yaml").read_text()
 
 
-def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_exit_code_follows_failed_checks(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.deploy.doctor import machine_checks
 
     for level, status in ((machine_checks.Level.WARN, 0), (machine_checks.Level.FAIL, 1)):
@@ -158,7 +158,7 @@ def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], 
         assert "mend it" in capsys.readouterr().out
 
 
-def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_exits_with_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from sextant.deploy.doctor import machine_checks
 
     def interrupted(*_: object) -> None:
@@ -169,7 +169,7 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
     assert "stopped by the operator" in capsys.readouterr().err
 
 
-def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_internal_error_is_not_reported_as_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.deploy.doctor import machine_checks
 
     def broken(*_: object) -> None:
@@ -180,7 +180,7 @@ def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.
         cli.main(["doctor"])
 
 
-def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_output_folder_is_new_by_default_or_given_by_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     parse = cli.parse
     named = out_folder(parse(["run", "steps", "--out", "here/there"]), "steps-3")
@@ -189,7 +189,7 @@ def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path,
     assert out_folder(parse(["run", "steps"]), "steps-3").parent == Path("runs")
 
 
-def test_a_folder_that_cannot_be_written_to_is_said_before_anything_is_done(
+def test_unwritable_output_folder_is_refused_before_trials_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("os.access", lambda path, _: Path(path) != tmp_path)  # root may write everywhere
@@ -206,7 +206,7 @@ def report(success: bool, seed: int = 3) -> Report:
 
 
 @pytest.mark.parametrize(("success", "status"), [(True, 0), (False, 1)])
-def test_a_run_ends_in_0_only_on_success(
+def test_run_exit_code_is_zero_only_on_success(
     success: bool, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.runs import lockstep_run
@@ -226,7 +226,7 @@ def test_a_run_ends_in_0_only_on_success(
 @pytest.mark.parametrize(
     ("success", "presses", "status"), [(True, 0, 0), (False, 0, 1), (False, 1, 130)], ids=["success", "failure", "ctrl-c"]
 )
-def test_a_live_run_and_the_demo_end_as_the_walk_does(
+def test_live_run_and_demo_exit_codes_follow_walk_outcome(
     success: bool,
     presses: int,
     status: int,
@@ -256,14 +256,12 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
 
 
 @pytest.mark.parametrize("words", [["--lockstep"], ["--connect", "tcp/127.0.0.1:7447"]])
-def test_only_what_a_run_starts_live_slows_down(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_slow_down_is_refused_with_lockstep_or_connect(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run", "flat", "--slow-down", *words]) == 2
     assert "leave --lockstep and --connect out" in capsys.readouterr().err
 
 
-def test_a_run_on_a_slow_computer_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_reports_slow_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from sextant.deploy.runs import live_run
 
     slow = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
@@ -278,14 +276,14 @@ def test_a_run_on_a_slow_computer_says_so(
     assert json.loads(capsys.readouterr().out)["too_slow"] == slow
 
 
-def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_demo_course_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["demo", "gpa"])
     assert ended.value.code == 2
     assert "did you mean 'gap'?" in capsys.readouterr().err
 
 
-def test_a_machine_that_cannot_warm_up_does_not_walk(
+def test_failed_warm_up_prevents_walk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.runs import live_run
@@ -296,7 +294,7 @@ def test_a_machine_that_cannot_warm_up_does_not_walk(
     assert "sextant doctor" in printed
 
 
-def test_who_attaches_cannot_break_what_others_started(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_faults_are_refused_for_services_started_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scenario = tmp_path / "broken.toml"
     scenario.write_text(
         """name = "broken"
@@ -313,7 +311,7 @@ service = "mapper"
     assert "leave --connect out" in capsys.readouterr().err
 
 
-def test_trials_tell_the_rate_and_the_baseline_beside_it(
+def test_trials_report_success_rate_and_blind_baseline(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.runs import lockstep_run
@@ -331,7 +329,7 @@ def test_trials_tell_the_rate_and_the_baseline_beside_it(
     assert "without a map" in printed.err
 
 
-def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commit_seeds_require_clean_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.deploy import provenance
 
     words = ["trials", "all", "--seeds", "commit:7"]
@@ -374,7 +372,7 @@ def test_trials_of_all_terrains_print_one_table(
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
 
-def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
+def test_trials_of_all_passages_print_passage_and_thesis_tables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.campaign import campaign_table
@@ -395,7 +393,7 @@ def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
         assert row in capsys.readouterr().out
 
 
-def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
+def test_trials_troubles_table_covers_each_trouble_and_terrain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.campaign import campaign_table
@@ -416,7 +414,7 @@ def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
     [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b'{"scenario": "flat", "seed": 3}', b"", b"[]\n[]", b"[" * 100_000, b"words\n"],
     ids=("picture", "one line", "empty", "lists", "deeply nested", "words"),
 )
-def test_a_table_of_something_else_is_refused_and_the_file_left_as_it_is(
+def test_table_of_foreign_file_is_refused_and_file_unchanged(
     data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "any.file"
@@ -426,7 +424,7 @@ def test_a_table_of_something_else_is_refused_and_the_file_left_as_it_is(
     assert path.read_bytes() == data
 
 
-def test_trials_of_a_changed_program_are_refused_in_words(
+def test_trials_begun_by_another_program_version_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
 
@@ -435,7 +433,7 @@ def test_trials_of_a_changed_program_are_refused_in_words(
     assert "restore commit abc1234" in capsys.readouterr().err
 
 
-def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
+def test_robot_and_gait_options_override_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.runs import lockstep_run
@@ -461,14 +459,14 @@ def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     assert "no profile 'nobody'" in capsys.readouterr().err
 
 
-def test_every_gait_can_be_asked_for_and_no_other() -> None:
+def test_gait_option_accepts_exactly_the_known_gaits() -> None:
     for gait in get_args(GaitName):
         assert cli.parse(["run", "flat", "--gait", gait]).gait == gait
     with pytest.raises(SystemExit):
         cli.parse(["run", "flat", "--gait", "gallop"])
 
 
-def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
+def test_closed_stdout_pipe_causes_no_traceback() -> None:
     code = "import sys; sys.argv = ['sextant', 'topics', 'list']; from sextant.deploy.cli import main; sys.exit(main())"
     read, write = os.pipe()
     os.close(read)
@@ -481,14 +479,16 @@ def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
 
 
 @pytest.mark.parametrize("words", [["info", "nowhere.mcap"], ["recover", "nowhere.mcap"]])
-def test_a_command_that_has_moved_works_with_a_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_moved_command_still_runs_and_prints_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(words) == 2
     hint, error = capsys.readouterr().err.splitlines()
     assert hint == f"`sextant {words[0]}` is now `sextant recording {words[0]}`"
     assert error.startswith(f"sextant recording {words[0]}: nowhere.mcap")
 
 
-def test_a_benchmark_has_moved_out_of_the_package(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bench_command_redirects_to_benchmarks_module(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(Path(__file__).parents[3])
     assert cli.main(["bench", "roles", "--only", "king"]) == 2
     hint, error = capfd.readouterr().err.splitlines()
@@ -499,7 +499,7 @@ def test_a_benchmark_has_moved_out_of_the_package(monkeypatch: pytest.MonkeyPatc
     assert "in a checkout of Sextant" in capfd.readouterr().err
 
 
-def test_the_help_of_each_command_fits_a_screen_and_there_are_at_most_sixteen() -> None:
+def test_at_most_16_commands_with_help_of_at_most_60_lines() -> None:
     parser = cli._parser()
     commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     listed = {choice.dest for choice in commands._choices_actions}

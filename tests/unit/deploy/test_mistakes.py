@@ -162,7 +162,7 @@ CASES = [*(("sextant", *case) for case in MISTAKES), *((benchmarks.PROGRAM, *cas
 
 
 @pytest.mark.parametrize(("program", "line", "message"), CASES, ids=lambda value: value[:60])
-def test_a_mistake_is_named_in_one_sentence(
+def test_usage_error_prints_one_sentence_without_traceback(
     program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:

@@ -9,7 +9,7 @@ from sextant.deploy import provenance
 from sextant.deploy.provenance import Made
 
 
-def test_a_checkout_says_its_commit_and_whether_files_have_changed(tmp_path, monkeypatch):
+def test_commit_of_checkout_marks_uncommitted_changes(tmp_path, monkeypatch):
     if shutil.which("git") is None:
         pytest.skip("git is not installed, so there is no checkout to ask")
     module = tmp_path / "deploy" / "provenance.py"
@@ -38,19 +38,19 @@ def test_a_checkout_says_its_commit_and_whether_files_have_changed(tmp_path, mon
     assert not set(seeds) & set(provenance.seeds_of_commit(100))
 
 
-def test_without_a_checkout_the_version_counts(tmp_path, monkeypatch):
+def test_commit_without_checkout_is_package_version(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.commit() in ("", f"version {provenance.version()}")
 
 
-def test_the_time_is_utc_to_the_second():
+def test_now_is_utc_with_one_second_resolution():
     moment = datetime.datetime.fromisoformat(provenance.now())
     assert moment.utcoffset() == datetime.timedelta(0)
     assert moment.microsecond == 0
 
 
-def test_results_of_several_programs_name_them_all():
+def test_provenance_of_mixed_results_lists_all_commits():
     marks = [("b", "2024-01-03T00:00:00+00:00"), ("a", "2024-01-01T00:00:00+00:00"), ("", "")]
     made = Made.of(marks)
     assert made == Made(("a", "b"), "2024-01-01T00:00:00+00:00", "2024-01-03T00:00:00+00:00")
@@ -59,7 +59,7 @@ def test_results_of_several_programs_name_them_all():
     assert Path(provenance.__file__).is_file()
 
 
-def test_a_machine_names_its_processor(monkeypatch):
+def test_machine_name_is_processor_model(monkeypatch):
     assert provenance.machine().strip()
     monkeypatch.setattr(
         Path, "read_text", lambda *_args, **_more: "processor\t: 0\nmodel name\t: A Fast One\nmodel name\t: B\n"

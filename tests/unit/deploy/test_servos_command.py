@@ -59,7 +59,7 @@ def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_wrong_input_is_refused_before_a_servo_hears_of_it(
+def test_invalid_input_is_refused_before_any_servo_instruction(
     words: list[str], hint: str, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("other.toml").write_text('extends = "lotriet_rx64"\n')
@@ -73,20 +73,20 @@ def test_wrong_input_is_refused_before_a_servo_hears_of_it(
 
 
 @pytest.mark.parametrize("port", ["sock://127.0.0.1:5201", "socket://127.0.0.1", "socket://127.0.0.1:x"])
-def test_a_port_that_is_none_is_told_what_one_looks_like(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_port_url_error_shows_expected_format(port: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", "scan", "--port", port]) == 1
     assert "socket://HOST:PORT" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["scan", "off", "set-id", "calibrate", "test"])
-def test_a_port_that_is_not_there_fails_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unreachable_port_is_reported(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", command, "--port", f"socket://127.0.0.1:{free_port()}"]) == 1
     told = capsys.readouterr().err
     assert f"sextant servos {command}: cannot open servo port socket://" in told
 
 
 @pytest.mark.parametrize("command", ["set-id", "calibrate", "test"])
-def test_where_nobody_answers_nothing_moves(
+def test_unanswered_prompt_writes_nothing_to_servos(
     command: str, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if command == "set-id":
@@ -96,9 +96,7 @@ def test_where_nobody_answers_nothing_moves(
     assert not bench.counts.instructions[dxl.Instruction.WRITE]
 
 
-def test_a_scan_for_scripts_and_for_people_say_the_same(
-    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scan_json_and_text_outputs_agree(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
     bench.unplug(bench._with_id(9))
     words = ["servos", "scan", "--port", url, "--ids", "1:19"]
     assert cli.main([*words, "--json"]) == 1
@@ -118,9 +116,7 @@ def test_a_scan_for_scripts_and_for_people_say_the_same(
     assert all(row["joint"] in told for row in table["servos"])
 
 
-def test_what_is_to_be_done_for_several_servos_is_said_once(
-    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scan_prints_shared_advice_once(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
     for servo_id in (9, 10, 11):
         bench.unplug(bench._with_id(servo_id))
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:19"]) == 1
@@ -130,7 +126,7 @@ def test_what_is_to_be_done_for_several_servos_is_said_once(
     assert sum("->" in line for line in told) == 1
 
 
-def test_where_nobody_answers_that_is_said_once(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_answering_servos_is_reported_once(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
     bench.unplug(range(18))
     words = ["servos", "scan", "--port", url, "--ids", "1:4"]
     assert cli.main(words) == 1
@@ -146,7 +142,7 @@ def test_where_nobody_answers_that_is_said_once(bench: BenchEmulator, url: str, 
     assert told[2] == "0 of 18 servos confirm torque off"
 
 
-def test_a_calibration_of_a_file_goes_into_it_and_beside_it_where_asked(
+def test_calibration_is_written_to_profile_or_out_file(
     bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["servos", "calibrate", "--port", url, "--yes", "--leg", LEGS[2]]
@@ -163,7 +159,7 @@ def test_a_calibration_of_a_file_goes_into_it_and_beside_it_where_asked(
 
 
 @pytest.mark.parametrize(("torque", "left"), [("on", 1), ("off", 0), ("", 0)])
-def test_torque_is_left_as_a_script_says(
+def test_torque_after_joint_test_follows_option(
     torque: str, left: int, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["servos", "test", "--port", url, "--yes", "--leg", LEGS[0], *(["--torque", torque] if torque else [])]
@@ -173,7 +169,7 @@ def test_torque_is_left_as_a_script_says(
     assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
 
 
-def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
+def test_off_closes_latch_when_actuator_holds_port(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Close the latch even if the router that carries orders is dead."""
@@ -193,7 +189,7 @@ def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
         assert 0 <= now_ns() - latch.since_ns < 10_000_000_000
 
 
-def test_torque_is_latched_off_where_the_port_is_gone_and_where_it_is_free(
+def test_off_closes_latch_for_missing_and_free_port(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Latch torque off with and without an open port.
@@ -211,7 +207,7 @@ def test_torque_is_latched_off_where_the_port_is_gone_and_where_it_is_free(
     assert Latch.of_port(url).closed
 
 
-def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
+def test_off_disables_torque_even_if_latch_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "not there",))
@@ -222,7 +218,7 @@ def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
 
 
 @pytest.mark.parametrize("deaf", [False, True])
-def test_torque_goes_off_at_the_port_itself(
+def test_off_disables_torque_directly_on_servo_port(
     deaf: bool, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Turn torque off for a standing robot whose actuator is gone.
@@ -245,7 +241,7 @@ def test_torque_goes_off_at_the_port_itself(
         assert "torque is on" not in capsys.readouterr().out
 
 
-def test_torque_goes_off_behind_a_microcontroller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_off_disables_torque_through_bridge_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Turn torque off through a board for a standing robot whose actuator is gone.
 
     No other process uses the board.
@@ -261,7 +257,7 @@ def test_torque_goes_off_behind_a_microcontroller(tmp_path: Path, monkeypatch: p
         assert not torque.any()
 
 
-def test_a_microcontroller_that_is_none_is_told(
+def test_bridge_option_without_bridge_board_is_reported(
     bench: BenchEmulator, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
@@ -272,7 +268,7 @@ def test_a_microcontroller_that_is_none_is_told(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
-def test_a_signal_in_the_midst_of_a_move_leaves_torque_off_and_all_as_before(
+def test_signal_during_move_disables_torque_and_restores_state(
     number: signal.Signals, bench: BenchEmulator, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Handle a signal during a move, also twice, as from a hang-up or a second Ctrl-C."""
@@ -300,13 +296,13 @@ def test_a_signal_in_the_midst_of_a_move_leaves_torque_off_and_all_as_before(
     assert (words[:, dxl.TORQUE_LIMIT.address // 2] == 1023).all()
 
 
-def test_a_command_runs_in_another_thread_too(url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_servos_command_runs_in_non_main_thread(url: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Run a command in a thread that receives no signals."""
     with ThreadPoolExecutor() as threads:
         assert threads.submit(cli.main, ["servos", "scan", "--port", url, "--ids", "1:3"]).result() == 0
 
 
-def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
+def test_unattended_calibration_skips_leg_outside_pose(
     bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.bend(LEGS.index("left rear"), np.radians([0.0, 40.0, 0.0]))
@@ -317,7 +313,7 @@ def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
 
 
 @pytest.mark.filterwarnings("ignore:.*socket.*:pytest.PytestUnraisableExceptionWarning")  # pyserial drops a closed socket
-def test_a_second_program_is_told_that_it_is_not_alone(bench: BenchEmulator, capsys: pytest.CaptureFixture[str]) -> None:
+def test_port_in_use_by_another_program_is_reported(bench: BenchEmulator, capsys: pytest.CaptureFixture[str]) -> None:
     """Report that the port is in use.
 
     Otherwise the second program would receive nothing and suspect 18 cables.

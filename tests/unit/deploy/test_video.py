@@ -66,7 +66,7 @@ def on_ground(T: Array) -> Array:
     return body_inverse(PROFILE, PROFILE.rest_feet(float(T[2, 3])))
 
 
-def a_walk(seed: int = 0) -> list[Message]:
+def walk_messages(seed: int = 0) -> list[Message]:
     """Return the messages of a robot that glides over level ground.
 
     Its odd legs are in the air, and the planner refuses at the end.
@@ -130,31 +130,31 @@ def record(path: Path, said: list[Message], about: dict[str, str] | None = None)
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run."""
     folder = tmp_path_factory.mktemp("run")
-    record(folder / "recording.mcap", a_walk())
+    record(folder / "recording.mcap", walk_messages())
     return folder
 
 
 @pytest.fixture(scope="module")
-def story(run: Path) -> Timeline:
+def recorded_timeline(run: Path) -> Timeline:
     return Timeline.read(Recording(run))
 
 
-def level(way: Array | None = None) -> ground.Ground:
+def level_ground(way: Array | None = None) -> ground.Ground:
     """Return level ground with a block next to the robot."""
     block = Boxes(np.array([[0.5, 0.0, 0.02]]), np.array([[0.05, 0.2, 0.02]]), np.eye(3)[None])
     return ground.of_terrain(Terrain(block, plane=0.0), np.array([[-0.5, 0.0], [0.5, 0.0]]) if way is None else way)
 
 
 @pytest.fixture(scope="module")
-def film(run: Path, story: Timeline) -> Animation:
-    return Animation(run, story, PROFILE, level(), "flat, seed 0", SMALL)
+def film(run: Path, recorded_timeline: Timeline) -> Animation:
+    return Animation(run, recorded_timeline, PROFILE, level_ground(), "flat, seed 0", SMALL)
 
 
 @pytest.fixture(scope="module")
-def painter() -> Renderer:
-    painter = Renderer(PROFILE, (320, 192))
-    painter.stand_on(level())
-    return painter
+def level_renderer() -> Renderer:
+    level_renderer = Renderer(PROFILE, (320, 192))
+    level_renderer.stand_on(level_ground())
+    return level_renderer
 
 
 def pixel(view: View, size: tuple[int, int], p: Array) -> Array:
@@ -163,20 +163,20 @@ def pixel(view: View, size: tuple[int, int], p: Array) -> Array:
     return np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]) + view.focal * size[1] * np.array([x, y]) / z
 
 
-def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Timeline) -> None:
+def test_frame_count_follows_duration_frame_rate_and_speed(recorded_timeline: Timeline) -> None:
     for fps, times, from_s, to_s in ((25.0, 1.0, 0.0, 4.0), (12.5, 2.0, 0.5, 3.3), (10.0, 0.25, 3.0, 99.0)):
         cut = Cut(fps=fps, times=times, from_s=from_s, to_s=to_s)
-        shown = cut.times_ns(story)
+        shown = cut.times_ns(recorded_timeline)
         assert len(shown) == round((min(to_s, DURATION_S) - from_s) * fps / times)
         np.testing.assert_allclose(np.diff(shown) * 1e-9, times / fps, atol=1e-8)
-        assert story.began_ns <= shown[0]
-        assert shown[-1] <= story.ended_ns
+        assert recorded_timeline.began_ns <= shown[0]
+        assert shown[-1] <= recorded_timeline.ended_ns
     for from_s, to_s in ((5.0, 6.0), (2.0, 2.0), (3.0, 1.0)):
         with pytest.raises(ValueError, match=r"a part of the recorded 4\.0 s"):
-            Cut(from_s=from_s, to_s=to_s).times_ns(story)
+            Cut(from_s=from_s, to_s=to_s).times_ns(recorded_timeline)
 
 
-def test_pictures_are_the_same_however_many_paint_them(film: Animation) -> None:
+def test_frames_do_not_depend_on_number_of_processes(film: Animation) -> None:
     alone, together = list(film.frames(1)), list(film.frames(3))
     assert len(alone) == len(together) == len(film.times_ns) == 20
     for one, other in zip(alone, together, strict=True):
@@ -184,23 +184,23 @@ def test_pictures_are_the_same_however_many_paint_them(film: Animation) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_robot_stays_in_the_middle_and_moves(film: Animation, story: Timeline) -> None:
+def test_robot_moves_and_stays_near_image_center(film: Animation, recorded_timeline: Timeline) -> None:
     size = np.array(SMALL.size)
     for t_ns in film.times_ns:
-        body = pixel(film.camera.view(t_ns), SMALL.size, story.pose(t_ns)[:3, 3])
+        body = pixel(film.camera.view(t_ns), SMALL.size, recorded_timeline.pose(t_ns)[:3, 3])
         assert (np.abs(body - (size - 1) / 2) < size / 4).all()
     first, *_, last = film.frames(2)
     middle = slice(24, 72), slice(40, 120)
     assert np.abs(first[middle].astype(int) - last[middle]).max(axis=-1).mean() > 5
 
 
-def still(contact: NDArray[np.bool_]) -> tuple[Figure, Array]:
+def standing_figure(contact: NDArray[np.bool_]) -> tuple[Figure, Array]:
     T = at(0.0)
     q = on_ground(T)
     return Figure(T, q, contact), apply(T, body_forward(PROFILE, q))
 
 
-def from_aside(p: Array, yaw: float, away: float = 1.2) -> View:
+def side_view(p: Array, yaw: float, away: float = 1.2) -> View:
     """Return a view of a foot from a heading, nearly level."""
     look = np.array([-np.cos(yaw), -np.sin(yaw), -0.5])
     look /= np.linalg.norm(look)
@@ -210,26 +210,26 @@ def from_aside(p: Array, yaw: float, away: float = 1.2) -> View:
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_foot_is_drawn_where_the_kinematics_say_and_tells_whether_it_carries(painter: Renderer, leg: int) -> None:
+def test_foot_is_drawn_at_its_position_in_contact_state_color(level_renderer: Renderer, leg: int) -> None:
     hue = {}
     for state in (CARRIES, SWINGS):
-        figure, feet = still(np.full(6, state == CARRIES))
+        figure, feet = standing_figure(np.full(6, state == CARRIES))
         out = np.arctan2(*feet[leg, 1::-1])
-        view = from_aside(np.array([0.0, 0.0, 0.05]), out)
-        u, v = np.round(pixel(view, painter.size, feet[leg])).astype(int)
-        color = painter.paint(figure, view)[v, u].astype(float)
+        view = side_view(np.array([0.0, 0.0, 0.05]), out)
+        u, v = np.round(pixel(view, level_renderer.size, feet[leg])).astype(int)
+        color = level_renderer.paint(figure, view)[v, u].astype(float)
         expected = np.array(COLORS[state][0], dtype=float)
         assert color @ expected / np.linalg.norm(color) / np.linalg.norm(expected) > 0.97, (color, expected)
         hue[state] = color / color.sum()
     assert np.abs(hue[CARRIES] - hue[SWINGS]).max() > 0.1
 
 
-def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Renderer) -> None:
-    figure, _ = still(np.ones(6, dtype=bool))
-    view, p = from_aside(np.zeros(3), 0.7, 1.6), np.array([0.30, 0.25, 0.0])
-    bare = painter.paint(figure, view).astype(int)
-    marked = painter.paint(figure, view, [Mark(p, 0.0, 0.03, (219, 22, 102))]).astype(int)
-    u, v = np.round(pixel(view, painter.size, p)).astype(int)
+def test_mark_and_robot_shadow_are_drawn_on_ground(level_renderer: Renderer) -> None:
+    figure, _ = standing_figure(np.ones(6, dtype=bool))
+    view, p = side_view(np.zeros(3), 0.7, 1.6), np.array([0.30, 0.25, 0.0])
+    bare = level_renderer.paint(figure, view).astype(int)
+    marked = level_renderer.paint(figure, view, [Mark(p, 0.0, 0.03, (219, 22, 102))]).astype(int)
+    u, v = np.round(pixel(view, level_renderer.size, p)).astype(int)
     assert marked[v, u, 0] - marked[v, u, 1] > bare[v, u, 0] - bare[v, u, 1] + 30
     changed = np.argwhere(np.abs(marked - bare).max(axis=-1) > 8)
     assert len(changed) > 4
@@ -237,8 +237,8 @@ def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Rende
     # Next to its shadow the ground is lighter than below the robot.
     away = replace(figure, T_world_body=figure.T_world_body @ from_xyz_rpy((0.0, 3.0, 0.0), (0.0, 0.0, 0.0)))
     lit, below = (
-        painter.paint(away, view).astype(int),
-        np.round(pixel(view, painter.size, np.array([0.0, -0.12, 0.0]))).astype(int),
+        level_renderer.paint(away, view).astype(int),
+        np.round(pixel(view, level_renderer.size, np.array([0.0, -0.12, 0.0]))).astype(int),
     )
     assert lit[below[1], below[0]].sum() > 1.3 * bare[below[1], below[0]].sum()
 
@@ -256,7 +256,7 @@ def solid_limbs(starts: Array, ends: Array, radii: Array) -> tuple[Array, Array,
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_limb_is_the_hull_of_its_balls(seed: int) -> None:
+def test_limb_is_convex_hull_of_its_end_spheres(seed: int) -> None:
     rng = np.random.default_rng(seed)
     start, end = rng.uniform([-0.2, -0.15, 0.8], [0.2, 0.15, 1.2], (2, 3))
     radii = rng.uniform(0.01, 0.07, 2)
@@ -277,8 +277,8 @@ def test_a_limb_is_the_hull_of_its_balls(seed: int) -> None:
         assert (w[np.linalg.norm(off, axis=-1) < radius[k] - 1e-6] > 0).all()
 
 
-def test_faces_hide_each_other_and_a_field_is_where_its_heights_are() -> None:
-    T = from_aside(np.zeros(3), 0.5).T_world_camera
+def test_faces_occlude_each_other_and_field_matches_heights() -> None:
+    T = side_view(np.zeros(3), 0.5).T_world_camera
     sight = blank(96, 64, (90.0, 90.0, 47.5, 31.5))
     square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     lower, upper = 0.4 * square - [0.0, 0.0, 0.1], 0.1 * square + [0.0, 0.0, 0.1]
@@ -297,7 +297,7 @@ def test_faces_hide_each_other_and_a_field_is_where_its_heights_are() -> None:
     assert not (sight.material == 3).any()  # seen from behind
 
 
-def test_a_rounded_box_keeps_within_its_size() -> None:
+def test_rounded_box_stays_within_its_size() -> None:
     solids = Solids()
     solids.rounded_box(np.eye(4), (0.2, 0.1, 0.04), 0.01, 1)
     faces, _, starts, ends, radii, _ = solids.arrays()
@@ -307,8 +307,8 @@ def test_a_rounded_box_keeps_within_its_size() -> None:
     assert (np.einsum("ij,ij->i", normals, faces.mean(axis=1)) > 0).all()  # outward
 
 
-def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Animation, story: Timeline) -> None:
-    said = [story.moment(round(t_s * S)) for t_s in (2.0, 3.5)]
+def test_trouble_is_written_in_warning_color(film: Animation, recorded_timeline: Timeline) -> None:
+    said = [recorded_timeline.moment(round(t_s * S)) for t_s in (2.0, 3.5)]
     assert [m.trouble for m in said] == ["", f"planner blocked: {BLOCKED}"]
     assert said[0].mode == "walk"
     assert [m.planner for m in said] == ["stepping", "blocked"]
@@ -328,8 +328,8 @@ def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Animation, st
     assert (picture[:20] == 128).all()
 
 
-def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(story: Timeline) -> None:
-    moment = story.moment(story.began_ns + 2 * S)
+def test_moment_takes_pose_from_truth_and_footholds_from_plan(recorded_timeline: Timeline) -> None:
+    moment = recorded_timeline.moment(recorded_timeline.began_ns + 2 * S)
     np.testing.assert_allclose(moment.T_scene_body, at(2.0), atol=1e-6)
     np.testing.assert_allclose(moment.T_world_body, at(2.0), atol=1e-6)
     assert len(moment.footholds) == 3
@@ -337,45 +337,45 @@ def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(st
     assert moment.speed == pytest.approx(np.linalg.norm(at(3.0)[:2, 3] - at(1.0)[:2, 3]) / 2, rel=0.01)
 
 
-def test_without_truth_it_is_drawn_where_it_believed_to_be_on_its_own_map(tmp_path: Path) -> None:
-    said = [m for m in a_walk() if not isinstance(m, GroundTruth)]
+def test_video_without_truth_uses_estimated_pose_and_own_map(tmp_path: Path) -> None:
+    said = [m for m in walk_messages() if not isinstance(m, GroundTruth)]
     path = record(tmp_path / "recording.mcap", said, {"robot": PROFILE.name})
-    story = Timeline.read(Recording(path))
-    assert not story.true
-    np.testing.assert_allclose(story.moment(story.began_ns + S).T_scene_body, at(1.0), atol=2e-3)
+    recorded_timeline = Timeline.read(Recording(path))
+    assert not recorded_timeline.true
+    np.testing.assert_allclose(recorded_timeline.moment(recorded_timeline.began_ns + S).T_scene_body, at(1.0), atol=2e-3)
     out = tmp_path / "walk.gif"
     assert cli.main(["video", str(path), "--out", str(out), "--size", "160x96", "--fps", "2"]) == 0
     with Image.open(out) as image:
         assert (image.size, image.n_frames) == ((160, 96), 8)  # type: ignore[attr-defined]
 
 
-def test_what_gives_way_sinks_when_a_foot_that_carries_has_told_so(story: Timeline, painter: Renderer) -> None:
+def test_weak_pillar_sinks_at_recorded_foot_contact(recorded_timeline: Timeline, level_renderer: Renderer) -> None:
     """Sink the pillar under the left middle foot by the recorded contact.
 
     The pillar is assumed to reach 1 cm higher than the foot, so it has sunk.
     """
-    foot = story.truth.said[0].feet[5]
-    assert story.truth.said[0].contact[5]
+    foot = recorded_timeline.truth.said[0].feet[5]
+    assert recorded_timeline.truth.said[0].contact[5]
     half = np.array([[0.04, 0.04, 0.2]])
     for over, gave in ((0.012, True), (0.004, False)):
         pillar = Boxes(np.array([[foot[0], foot[1], foot[2] - RADIUS + over - 0.2]]), half, np.eye(3)[None])
         weak = Weak(np.array([0]), np.array([3.0]), np.array([0.06]))
         terrain = Terrain(pillar, weak=weak)
-        sinking = Sinking(terrain, story, RADIUS)
-        later = [float(sinking.at(story.began_ns + round(t_s * S))[0]) for t_s in (-1.0, 0.0, 0.1, 0.2, 3.0)]
+        sinking = Sinking(terrain, recorded_timeline, RADIUS)
+        later = [float(sinking.at(recorded_timeline.began_ns + round(t_s * S))[0]) for t_s in (-1.0, 0.0, 0.1, 0.2, 3.0)]
         assert later == sorted(later)
         assert (later[0], later[-1]) == (0.0, 0.06 if gave else 0.0)
     ground_ = ground.of_terrain(terrain, np.array([[-0.5, 0.0], [0.5, 0.0]]))
     assert (len(ground_.faces), ground_.sinking.shape) == (0, (1, 6, 4, 3))
     one = Renderer(PROFILE, (160, 96))
     one.stand_on(ground_)
-    figure, _ = still(np.ones(6, dtype=bool))
-    view = from_aside(foot, 1.6, 0.8)
+    figure, _ = standing_figure(np.ones(6, dtype=bool))
+    view = side_view(foot, 1.6, 0.8)
     stands, sunk = (one.paint(replace(figure, sunk=np.array([depth])), view) for depth in (0.0, 0.06))
     assert (stands != sunk).any(axis=-1).sum() > 50
 
 
-def test_most_of_the_ground_never_looks_high() -> None:
+def test_color_limits_show_main_ground_level_as_low() -> None:
     flat = np.zeros((50, 50), dtype=np.float32)
     for part, rise in ((0, 0.0), (10, -0.2), (10, 0.2), (3, -0.6)):
         heights = flat.copy()
@@ -386,7 +386,7 @@ def test_most_of_the_ground_never_looks_high() -> None:
         assert low <= 0.0 <= high
 
 
-def test_messages_between_two_are_found_by_time() -> None:
+def test_track_finds_messages_by_time() -> None:
     track: Track[ActuatorState] = Track()
     states = [actuator_state(PROFILE, stamp_ns=k * S) for k in range(4)]
     for k, state in enumerate(states):
@@ -401,7 +401,7 @@ def test_messages_between_two_are_found_by_time() -> None:
     assert track.around(-1) == (states[0], states[0], 0.0)
 
 
-def test_maps_come_as_time_goes_on(run: Path) -> None:
+def test_maps_until_returns_latest_map(run: Path) -> None:
     maps = Maps(Recording(run))
     assert maps.until(0) is None
     for t_s in (0.5, 1.5, 3.9):
@@ -411,7 +411,7 @@ def test_maps_come_as_time_goes_on(run: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm", ".avi"])
-def test_a_video_has_the_size_and_the_pictures_that_went_in(tmp_path: Path, suffix: str) -> None:
+def test_video_file_preserves_frame_size_and_content(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"walk{suffix}"
     shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
     assert video_writer.write(path, shades, 10.0, (160, 96)) == 5
@@ -425,7 +425,7 @@ def test_a_video_has_the_size_and_the_pictures_that_went_in(tmp_path: Path, suff
 
 
 @pytest.mark.parametrize("suffix", [".webp", ".gif", ".png"])
-def test_an_animated_picture_moves(tmp_path: Path, suffix: str) -> None:
+def test_animated_image_preserves_all_frames(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"walk{suffix}"
     shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
     assert video_writer.write(path, shades, 10.0, (160, 96)) == 5
@@ -436,7 +436,7 @@ def test_an_animated_picture_moves(tmp_path: Path, suffix: str) -> None:
             assert np.abs(np.asarray(image.convert("RGB")).mean(axis=(0, 1)) - shade[0, 0]).max() < 12
 
 
-def test_a_gif_keeps_the_color_of_what_is_small_and_vivid(tmp_path: Path) -> None:
+def test_gif_preserves_color_of_small_vivid_spots(tmp_path: Path) -> None:
     path = tmp_path / "walk.gif"
     y, x = np.mgrid[:192, :320]
     picture = np.stack([60 + x // 3, 80 + y // 2, 90 + (x + y) // 6], axis=-1).astype(np.uint8)
@@ -450,7 +450,7 @@ def test_a_gif_keeps_the_color_of_what_is_small_and_vivid(tmp_path: Path) -> Non
         assert np.abs(found[spot] - picture[spot]).max() < 12
 
 
-def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
+def test_interrupted_video_leaves_no_file(tmp_path: Path) -> None:
     def breaks_off() -> "object":
         yield np.zeros((96, 160, 3), dtype=np.uint8)
         raise KeyboardInterrupt
@@ -462,7 +462,7 @@ def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm"])
-def test_a_film_that_lacks_its_end_is_said_and_not_left(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_truncated_video_file_raises_and_is_removed(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [np.full((96, 160, 3), 10 * k, dtype=np.uint8) for k in range(12)]
     assert video_writer.write(tmp_path / f"whole{suffix}", frames, 10.0, (160, 96)) == 12
     assert video_writer._frames_in(tmp_path / f"whole{suffix}") == 12
@@ -472,7 +472,7 @@ def test_a_film_that_lacks_its_end_is_said_and_not_left(tmp_path: Path, suffix: 
     assert [path.name for path in tmp_path.iterdir()] == [f"whole{suffix}"]
 
 
-def test_the_command_draws_a_run_and_says_what_came_of_it(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_video_command_renders_run_and_prints_summary(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = run / "short.webp"
     words = ["video", str(run), "--out", str(out), "--size", "160x96", "--fps", "5", "--from", "1", "--to", "3", "--speed", "2"]
     assert cli.main(words) == 0
@@ -481,7 +481,7 @@ def test_the_command_draws_a_run_and_says_what_came_of_it(run: Path, capsys: pyt
         assert (image.size, image.n_frames) == ((160, 96), 5)  # type: ignore[attr-defined]
 
 
-def test_what_was_cut_off_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_truncated_recording_is_rendered_up_to_its_end(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = (run / "recording.mcap").read_bytes()
     path = tmp_path / "recording.mcap"
     path.write_bytes(whole[: int(0.6 * len(whole))])
@@ -491,13 +491,13 @@ def test_what_was_cut_off_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path, 
     assert out.is_file()
 
 
-def another_ground(folder: Path) -> list[str]:
-    path = record(folder / "recording.mcap", a_walk(), {"scenario": "gone_by_now", "seed": "0", "robot": PROFILE.name})
+def video_of_unknown_scenario(folder: Path) -> list[str]:
+    path = record(folder / "recording.mcap", walk_messages(), {"scenario": "gone_by_now", "seed": "0", "robot": PROFILE.name})
     return ["video", str(path), "--out", str(folder / "walk.webp"), "--size", "64x64", "--fps", "1"]
 
 
-def test_a_ground_that_is_not_known_is_said_and_can_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = another_ground(tmp_path)
+def test_unknown_scenario_warns_and_can_be_given_as_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = video_of_unknown_scenario(tmp_path)
     assert cli.main(words) == 0
     assert "the video shows the robot's map instead" in capsys.readouterr().err
     assert cli.main([*words, "--scenario", "flat"]) == 0
@@ -525,11 +525,11 @@ def text_file(folder: Path) -> str:
 
 
 def recorded(folder: Path) -> str:
-    return str(record(folder / "recording.mcap", a_walk()))
+    return str(record(folder / "recording.mcap", walk_messages()))
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_input_is_refused_in_words(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_input_is_refused_with_reason(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spoil, words = WRONG[name]
     assert cli.main(["video", *spoil(tmp_path)]) == 2
     assert words in capsys.readouterr().err
@@ -539,14 +539,14 @@ def test_wrong_input_is_refused_in_words(name: str, tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     "option", [["--size", "17x9"], ["--size", "641x480"], ["--fps", "0"], ["--speed", "-1"], ["--to", "x"]]
 )
-def test_wrong_options_are_refused(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_options_are_refused(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["video", "run", *option])
     assert ended.value.code == 2
     assert "expected" in capsys.readouterr().err
 
 
-def test_a_film_asks_for_no_moment_it_does_not_show(film: Animation) -> None:
+def test_animation_requests_only_the_shown_moments(film: Animation) -> None:
     shown: list[Moment] = [film._story.moment(t_ns) for t_ns in film.times_ns]
     assert shown[0].time_s == 0.0
     assert [round(m.time_s, 6) for m in shown] == [round(k / SMALL.fps, 6) for k in range(len(shown))]

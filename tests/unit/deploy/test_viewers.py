@@ -28,19 +28,19 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path / "r.mcap"
 
 
-def test_a_recording_is_written_for_rerun(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recording_is_exported_to_rerun(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rerun", reason="rerun, of the extra of that name: pip install -e '.[rerun]'")
     assert cli.main(["recording", "export", str(recorded), "--rerun", str(tmp_path / "r.rrd")]) == 0
     assert "102 messages" in capsys.readouterr().out, "of the maps the recorder keeps one a second"
     assert (tmp_path / "r.rrd").read_bytes()[:4] in (b"RRF2", b"RRIO")
 
 
-def test_what_cannot_be_exported_is_said(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_to_wrong_suffix_is_refused(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["recording", "export", str(recorded), "--rerun", str(tmp_path / "r.mp4")]) == 2
     assert "ends in .rrd expected" in capsys.readouterr().err
 
 
-def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> None:
+def test_foxglove_server_advertises_channels_and_sends_subscribed() -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
     from websockets.sync.client import connect
 
@@ -73,7 +73,7 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
         assert np.frombuffer(frame[13:], dtype=np.uint8).size > 50
 
 
-def test_a_port_that_is_taken_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_occupied_foxglove_port_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
     from sextant.deploy.viewers.foxglove_server import FoxgloveServer
 

@@ -14,7 +14,7 @@ from sextant.services.planner.gap_crossing import roadmap_search
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
-def test_two_cores_share_what_has_never_been_compiled(
+def test_first_compilation_runs_on_at_most_two_cores(
     compiled: bool, cores: int, jobs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[list[tuple[Any, ...]], int]] = []
@@ -34,7 +34,7 @@ def test_two_cores_share_what_has_never_been_compiled(
     assert sorted(rehearsal.__name__ for rehearsal in rehearsed) == ["_mapper", "_perception", "_planner", "_simulator"]
 
 
-def test_what_numba_keeps_is_found_where_numba_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numba_cache_files_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: Any = roadmap_search.grow
     assert Path(compiled.stats.cache_path).is_dir()
     monkeypatch.setattr(roadmap_search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))

@@ -13,15 +13,15 @@ TASKS = [(7, 2), (9, 4), (5, 5), (8, 3)]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
+def test_results_are_in_task_order(jobs: int) -> None:
     assert list(share_out(divmod, TASKS, jobs)) == [divmod(*task) for task in TASKS]
 
 
-def test_results_come_as_they_are_done_where_order_does_not_matter() -> None:
+def test_unordered_results_are_complete() -> None:
     assert sorted(share_out(divmod, TASKS, 2, in_order=False)) == sorted(divmod(*task) for task in TASKS)
 
 
-def test_each_process_computes_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_process_uses_one_compute_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
     names = [("OMP_NUM_THREADS",), ("NUMBA_NUM_THREADS",)]
@@ -30,20 +30,20 @@ def test_each_process_computes_in_one_thread(monkeypatch: pytest.MonkeyPatch) ->
     assert "NUMBA_NUM_THREADS" not in os.environ
 
 
-def test_nobody_waits_for_the_rest_when_a_task_fails() -> None:
+def test_failed_task_terminates_remaining_workers() -> None:
     with pytest.raises(ZeroDivisionError):
         list(share_out(_divide_or_sleep, [(1, 0), (1, 600), (1, 600)], 2))
     assert not multiprocessing.active_children()
 
 
-def test_nobody_waits_for_the_rest_when_no_more_is_asked_for() -> None:
+def test_closed_results_generator_terminates_workers() -> None:
     results = share_out(_divide_or_sleep, [(4, 2), (1, 600), (1, 600)], 2)
     assert next(results) == 2.0
     results.close()  # type: ignore[attr-defined]
     assert not multiprocessing.active_children()
 
 
-def test_what_a_copy_does_to_itself_is_not_done_here() -> None:
+def test_in_copy_does_not_modify_parent_process() -> None:
     here = [1]
 
     def work() -> tuple[int, list[int]]:
@@ -57,7 +57,7 @@ def test_what_a_copy_does_to_itself_is_not_done_here() -> None:
 
 
 @pytest.mark.parametrize(("end", "code"), [(lambda: os._exit(3), 3), (lambda: 1 // 0, 1)])
-def test_a_copy_that_does_not_come_to_its_end_is_an_error(end: Callable[[], object], code: int) -> None:
+def test_in_copy_raises_if_child_exits_early(end: Callable[[], object], code: int) -> None:
     with pytest.raises(RuntimeError, match=f"ended with exit code {code}"):
         in_copy(end)
 

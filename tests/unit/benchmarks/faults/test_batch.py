@@ -30,7 +30,7 @@ class Runner:
         return [Injection(name, number, 1000, 5.0 + number, 0.5, -1, outcome) for number in numbers]
 
 
-def test_a_batch_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_interrupted_batch_resumes(tmp_path: Path) -> None:
     first, second = Runner(), Runner()
     found = run_faults([KILLED, SAG], 8, 1, tmp_path, run=first)
     assert [(one.fault, one.number) for one in found] == [(name, k) for name in ("planner-killed", "sag") for k in range(8)]
@@ -44,7 +44,7 @@ def test_a_batch_goes_on_where_it_was(tmp_path: Path) -> None:
     assert {one.commit for one in again} == {provenance.commit()}
 
 
-def test_lines_of_another_program_do_not_count_and_other_lines_are_told(tmp_path: Path) -> None:
+def test_lines_of_other_program_are_skipped_and_invalid_ones_raise(tmp_path: Path) -> None:
     run_faults([SAG], 1, 1, tmp_path, run=Runner())
     path = tmp_path / FILE
     mark = json.loads(path.read_text())["fingerprint"]
@@ -55,7 +55,7 @@ def test_lines_of_another_program_do_not_count_and_other_lines_are_told(tmp_path
         list(read(path, mark))
 
 
-def test_a_row_passes_when_every_injection_keeps_every_limit() -> None:
+def test_row_passes_only_if_each_injection_keeps_all_limits() -> None:
     assert tables.row(KILLED, [GOOD] * 3).passed
     wrongs = (
         replace(GOOD, decided_s=0.26),
@@ -76,7 +76,7 @@ def test_a_row_passes_when_every_injection_keeps_every_limit() -> None:
         assert "1 of 3" in row.missed[0]
 
 
-def test_a_walk_that_is_to_go_on_may_not_stop_and_off_is_off() -> None:
+def test_limits_of_uninterrupted_walk_and_torque_off() -> None:
     assert tables.row(SAG, [CALM]).passed
     assert not tables.row(SAG, [replace(CALM, stops=1)]).passed
     let_go = replace(CALM, off_s=0.05, switched=True, stops=1)
@@ -85,7 +85,7 @@ def test_a_walk_that_is_to_go_on_may_not_stop_and_off_is_off() -> None:
         assert not tables.row(OFF, [wrong]).passed
 
 
-def test_a_recording_that_lacks_more_than_a_second_before_the_kill_is_lost() -> None:
+def test_recording_loss_above_one_second_fails() -> None:
     killed = BY_NAME["live-recorder-killed"]
     kept_one = tables.row(killed, [replace(CALM, lost_s=0.4)])
     assert kept_one.passed
@@ -99,14 +99,14 @@ def test_a_recording_that_lacks_more_than_a_second_before_the_kill_is_lost() -> 
     assert tables.from_json(json.dumps([before]))[0].lost_s.n == 0, "a row of before that was measured"
 
 
-def test_ranks_are_nearest_and_a_least_margin_is_the_worst() -> None:
+def test_percentiles_are_nearest_rank_and_worst_margin_is_least() -> None:
     values = [float(k) for k in range(1, 201)]
     assert tables.figure(values) == tables.Figure(200, 100.0, 198.0, 200.0)
     assert tables.figure(values, worst_is_least=True) == tables.Figure(200, 101.0, 3.0, 1.0)
     assert tables.figure([nan, 2.0]).n == 1
 
 
-def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
+def test_fault_table_shows_pass_and_fail_and_round_trips() -> None:
     made_by = ((KILLED, "bbbbbbb"), (SAG, "aaaaaaa"), (KILLED, "aaaaaaa"), (KILLED, "bbbbbbb"))
     found = [Injection(case.name, 0, 1000, 5.0, 0.5, -1, GOOD, commit) for case, commit in made_by]
     made = tables.rows(found)
@@ -123,13 +123,13 @@ def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
     assert tables.to_json(again) == written
 
 
-def test_names_are_given_once() -> None:
+def test_case_names_are_unique() -> None:
     assert len(BY_NAME) == len(CASES) + len(LIVE_CASES)
     assert all(case.live for case in LIVE_CASES)
     assert not any(case.live for case in CASES)
 
 
-def test_a_computer_that_is_too_slow_is_held_to_its_cycle_and_must_be_said() -> None:
+def test_cpu_load_case_limits_cycle_time_and_missed_cycles() -> None:
     hogs = BY_NAME["live-hogs"]
     fine = replace(CALM, cycle_s=0.024, missed=2)
     assert tables.row(hogs, [fine]).passed

@@ -18,7 +18,7 @@ def goals(ticks: np.ndarray, speed: int = 0) -> bytes:
 
 
 @given(st.integers(0, 17), st.integers(0, 1023))
-def test_a_goal_is_outside_exactly_where_no_joint_angle_of_the_limits_rounds_to_it(index: int, ticks: int) -> None:
+def test_goal_outside_joint_limits_is_detected_exactly(index: int, ticks: int) -> None:
     recorder = Recorder(PROFILE)
     wanted = CENTRE.copy()
     wanted[index] = ticks
@@ -33,7 +33,7 @@ def test_a_goal_is_outside_exactly_where_no_joint_angle_of_the_limits_rounds_to_
     assert [set(sent.speeds.tolist()) for sent in recorder.goals] == [{0}, {45}]
 
 
-def test_switches_are_noted_on_both_sides_and_broken_packets_on_none() -> None:
+def test_torque_switches_are_logged_as_sent_and_received() -> None:
     recorder = Recorder(PROFILE)
     off = dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
     recorder.sent(off, 0)
@@ -48,7 +48,7 @@ def test_switches_are_noted_on_both_sides_and_broken_packets_on_none() -> None:
     assert recorder.switches[-1].register is dxl.TORQUE_LIMIT
 
 
-def test_a_broadcast_write_is_one_to_all_and_a_question_is_none() -> None:
+def test_broadcast_write_is_logged_for_all_servos_and_read_is_not() -> None:
     recorder = Recorder(PROFILE)
     recorder.heard(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\1"), 0)
     assert recorder.switches[0].values == dict.fromkeys(IDS, 1)

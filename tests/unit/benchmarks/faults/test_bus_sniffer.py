@@ -17,7 +17,7 @@ _WAIT_S = 10.0
 
 
 @contextlib.contextmanager
-def tapped() -> Iterator[tuple[int, socket.socket, "queue.Queue[Opened | Sent]"]]:
+def running_sniffer() -> Iterator[tuple[int, socket.socket, "queue.Queue[Opened | Sent]"]]:
     """Yield a tap's port, the listener in place of the servos, and the tap's reports."""
     said: queue.Queue[Opened | Sent] = queue.Queue()
     with socket.create_server(("127.0.0.1", 0)) as servos, socket.create_server(("127.0.0.1", 0)) as listener:
@@ -34,8 +34,8 @@ def dial(port: int) -> socket.socket:
     return socket.create_connection(("127.0.0.1", port), timeout=_WAIT_S)
 
 
-def test_bytes_pass_both_ways_and_those_of_the_host_are_told_in_their_order() -> None:
-    with tapped() as (port, servos, said), dial(port) as host:
+def test_sniffer_forwards_both_ways_and_reports_host_bytes() -> None:
+    with running_sniffer() as (port, servos, said), dial(port) as host:
         bus, _ = servos.accept()
         with bus:
             host.sendall(b"\xff\xff\x01")
@@ -50,8 +50,8 @@ def test_bytes_pass_both_ways_and_those_of_the_host_are_told_in_their_order() ->
             assert said.empty(), "the servos' answers are not logged"
 
 
-def test_who_hangs_up_is_hung_up_on_and_the_next_one_is_served() -> None:
-    with tapped() as (port, servos, said):
+def test_host_disconnect_closes_bus_and_next_host_is_served() -> None:
+    with running_sniffer() as (port, servos, said):
         for data in (b"one", b"two"):
             with dial(port) as host:
                 host.sendall(data)
@@ -62,20 +62,20 @@ def test_who_hangs_up_is_hung_up_on_and_the_next_one_is_served() -> None:
         assert [type(said.get(timeout=_WAIT_S)) for _ in range(4)] == [Opened, Sent, Opened, Sent]
 
 
-def test_a_host_without_servos_is_hung_up_on() -> None:
-    with tapped() as (port, servos, _):
+def test_host_is_disconnected_without_servos() -> None:
+    with running_sniffer() as (port, servos, _):
         servos.close()
         with dial(port) as host:
             assert host.recv(10) == b""
 
 
 @given(st.integers(0, 1 << 62), st.binary(min_size=1, max_size=300))
-def test_what_is_said_is_understood(at_ns: int, data: bytes) -> None:
+def test_sniffer_reports_round_trip(at_ns: int, data: bytes) -> None:
     for word in (Opened(at_ns), Sent(at_ns, data)):
         assert bus_sniffer.understood(str(word)) == word
 
 
 @pytest.mark.parametrize("line", ["", "open", "open x", "sent 1", "sent 1 zz", "Traceback (most recent call last):"])
-def test_another_line_is_refused(line: str) -> None:
+def test_invalid_sniffer_line_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r"expected|invalid|non-hexadecimal"):
         bus_sniffer.understood(line)

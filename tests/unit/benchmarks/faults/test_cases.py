@@ -18,9 +18,7 @@ _SHARE, _STOPS = 0.40, 0.30  # share of lost answers, and the share at which the
 @pytest.mark.parametrize(
     ("after_s", "per_million", "within"), [(0.44, 4000.0, 0.1), (BY_NAME["lost-40"].limits.decided_s, 20.0, 0.5)]
 )
-def test_a_drawn_loss_is_as_bad_as_what_stops_the_robot_before_the_limit_is_over(
-    after_s: float, per_million: float, within: float
-) -> None:
+def test_random_packet_loss_stops_robot_within_limit(after_s: float, per_million: float, within: float) -> None:
     rng, walks, cycles = np.random.default_rng(0), 400_000, round(after_s / _CYCLE_S)
     lost = np.hstack([np.zeros((walks, 1)), rng.binomial(4, _SHARE, (walks, cycles))]).cumsum(axis=1)
     before = np.hstack([np.zeros((walks, _WINDOW - 1)), lost])[:, :cycles]
@@ -30,7 +28,7 @@ def test_a_drawn_loss_is_as_bad_as_what_stops_the_robot_before_the_limit_is_over
 
 @pytest.mark.parametrize("target", ["bytes", "packets", "servo", "bus"])
 @pytest.mark.parametrize("kind", _KINDS)
-def test_every_cell_of_the_grid_is_injected(target: str, kind: str) -> None:
+def test_each_target_and_kind_has_a_case(target: str, kind: str) -> None:
     faults = [deed.fault for case in CASES for deed in case.deeds if isinstance(deed, OnBus)]
     assert (target, kind) in {(fault.target, fault.kind) for fault in faults}
 
@@ -54,17 +52,17 @@ PROMISED: dict[str, Limits] = {
 
 
 @pytest.mark.parametrize("name", PROMISED)
-def test_a_fault_is_held_to_what_is_promised_of_it(name: str) -> None:
+def test_case_limits_match_documented_limits(name: str) -> None:
     promised, held = PROMISED[name], BY_NAME[name].limits
     assert replace(held, named="") == promised
 
 
-def test_one_servo_a_bus_and_an_overload_are_named() -> None:
+def test_servo_bus_and_overload_cases_require_specific_reason() -> None:
     for name in ("servo-silent", "servo-garbage", "overload", "bus-silent", "bus-gone", "actuator-late"):
         assert BY_NAME[name].limits.named != Limits.named
 
 
-def test_torque_is_ordered_off_under_every_fault() -> None:
+def test_each_fault_has_a_torque_off_case() -> None:
     offs = {case.name.removeprefix("off-") for case in CASES if case.lets_go} - {"off"}
     assert offs == {case.name for case in CASES if not case.lets_go}
     for case in CASES:

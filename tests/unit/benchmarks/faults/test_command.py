@@ -7,18 +7,18 @@ from benchmarks.faults.cases import CASES, LIVE_CASES
 from sextant.deploy.commands.common import SUCCESS, WRONG_INPUT
 
 
-def listed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+def listed_faults(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     assert main(["faults", "--list", *words]) == SUCCESS
     return [line.split()[0] for line in capsys.readouterr().out.splitlines()]
 
 
-def test_all_faults_are_named_and_live_ones_apart(capsys: pytest.CaptureFixture[str]) -> None:
-    assert listed(capsys) == [case.name for case in (*CASES, *LIVE_CASES)]
-    assert listed(capsys, "--live") == [case.name for case in LIVE_CASES]
-    assert listed(capsys, "sag", "live-hogs") == ["sag", "live-hogs"]
+def test_list_option_names_all_or_only_live_faults(capsys: pytest.CaptureFixture[str]) -> None:
+    assert listed_faults(capsys) == [case.name for case in (*CASES, *LIVE_CASES)]
+    assert listed_faults(capsys, "--live") == [case.name for case in LIVE_CASES]
+    assert listed_faults(capsys, "sag", "live-hogs") == ["sag", "live-hogs"]
 
 
-def test_faults_of_both_kinds_at_once_and_unknown_ones_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_mixed_and_unknown_faults_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "sag", "live-hogs"]) == WRONG_INPUT
     assert "run the command once for each" in capsys.readouterr().err
     assert main(["faults", "live-hog"]) == WRONG_INPUT

@@ -56,7 +56,7 @@ class Walk(FaultRun):
 
 
 @pytest.mark.parametrize("stuck", [True, False])
-def test_every_number_is_injected_once_in_as_few_walks_as_go_on(stuck: bool) -> None:
+def test_each_injection_runs_once_in_fewest_walks(stuck: bool) -> None:
     Walk.lasts, Walk.stuck, Walk.seeds = [2, 1, 3], stuck, []
     found = in_walks(BY_NAME["planner-killed"], (4, 5, 6, 7, 8), Walk)
     assert [number for number, *_ in found] == [4, 5, 6, 7, 8]
@@ -65,13 +65,13 @@ def test_every_number_is_injected_once_in_as_few_walks_as_go_on(stuck: bool) -> 
     assert [line.stuck for _, _, line, _ in found] == ["", "it stands" * stuck, "it stands" * stuck, "", ""]
 
 
-def test_a_robot_that_does_not_walk_at_all_is_an_error() -> None:
+def test_robot_that_never_walks_raises_error() -> None:
     Walk.lasts, Walk.stuck, Walk.seeds = [0], True, []
     with pytest.raises(NoWalkError, match="it stands"):
         in_walks(BY_NAME["planner-killed"], (0,), Walk)
 
 
-def test_a_robot_whose_actuator_says_nothing_does_not_walk() -> None:
+def test_robot_without_actuator_messages_is_not_walking() -> None:
     now = [1.0]
 
     class Silent(Walk):

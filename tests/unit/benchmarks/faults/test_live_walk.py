@@ -29,7 +29,7 @@ OFF = dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
 NOTHING = np.zeros(0)
 
 
-def words(command: Command, option: str) -> list[str]:
+def option_values(command: Command, option: str) -> list[str]:
     """Return the word after each occurrence of an option."""
     return [value for word, value in zip(command.arguments, command.arguments[1:], strict=False) if word == option]
 
@@ -55,48 +55,51 @@ def hear(walk: LiveWalk, message: Message) -> None:
     walk.hear(topics.OF_TYPE[type(message)], codec.encode(message))
 
 
-def test_everybody_meets_at_the_router_and_the_actuator_s_bytes_pass_the_tap() -> None:
+def test_all_services_use_router_and_actuator_uses_bus_sniffer() -> None:
     made = {one.name: one for one in live_walk.commands(places(), 5)}
     assert made["router"].after == ()
     assert all("router" in one.after for name, one in made.items() if name not in ("router", "tap"))
     services = [one for name, one in made.items() if name not in ("router", "tap")]
-    assert all(words(one, "--connect") == ["tcp/127.0.0.1:1"] and words(one, "--namespace") == ["n"] for one in services)
+    assert all(
+        option_values(one, "--connect") == ["tcp/127.0.0.1:1"] and option_values(one, "--namespace") == ["n"]
+        for one in services
+    )
     assert made["simulator"].ready_port == 21000
-    assert words(made["tap"], "--servos") == ["21000"]
-    assert words(made["tap"], "--listen") == ["22000"]
+    assert option_values(made["tap"], "--servos") == ["21000"]
+    assert option_values(made["tap"], "--listen") == ["22000"]
     for name in ("actuator", "stop"):
-        assert words(made[name], "--set")[-1] == process_table.assignment("port", "socket://127.0.0.1:22000")
+        assert option_values(made[name], "--set")[-1] == process_table.assignment("port", "socket://127.0.0.1:22000")
     assert {"tap", "simulator"} <= set(made["actuator"].after)
     assert made["simulator"].restarts == 0
     assert all(one.restarts > 100 for name, one in made.items() if name not in ("simulator", "tap")), "killed again and again"
 
 
-def test_of_two_halves_the_base_meets_at_a_router_of_its_own_that_is_chained_to_the_robot_s() -> None:
+def test_base_services_use_router_chained_to_robot() -> None:
     made = {one.name: one for one in live_walk.commands(places(base=at(2)), 5)}
-    assert words(made["base router"], "--listen") == ["tcp/127.0.0.1:2"]
-    assert words(made["base router"], "--connect") == ["tcp/127.0.0.1:1"]
-    there = {name for name, one in made.items() if words(one, "--connect") == ["tcp/127.0.0.1:2"]}
+    assert option_values(made["base router"], "--listen") == ["tcp/127.0.0.1:2"]
+    assert option_values(made["base router"], "--connect") == ["tcp/127.0.0.1:1"]
+    there = {name for name, one in made.items() if option_values(one, "--connect") == ["tcp/127.0.0.1:2"]}
     assert there == {"mapper", "planner", "operator"}
     assert all("--elsewhere" in made[name].arguments for name in there), "they go by the robot's clock"
     assert made["operator"].after == ("base router",)
     onboard = {"simulator", "actuator", "stop", "perception"}
-    assert all(words(made[name], "--connect") == ["tcp/127.0.0.1:1"] for name in onboard)
+    assert all(option_values(made[name], "--connect") == ["tcp/127.0.0.1:1"] for name in onboard)
     assert made.keys() == there | onboard | {"router", "base router", "tap"}
 
 
-def test_while_the_robot_s_router_is_broken_the_truth_is_heard_at_another_that_is_chained_to_it() -> None:
+def test_simulator_uses_second_router_during_router_fault() -> None:
     made = {one.name: one for one in live_walk.commands(places(world=at(3)), 5)}
     plain = {one.name: one for one in live_walk.commands(places(), 5)}
-    assert words(made["world router"], "--listen") == ["tcp/127.0.0.1:3"]
-    assert words(made["world router"], "--connect") == ["tcp/127.0.0.1:1"]
-    assert words(made["simulator"], "--connect") == ["tcp/127.0.0.1:3"]
+    assert option_values(made["world router"], "--listen") == ["tcp/127.0.0.1:3"]
+    assert option_values(made["world router"], "--connect") == ["tcp/127.0.0.1:1"]
+    assert option_values(made["simulator"], "--connect") == ["tcp/127.0.0.1:3"]
     assert made["simulator"].after == ("world router",)
     assert made.keys() - plain.keys() == {"world router"}
     assert all(made[name] == plain[name] for name in plain if name != "simulator"), "no other process connects there"
 
 
 @pytest.mark.parametrize("name", ["live-router-stopped", "live-planner-stopped"])
-def test_the_truth_is_heard_where_nothing_is_broken(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ground_truth_is_received_at_unaffected_router(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     met: dict[tuple[str, ...], list[str]] = {}
 
     class Link:
@@ -120,20 +123,20 @@ def test_the_truth_is_heard_where_nothing_is_broken(name: str, monkeypatch: pyte
         simulator = next(one for one in walk.commands if one.name == "simulator")
         router = next(one for one in walk.commands if one.name == "router")
     at = {topic: endpoint for endpoint, keys in met.items() for topic in keys}
-    assert at[topics.TRUTH.key] == tuple(words(simulator, "--connect"))
-    assert at[topics.ACTUATOR_STATE.key] == tuple(words(router, "--listen"))
+    assert at[topics.TRUTH.key] == tuple(option_values(simulator, "--connect"))
+    assert at[topics.ACTUATOR_STATE.key] == tuple(option_values(router, "--listen"))
     assert (at[topics.TRUTH.key] == at[topics.ACTUATOR_STATE.key]) == (name == "live-planner-stopped")
 
 
 @pytest.mark.parametrize("case", LIVE_CASES, ids=lambda case: case.name)
-def test_a_process_that_is_to_be_broken_is_started(case: Case) -> None:
+def test_each_faulted_process_is_started(case: Case) -> None:
     names = LiveWalk(case, 1).names
     assert all(deed.service in names for deed in case.deeds if isinstance(deed, Away))
     assert ("base router" in names) == case.halves
     assert ("world router" in names) == any(isinstance(deed, Away) and deed.service == "router" for deed in case.deeds)
 
 
-def test_who_was_killed_is_back_with_the_first_sign_of_life_after_its_end(walk: LiveWalk) -> None:
+def test_killed_service_returns_with_first_health_after_exit(walk: LiveWalk) -> None:
     hear(walk, health("planner", 10.0))
     assert np.isnan(walk.returned("planner", 9.0)), "its end was not seen"
     walk.note_end("planner", 11.0)
@@ -146,7 +149,7 @@ def test_who_was_killed_is_back_with_the_first_sign_of_life_after_its_end(walk: 
     assert np.isnan(walk.returned("planner", 12.0))
 
 
-def test_the_actuator_is_back_when_it_opens_the_port(walk: LiveWalk) -> None:
+def test_killed_actuator_returns_when_it_opens_port(walk: LiveWalk) -> None:
     walk.note_end("actuator", 5.0)
     hear(walk, health("actuator", 5.2))
     assert np.isnan(walk.returned("actuator", 4.0))
@@ -154,9 +157,7 @@ def test_the_actuator_is_back_when_it_opens_the_port(walk: LiveWalk) -> None:
     assert walk.returned("actuator", 4.0) == 5.4
 
 
-def test_a_process_that_was_stopped_is_away_until_it_goes_on_or_another_has_taken_its_place(
-    walk: LiveWalk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_suspended_process_is_away_until_resumed_or_replaced(walk: LiveWalk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(walk._launcher, "freeze", lambda _name: None)
     over = walk._begin(Away("actuator", kill=False, for_s=3.5), 10.0, np.random.default_rng(0))
     assert over() == 13.5
@@ -167,7 +168,7 @@ def test_a_process_that_was_stopped_is_away_until_it_goes_on_or_another_has_take
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=5))
-def test_the_servos_pull_unless_the_last_they_were_told_is_not_to(switched: list[bool]) -> None:
+def test_torque_state_follows_last_torque_command(switched: list[bool]) -> None:
     walk = LiveWalk(BY_NAME["live-off"], 1)
     assert walk.pulls().all()
     for at, on in enumerate(switched):
@@ -177,7 +178,7 @@ def test_the_servos_pull_unless_the_last_they_were_told_is_not_to(switched: list
     assert walk.pulls().any() == switched[-1]
 
 
-def test_an_actuator_that_is_silent_does_not_walk(walk: LiveWalk) -> None:
+def test_silent_actuator_is_not_walking(walk: LiveWalk) -> None:
     def says_walking(ago_s: float) -> bool:
         stamp = time.monotonic_ns() - round(ago_s * 1e9)
         hear(walk, actuator_state(PROFILE, stamp_ns=stamp, mode=Mode.WALK, reason="walking"))
@@ -187,7 +188,7 @@ def test_an_actuator_that_is_silent_does_not_walk(walk: LiveWalk) -> None:
     assert says_walking(0.0)
 
 
-def test_what_a_recording_lacks_counts_from_the_last_message_before_the_kill(
+def test_recorded_time_ends_at_last_message_before_kill(
     walk: LiveWalk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(walk, "_recordings", tmp_path)
@@ -202,12 +203,12 @@ def test_what_a_recording_lacks_counts_from_the_last_message_before_the_kill(
     assert walk._recorded_until(killed_s) == pytest.approx(99.7)
 
 
-def test_live_cases_break_processes_and_lockstep_has_no_hogs() -> None:
+def test_cpu_load_is_only_in_live_cases() -> None:
     assert {type(deed) for case in LIVE_CASES for deed in case.deeds} == {Away, Hogs, Off, OnBus}
     assert not any(isinstance(deed, Hogs) for case in CASES for deed in case.deeds)
     assert BY_NAME["live-hogs"].for_s == 5.0
     assert len(cpu_load.commands()) >= 1
 
 
-def test_no_latch_is_left_closed_by_a_walk_that_was_never_begun(walk: LiveWalk) -> None:
+def test_unstarted_walk_leaves_latch_open(walk: LiveWalk) -> None:
     assert not Latch.of_port(walk.port).closed

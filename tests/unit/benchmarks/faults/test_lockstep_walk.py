@@ -13,20 +13,20 @@ NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off
 
 
 @pytest.mark.parametrize("name", NOW_AND_THEN)
-def test_a_bus_that_is_away_now_and_then_is_so_at_the_end_of_each_window(name: str) -> None:
+def test_intermittent_bus_gap_is_at_end_of_each_window(name: str) -> None:
     for round_ in range(4):
         begin = 0.25 * round_
         for into in (0.0, 0.10, 0.21, 0.24):
             assert gap_after(BY_NAME[name].deeds, begin + into) == pytest.approx((begin + 0.20, begin + 0.25))
 
 
-def test_all_others_have_no_gaps() -> None:
+def test_other_cases_have_no_bus_gap() -> None:
     for name, case in BY_NAME.items():
         if name not in NOW_AND_THEN:
             assert gap_after(case.deeds, 0.24) == (math.inf, math.inf), name
 
 
-def test_torque_is_ordered_off_in_a_copy_of_the_walk_and_the_walk_goes_on_as_if_it_had_not_been() -> None:
+def test_torque_off_runs_in_copy_and_original_walk_is_unchanged() -> None:
     case = BY_NAME["off"]
     with FaultWalk(case, 1000) as walk, FaultWalk(case, 1000) as undisturbed:
         for one in (walk, undisturbed):
@@ -40,7 +40,7 @@ def test_torque_is_ordered_off_in_a_copy_of_the_walk_and_the_walk_goes_on_as_if_
         assert [goals.ticks.tolist() for goals in walk.recorder.goals] == [g.ticks.tolist() for g in undisturbed.recorder.goals]
 
 
-def test_an_actuator_whose_cycles_are_late_says_so_after_five_and_walks_on_once_they_are_not() -> None:
+def test_late_actuator_cycles_are_reported_and_walk_resumes() -> None:
     case = BY_NAME["actuator-late"]
     with FaultWalk(case, 1000) as walk:
         walk.walk_for(0.5)
@@ -52,7 +52,7 @@ def test_an_actuator_whose_cycles_are_late_says_so_after_five_and_walks_on_once_
     assert found.again_s < 2.0
 
 
-def test_a_service_that_fails_under_a_fault_is_named_by_that_injection(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_service_exception_is_reported_by_injection(monkeypatch: pytest.MonkeyPatch) -> None:
     case = BY_NAME["lost-1"]
     with FaultWalk(case, 1000) as walk:
         walk.walk_for(0.2)

@@ -43,7 +43,7 @@ def stamps(made: Iterator[Message]) -> list[int]:
     return [message.stamp_ns for message in made if isinstance(message, StepPlan)]
 
 
-def test_a_planner_is_let_speak_then_repeats_itself_then_is_mute() -> None:
+def test_injector_passes_repeats_or_mutes_planner_messages() -> None:
     meddler, planner = PlannerFaultInjector(np.random.default_rng(0)), Planner()
     said = [stamp for k in range(20) for stamp in stamps(meddler.speak(k, planner.step))]
     assert said == list(range(1, 21))
@@ -60,7 +60,7 @@ def test_a_planner_is_let_speak_then_repeats_itself_then_is_mute() -> None:
     assert stamps(meddler.speak(300, planner.step)) == [21]
 
 
-def test_fuzzed_plans_are_of_every_kind_and_few_can_be_walked() -> None:
+def test_fuzzed_plans_cover_all_refusals_and_few_are_walkable() -> None:
     rng, now_ns = np.random.default_rng(1), 10_000_000_000
     made = [fuzzed(plan(now_ns - 50_000_000), now_ns, rng) for _ in range(2000)]
     decoded = []
@@ -79,7 +79,7 @@ def test_fuzzed_plans_are_of_every_kind_and_few_can_be_walked() -> None:
     assert 0 < walkable < len(decoded)
 
 
-def test_in_a_fuzzed_step_the_planner_is_heard_and_a_crowd_beside_it() -> None:
+def test_fuzzed_step_has_planner_message_and_many_fuzzed_plans() -> None:
     meddler, planner = PlannerFaultInjector(np.random.default_rng(0)), Planner()
     meddler.how = "fuzzed"
     made = list(meddler.speak(0, planner.step))

@@ -28,7 +28,7 @@ def goal(after_s: float, ticks: int = 512, speed: int = 0) -> Goals:
     return Goals(BEGIN_S + after_s, np.full(18, ticks), np.full(18, speed))
 
 
-def test_a_stop_is_decided_when_it_is_said_and_over_when_the_robot_walks_after_the_end() -> None:
+def test_stop_time_is_first_report_and_ends_with_next_walk() -> None:
     said = (word(0.1, Mode.WALK, "walking"), word(0.22, Mode.WALK, NO_PLAN), word(0.6, Mode.HOLD, NO_PLAN))
     found = score(timeline(*said, word(2.3, Mode.WALK, "walking")), KILLED, PROFILE)
     assert found.decided_s == pytest.approx(0.22)
@@ -37,32 +37,32 @@ def test_a_stop_is_decided_when_it_is_said_and_over_when_the_robot_walks_after_t
     assert (found.stops, found.falls, found.reason) == (1, 0, NO_PLAN)
 
 
-def test_a_walk_that_goes_on_never_stops_rests_or_begins_again() -> None:
+def test_uninterrupted_walk_has_no_stop_rest_or_restart() -> None:
     found = score(timeline(*(word(t, Mode.WALK, "walking") for t in np.arange(0.1, 2.5, 0.1))), KILLED, PROFILE)
     assert all(isnan(value) for value in (found.decided_s, found.rest_s, found.again_s))
     assert (found.stops, found.jump_deg, found.named) == (0, 0.0, False)
 
 
 @pytest.mark.parametrize(("gap_s", "again_s"), [(2.3, 0.4), (0.2, nan)])
-def test_where_its_words_did_not_come_through_it_walks_again_with_the_first_that_did(gap_s: float, again_s: float) -> None:
+def test_restart_behind_message_gap_counts_from_first_message(gap_s: float, again_s: float) -> None:
     walking = [word(2.4 - gap_s - before, Mode.WALK, "walking") for before in np.arange(0.0, 2.4 - gap_s, 0.1)[::-1]]
     found = score(timeline(*walking, word(2.4, Mode.WALK, "walking")), KILLED, PROFILE)
     assert found.again_s == pytest.approx(again_s, nan_ok=True)
     assert isnan(found.decided_s), "no stop was received"
 
 
-def test_who_is_about_to_stop_behind_a_gap_does_not_walk_again() -> None:
+def test_stopping_robot_behind_message_gap_has_not_restarted() -> None:
     unheard = BY_NAME["live-router-stopped"]
     again = [score(timeline(word(2.4, Mode.WALK, said)), unheard, PROFILE).again_s for said in ("walking", NO_PLAN)]
     assert again == pytest.approx([0.4, nan], nan_ok=True)
 
 
-def test_walking_before_the_fault_is_over_is_no_return() -> None:
+def test_walk_during_fault_is_no_restart() -> None:
     said = (word(0.2, Mode.FAULT), word(1.0, Mode.WALK, "walking"), word(1.5, Mode.FAULT))
     assert isnan(score(timeline(*said), KILLED, PROFILE).again_s)
 
 
-def test_the_servo_that_was_drawn_is_the_one_that_must_be_named() -> None:
+def test_reason_must_name_faulted_servo() -> None:
     def named(servo: int) -> bool:
         reason = "the femur servo of the right middle leg (id 16) does not answer"
         return score(timeline(word(0.1, Mode.FAULT, reason), servo=servo), SILENT, PROFILE).named
@@ -72,7 +72,7 @@ def test_the_servo_that_was_drawn_is_the_one_that_must_be_named() -> None:
 
 
 @given(st.floats(0.3, 1.5))
-def test_a_robot_is_at_rest_from_its_last_motion_on(moves_s: float) -> None:
+def test_rest_time_is_end_of_last_motion(moves_s: float) -> None:
     truth = standing()
     moving = truth.t < BEGIN_S + moves_s
     truth.body[:, 0, 3] = 0.06 * np.minimum(truth.t - BEGIN_S, moves_s)
@@ -81,7 +81,7 @@ def test_a_robot_is_at_rest_from_its_last_motion_on(moves_s: float) -> None:
     assert moving.any()
 
 
-def test_a_robot_with_a_foot_in_the_air_is_not_at_rest_and_one_with_a_foot_that_barely_hangs_is() -> None:
+def test_raised_foot_prevents_rest_unless_barely_above_ground() -> None:
     truth = standing()
     truth.contact[:, 2] = False
     assert score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s == pytest.approx(0.2)
@@ -89,7 +89,7 @@ def test_a_robot_with_a_foot_in_the_air_is_not_at_rest_and_one_with_a_foot_that_
     assert isnan(score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s)
 
 
-def test_the_margin_is_the_least_over_three_seconds_and_not_after() -> None:
+def test_margin_is_minimum_within_three_seconds() -> None:
     truth = standing(5.0)
     whole = score(timeline(truth=truth), KILLED, PROFILE).margin_m
     truth.body[truth.t > BEGIN_S + 3.5, 0, 3] += 1.0
@@ -98,7 +98,7 @@ def test_the_margin_is_the_least_over_three_seconds_and_not_after() -> None:
     assert score(timeline(truth=truth), KILLED, PROFILE).margin_m < whole
 
 
-def test_who_tilts_or_comes_down_unasked_falls() -> None:
+def test_tilt_or_uncommanded_descent_is_a_fall() -> None:
     down = standing()
     down.body[100:, 2, 3] = 0.01
     assert score(timeline(truth=down), KILLED, PROFILE).falls == 1
@@ -109,7 +109,7 @@ def test_who_tilts_or_comes_down_unasked_falls() -> None:
 
 
 @given(st.integers(1, 400))
-def test_a_jump_is_the_largest_change_of_a_goal_after_the_end(ticks: int) -> None:
+def test_jump_is_largest_goal_change_after_fault(ticks: int) -> None:
     goals = (goal(-0.1), goal(0.5, 900), goal(1.0), goal(2.01, 512 + ticks), goal(2.03, 512 + ticks), goal(3.2, 100))
     said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
     found = score(timeline(*said, goals=goals), KILLED, PROFILE)
@@ -117,19 +117,19 @@ def test_a_jump_is_the_largest_change_of_a_goal_after_the_end(ticks: int) -> Non
 
 
 @pytest.mark.parametrize(("before_s", "counts"), [(0.018, False), (0.022, True)])
-def test_the_first_goals_of_the_step_that_follows_are_no_jump(before_s: float, counts: bool) -> None:
+def test_first_goals_of_next_step_are_no_jump(before_s: float, counts: bool) -> None:
     goals = (goal(0.5), goal(3.0 - before_s, 600))
     said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
     assert (score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg > 0.0) == counts
 
 
-def test_a_goal_that_is_to_be_approached_slowly_is_no_jump() -> None:
+def test_goal_with_limited_speed_is_no_jump() -> None:
     goals = (goal(0.5), goal(2.01, 600, dxl.moving_speed_from(np.radians(25.0))))
     said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
     assert score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg == pytest.approx(0.5, rel=0.02)
 
 
-def test_a_lunge_is_of_the_joint_that_was_reset_and_none_without() -> None:
+def test_lunge_is_measured_only_for_reset_joint() -> None:
     truth = standing()
     after = truth.t > BEGIN_S + 1.0
     truth.q[after, 3, 1] = np.radians(20.0) * (truth.t[after] - BEGIN_S - 1.0)
@@ -147,7 +147,7 @@ def ordered(*switches: Switch, **changes: object) -> Timeline:
     return timeline(ordered_s=BEGIN_S + 0.3, switches=switches, **({"pulls": pulls} | changes))
 
 
-def test_torque_is_off_when_all_servos_have_heard_so() -> None:
+def test_torque_off_time_needs_all_servos() -> None:
     some = torque(0.31, on=False, ids=IDS[:17])
     assert off_time(ordered(some, torque(0.34, on=False), torque(0.36, on=False)))[0] == pytest.approx(0.04)
     assert isnan(off_time(ordered(some, torque(0.32, on=False, heard=False)))[0])
@@ -155,7 +155,7 @@ def test_torque_is_off_when_all_servos_have_heard_so() -> None:
     assert isnan(off_time(timeline(switches=(torque(0.32, on=False),)))[0])
 
 
-def test_where_nobody_could_hear_it_counts_from_the_return_and_comes_before_any_goal() -> None:
+def test_torque_off_time_counts_from_actuator_return() -> None:
     sent, heard = torque(2.05, on=False, heard=False), torque(2.05, on=False)
     back = BEGIN_S + 2.0
     assert off_time(ordered(sent, heard, returned_s=back)) == (pytest.approx(0.05), 0)
@@ -164,7 +164,7 @@ def test_where_nobody_could_hear_it_counts_from_the_return_and_comes_before_any_
     assert off_time(ordered(heard, sent, returned_s=BEGIN_S)) == (pytest.approx(1.75), 0)
 
 
-def test_torque_that_is_on_in_the_end_was_not_off_for_good() -> None:
+def test_torque_enabled_at_end_is_reported() -> None:
     said = word(0.35, Mode.OFF)
     assert not score(ordered(torque(0.34, on=False), end_s=BEGIN_S), OFF, PROFILE).on_again
     pulls = np.zeros(18, dtype=np.bool_)
@@ -175,7 +175,7 @@ def test_torque_that_is_on_in_the_end_was_not_off_for_good() -> None:
     assert (found.switched, found.misheard) == (True, False)
 
 
-def test_torque_that_is_switched_by_what_nobody_sent_is_told_apart() -> None:
+def test_torque_switch_without_sent_command_is_misheard() -> None:
     """Report separately that torque was switched by a command that no process sent.
 
     A broken byte in 256 passes a servo's checksum; no process is responsible for such a command.
@@ -186,7 +186,7 @@ def test_torque_that_is_switched_by_what_nobody_sent_is_told_apart() -> None:
     assert (found.switched, found.misheard) == (False, False)
 
 
-def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
+def test_sitting_before_servo_shutdown_is_in_time() -> None:
     hot = standing(5.0)
     hot.shutdown[200:, 3, 1] = True
     for off_s, cut_off in ((3.0, False), (4.5, True)):
@@ -198,7 +198,7 @@ def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
 
 
 @given(st.lists(st.sampled_from([0.02, 0.0295, 0.0305, 0.05]), min_size=1, max_size=30))
-def test_cycles_are_the_spans_between_goals_while_the_fault_lasted(spans: list[float]) -> None:
+def test_cycle_times_are_goal_intervals_during_fault(spans: list[float]) -> None:
     times = np.cumsum([0.1, *spans])
     line = timeline(goals=tuple(goal(t) for t in (-0.5, *times, 9.0)), end_s=BEGIN_S + 5.0)
     p99, missed = cycles(line)
@@ -206,12 +206,12 @@ def test_cycles_are_the_spans_between_goals_while_the_fault_lasted(spans: list[f
     assert missed == max(len(run) for run in "".join("x" if span > 0.03 else " " for span in spans).split(" "))
 
 
-def test_without_two_goals_there_is_no_cycle() -> None:
+def test_cycle_time_needs_two_goals() -> None:
     assert isnan(cycles(timeline(goals=(goal(0.1),)))[0])
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.floats(-0.004, 0.004))
-def test_goals_are_as_fast_as_their_ways_by_the_cycle_without_a_tick_of_rounding(ways: list[int], early_s: float) -> None:
+def test_goal_speed_excludes_rounding_tick(ways: list[int], early_s: float) -> None:
     """Compute goal speeds for packets at any time in their cycle.
 
     Repeated goals in one cycle count once, and goals after the end do not count.
@@ -224,5 +224,5 @@ def test_goals_are_as_fast_as_their_ways_by_the_cycle_without_a_tick_of_rounding
     assert score(line, KILLED, PROFILE).goal_dps == pytest.approx(max(max(ways) - 1, 0) * tick_dps)
 
 
-def test_without_two_goals_there_is_no_speed() -> None:
+def test_goal_speed_needs_two_goals() -> None:
     assert isnan(score(timeline(goals=(goal(0.1),)), KILLED, PROFILE).goal_dps)

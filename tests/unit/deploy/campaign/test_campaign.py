@@ -48,7 +48,7 @@ class Runner:
         return _report(scenario, seed)
 
 
-def test_one_table_has_a_row_per_terrain_and_its_blind_baseline_below(tmp_path):
+def test_table_has_terrain_rows_with_blind_baseline_below(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in campaign_table.markdown(found).splitlines()[:6]]
     assert len({len(row) for row in rows}) == 1
@@ -64,7 +64,7 @@ def test_one_table_has_a_row_per_terrain_and_its_blind_baseline_below(tmp_path):
     assert table["terrains"]["stairs"]["baseline"]["success"]["successes"] == 2
 
 
-def test_a_campaign_that_was_stopped_goes_on_where_it_was(tmp_path):
+def test_interrupted_campaign_resumes(tmp_path):
     first, second = Runner(until=5), Runner()
     with pytest.raises(KeyboardInterrupt):
         campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, run=first)
@@ -77,7 +77,7 @@ def test_a_campaign_that_was_stopped_goes_on_where_it_was(tmp_path):
     assert [entry.seeing.success.n for entry in found.entries] == [4, 4]
 
 
-def test_a_terrain_whose_files_are_elsewhere_is_left_out_and_said(tmp_path, monkeypatch):
+def test_terrain_with_missing_files_is_skipped_and_reported(tmp_path, monkeypatch):
     monkeypatch.delenv("SEXTANT_DATA", raising=False)
     runner = Runner()
     found = campaign.run_campaign(("stair_map", "flat"), range(1), 1, tmp_path, run=runner)
@@ -86,7 +86,7 @@ def test_a_terrain_whose_files_are_elsewhere_is_left_out_and_said(tmp_path, monk
     assert "SEXTANT_DATA is not set" in found.left_out[0]
 
 
-def test_another_robot_walks_every_terrain(tmp_path):
+def test_robot_option_applies_to_every_terrain(tmp_path):
     runner = Runner()
     campaign.run_campaign(
         ("flat", "stairs"), range(1), 1, tmp_path, asked=lambda s: replace(s, robot="phantomx_mk2_rgbd"), run=runner
@@ -94,16 +94,16 @@ def test_another_robot_walks_every_terrain(tmp_path):
     assert {robot for _, _, robot, _ in runner.ran} == {"phantomx_mk2_rgbd"}
 
 
-def test_what_is_walked_comes_with_sextant():
+def test_campaign_terrains_are_packaged_scenarios():
     assert [load_scenario(name).name for name in campaign_table.WALKED] == list(campaign_table.WALKED)
 
 
-def _ways(ran):
+def _sorted_runs(ran):
     return sorted((name, blind, seed) for name, blind, _, seed in ran)
 
 
 @pytest.mark.parametrize("table", campaign_table.TABLES)
-def test_the_table_is_printed_from_what_was_kept_as_it_was_when_it_was_run(tmp_path, table):
+def test_table_from_stored_runs_equals_table_of_campaign(tmp_path, table):
     found = campaign.run_campaign(("stairs", "flat"), range(4), 1, tmp_path, blind=True, run=Runner())
     again = campaign_table.of_runs(results_store.read(tmp_path / "campaign.jsonl"))
     printed, ran = (campaign_table.markdown(one, table).splitlines() for one in (again, found))
@@ -111,7 +111,7 @@ def test_the_table_is_printed_from_what_was_kept_as_it_was_when_it_was_run(tmp_p
     assert printed[2].startswith("| `flat`"), "in the public table's order"
 
 
-def test_parts_of_a_campaign_from_two_machines_make_one(tmp_path):
+def test_results_from_two_machines_merge_into_one_table(tmp_path):
     ways = ("flat", "stairs")
     whole = campaign.run_campaign(ways, range(6), 1, tmp_path / "whole", blind=True, run=Runner())
     for part, seeds in (("here", range(3)), ("there", range(2, 6))):
@@ -122,7 +122,7 @@ def test_parts_of_a_campaign_from_two_machines_make_one(tmp_path):
     assert campaign_table.markdown(together) == campaign_table.markdown(whole)
 
 
-def test_a_campaign_goes_on_elsewhere_from_the_kept_file_alone(tmp_path):
+def test_campaign_resumes_from_stored_file_in_another_folder(tmp_path):
     first, second = Runner(until=5), Runner()
     with pytest.raises(KeyboardInterrupt):
         campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "here", blind=True, run=first)
@@ -130,14 +130,14 @@ def test_a_campaign_goes_on_elsewhere_from_the_kept_file_alone(tmp_path):
     lines = (tmp_path / "here" / "campaign.jsonl").read_text()
     (tmp_path / "there" / "campaign.jsonl").write_text(lines + '{"fingerprint":"cut o')
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "there", blind=True, run=second)
-    assert _ways(first.ran + second.ran) == sorted(
+    assert _sorted_runs(first.ran + second.ran) == sorted(
         (n, b, s) for n in ("flat", "stairs") for b in (False, True) for s in range(4)
     )
     again = campaign_table.of_runs(results_store.read(tmp_path / "there" / "campaign.jsonl"))
     assert campaign_table.markdown(again) == campaign_table.markdown(found)
 
 
-def test_what_an_earlier_program_made_is_left_out_of_the_table_and_said(tmp_path, monkeypatch):
+def test_runs_of_earlier_program_are_excluded_and_counted(tmp_path, monkeypatch):
     for program, time, seeds in ((b"old", "2024-05-01T10:00:00+00:00", 5), (b"new", "2024-05-02T10:00:00+00:00", 3)):
         monkeypatch.setattr(trials, "_program", lambda program=program: program)
         monkeypatch.setattr(trials, "_begun_by", lambda program=program: (program, "abc1234"))
@@ -148,7 +148,7 @@ def test_what_an_earlier_program_made_is_left_out_of_the_table_and_said(tmp_path
     assert "Left out: 5 runs of an earlier program or scenario." in campaign_table.markdown(found)
 
 
-def test_robots_are_told_apart_where_a_table_has_several(tmp_path):
+def test_table_rows_name_robot_if_there_are_several(tmp_path):
     for robot in ("phantomx_mk2", "phantomx_mk2_rgbd"):
         campaign.run_campaign(
             ("flat",), range(2), 1, tmp_path / robot, asked=lambda s, robot=robot: replace(s, robot=robot), run=Runner()
@@ -164,13 +164,13 @@ def test_robots_are_told_apart_where_a_table_has_several(tmp_path):
     assert len(json.loads(campaign_table.to_json(found))["terrains"]) == 2
 
 
-def test_the_blind_baseline_stands_beside(tmp_path):
+def test_reached_table_has_blind_baseline_column(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
     rows = campaign_table.markdown(found, "reached").splitlines()
     assert rows[2] == "| `flat`: level ground | 4 of 4 (51 to 100 %) | 2 of 4 (15 to 85 %) |"
 
 
-def _walks(scenario, blind, commit, reason="goal reached", seeds=4):
+def _stored_runs(scenario, blind, commit, reason="goal reached", seeds=4):
     scenario = load_scenario(scenario)
     scenario = replace(scenario, walk=replace(scenario.walk, blind=blind))
     reports = [replace(_report(scenario, seed), success=True, reason=reason) for seed in range(seeds)]
@@ -178,32 +178,32 @@ def _walks(scenario, blind, commit, reason="goal reached", seeds=4):
     return [results_store.Run.of(as_table(report), f"{scenario.name} {blind}", commit, time) for report in reports]
 
 
-def test_what_made_blind_walks_is_said_too():
-    found = campaign_table.of_runs(_walks("flat", False, "abc1234") + _walks("flat", True, "def5678"))
+def test_table_names_commits_of_sighted_and_blind_walks():
+    found = campaign_table.of_runs(_stored_runs("flat", False, "abc1234") + _stored_runs("flat", True, "def5678"))
     text = campaign_table.markdown(found)
     assert "Made at commit abc1234 on" in text
     assert "Made at commit def5678 on" in text
 
 
 @pytest.mark.parametrize("table", campaign_table.TABLES)
-def test_blind_walks_by_themselves_are_not_summed_up_as_sighted_ones(table):
-    text = campaign_table.markdown(campaign_table.of_runs(_walks("flat", True, "abc1234")), table)
+def test_blind_only_campaign_has_no_summary_of_sighted_walks(table):
+    text = campaign_table.markdown(campaign_table.of_runs(_stored_runs("flat", True, "abc1234")), table)
     assert "4 of 4" in text or table == "maps"
     assert "Together" not in text
     assert "Made at commit abc1234" in text
 
 
 @pytest.mark.parametrize("table", ["walks", "reached", "missteps"])
-def test_a_right_refusal_is_no_goal_reached(table):
-    refusals = _walks("no_way", False, "abc1234", "stood and reported why: no way past the wall")
+def test_correct_refusal_is_not_counted_as_goal_reached(table):
+    refusals = _stored_runs("no_way", False, "abc1234", "stood and reported why: no way past the wall")
     alone = campaign_table.markdown(campaign_table.of_runs(refusals), table)
     assert "| 4 of 4 (51 to 100 %), rightly refused |" in alone
     assert "reached the goal" not in alone
-    beside = campaign_table.markdown(campaign_table.of_runs(refusals + _walks("flat", False, "abc1234", seeds=3)), table)
+    beside = campaign_table.markdown(campaign_table.of_runs(refusals + _stored_runs("flat", False, "abc1234", seeds=3)), table)
     assert "Together 3 of 3 (44 to 100 %) reached the goal." in beside
 
 
-def test_a_program_that_changes_between_two_terrains_ends_the_campaign(tmp_path, monkeypatch):
+def test_code_change_between_terrains_ends_campaign(tmp_path, monkeypatch):
     code = tmp_path / "deploy" / "code.py"
     code.parent.mkdir()
     code.write_text("one = 1\n")
@@ -219,7 +219,7 @@ def test_a_program_that_changes_between_two_terrains_ends_the_campaign(tmp_path,
     for run in (changing, runner):
         with pytest.raises(trials.ChangedError, match="start a new one, or restore commit abc1234"):
             campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=run)
-    assert _ways(runner.ran) == [("flat", False, 0), ("flat", False, 1)]
+    assert _sorted_runs(runner.ran) == [("flat", False, 0), ("flat", False, 1)]
     code.write_text("one = 1\n")
     campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=runner)
-    assert _ways(runner.ran) == [(name, False, seed) for name in ("flat", "stairs") for seed in range(2)]
+    assert _sorted_runs(runner.ran) == [(name, False, seed) for name in ("flat", "stairs") for seed in range(2)]

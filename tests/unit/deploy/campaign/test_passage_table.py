@@ -29,7 +29,7 @@ def cells(text):
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
 
 
-def test_every_section_stands_beside_the_one_of_the_thesis():
+def test_each_section_row_shows_thesis_values():
     rows = cells(passage_table.markdown([run(name, seed) for name in THESIS for seed in (1003, 1001, 1002, 1004)]))
     assert [row[:2] for row in rows[2:]] == [[str(trial), str(k)] for trial in (1, 2, 3) for k in (1, 2, 3)]
     assert rows[0][2:5] == ["`passage1` n_g", "`passage1` n_e", "`passage1` t, s"]
@@ -38,7 +38,7 @@ def test_every_section_stands_beside_the_one_of_the_thesis():
     assert {len(row) for row in rows} == {11}
 
 
-def test_more_sections_or_fewer_or_none_leave_dashes():
+def test_missing_sections_are_shown_as_dashes():
     rows = cells(passage_table.markdown([run("passage1", 1000, sections=4), run("passage3", 1000, sections=1)]))
     assert [row[:2] for row in rows[2:6]] == [["1", "1"], ["1", "2"], ["1", "3"], ["1", "4"]]
     assert rows[5][2:5] == ["11004 (-)", "104 (-)", "0.008 (-)"]
@@ -46,7 +46,7 @@ def test_more_sections_or_fewer_or_none_leave_dashes():
     assert rows[6][2] == "- (1184)"
 
 
-def test_it_says_by_what_both_were_made():
+def test_table_names_machines_commit_and_seeds():
     text = passage_table.markdown([run("passage2", 1000), run("passage2", 1001, success=False)])
     assert "Odroid U3" in text
     assert "one core of a fast machine" in text
@@ -55,14 +55,14 @@ def test_it_says_by_what_both_were_made():
     assert passage_table.markdown([]).count("\n") > 10, "the thesis' figures stand alone"
 
 
-def test_only_the_newest_program_counts_and_walks_without_passages_do_not():
+def test_table_uses_only_passage_runs_of_newest_program():
     old = [run("passage1", seed, fingerprint="old") for seed in range(3)]
     new = [run("passage1", seed, time="2024-06-01T10:00:00+00:00") for seed in (7, 8)]
     text = passage_table.markdown([*old, *new, run("flat", 1)])
     assert "passage1 7, 8." in text
 
 
-def test_the_thesis_has_three_sections_of_three_trials_of_three_scenarios():
+def test_thesis_values_cover_three_sections_trials_and_scenarios():
     """All sections take less than a second, except two of the third scenario.
 
     The thesis states this.
@@ -73,7 +73,7 @@ def test_the_thesis_has_three_sections_of_three_trials_of_three_scenarios():
     assert all(section.expanded <= section.generated for some in sections.values() for section in some)
 
 
-def test_a_batch_of_passages_is_counted():
+def test_passage_summary_of_batch():
     runs = [run("passage1", seed, feet_off=int(seed == 3)) for seed in range(10)]
     found = trials.summarise(runs).passages
     assert (found.feet_off, found.pillar_touchdowns) == (1, 300)
@@ -85,7 +85,7 @@ def test_a_batch_of_passages_is_counted():
     assert "feet off a pillar 1, touchdowns on pillars 300" in trials.words(trials.summarise(runs))
 
 
-def test_grounds_without_a_way_are_not_to_be_entered():
+def test_summary_counts_crossed_and_wrongly_entered_gaps():
     runs = [
         run("pillar_field", 0, passable=True),
         run("pillar_field", 1, passable=False, pillar_touchdowns=0, success=False),
@@ -100,7 +100,7 @@ def test_grounds_without_a_way_are_not_to_be_entered():
     )
 
 
-def test_a_walk_without_pillars_has_nothing_of_passages():
+def test_walk_without_pillars_has_no_passage_figures():
     plain = run("flat", 0, sections=0, pillar_touchdowns=0, foothold_edge_m=FootholdEdge())
     found = trials.summarise([plain])
     assert found.passages is None
@@ -108,7 +108,7 @@ def test_a_walk_without_pillars_has_nothing_of_passages():
     assert row[3:] == ["-"] * 9
 
 
-def test_the_table_of_passages_has_a_row_for_each_in_its_order(tmp_path):
+def test_passages_table_has_rows_in_fixed_order(tmp_path):
     runs = [run(name, seed) for name in reversed(campaign_table.PASSAGES) for seed in range(4)]
     results_store.keep(tmp_path / "campaign.jsonl", runs)
     again = campaign_table.of_runs(results_store.read(tmp_path / "campaign.jsonl"))
@@ -122,6 +122,6 @@ def test_the_table_of_passages_has_a_row_for_each_in_its_order(tmp_path):
     assert np.isfinite(float(first["expansions/s"]))
 
 
-def test_the_passages_of_the_table_come_with_sextant():
+def test_table_passages_are_packaged_scenarios():
     assert [load_scenario(name).name for name in campaign_table.PASSAGES] == list(campaign_table.PASSAGES)
     assert set(THESIS) <= set(campaign_table.PASSAGES)

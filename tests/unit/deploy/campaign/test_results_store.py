@@ -59,7 +59,7 @@ def _entry(report=REPORT):
     return {"fingerprint": "mark", "commit": "abc1234", "time": "2024-05-01T10:00:00+00:00", "report": reports.as_table(report)}
 
 
-def test_a_short_line_holds_what_the_whole_report_said(tmp_path):
+def test_stored_line_is_shorter_and_preserves_run(tmp_path):
     run = Run.read(_entry())
     results_store.keep(tmp_path / "campaign.jsonl", [run])
     assert results_store.read(tmp_path / "campaign.jsonl") == [run]
@@ -69,7 +69,7 @@ def test_a_short_line_holds_what_the_whole_report_said(tmp_path):
     assert len(line) < len(json.dumps(_entry()))
 
 
-def test_a_line_of_before_there_were_passages_is_read_and_written_as_it_was(tmp_path):
+def test_line_without_passage_fields_round_trips(tmp_path):
     run = Run.read(_entry())
     results_store.keep(tmp_path / "campaign.jsonl", [run])
     line = json.loads((tmp_path / "campaign.jsonl").read_text())
@@ -77,7 +77,7 @@ def test_a_line_of_before_there_were_passages_is_read_and_written_as_it_was(tmp_
     assert Run.read(line) == run
 
 
-def test_a_passage_and_its_machine_are_kept(tmp_path):
+def test_passage_and_machine_are_stored(tmp_path):
     passage = Passage(12, FootholdEdge(0.02, 0.04), 0, None, (Section("complete", "", 900, 80, 12.5, 40),))
     run = Run.read({**_entry(replace(REPORT, passage=passage)), "machine": "a fast one"})
     results_store.keep(tmp_path / "campaign.jsonl", [run])
@@ -86,7 +86,7 @@ def test_a_passage_and_its_machine_are_kept(tmp_path):
 
 
 @given(st.dictionaries(st.sampled_from([f.name for f in fields(Run) if f.type is float]), st.floats(-1e3, 1e3) | st.none()))
-def test_any_figures_come_back_as_they_were_kept(tmp_path_factory, figures):
+def test_stored_figures_round_trip(tmp_path_factory, figures):
     path = tmp_path_factory.mktemp("kept") / "campaign.jsonl"
     given_run = replace(
         Run.read(_entry()), **{name: math.nan if f is None else round(f, 6) + 0.0 for name, f in figures.items()}
@@ -95,7 +95,7 @@ def test_any_figures_come_back_as_they_were_kept(tmp_path_factory, figures):
     assert repr(results_store.read(path)) == repr([given_run]), "compared as text: what was not measured is NaN"
 
 
-def test_a_last_line_that_was_cut_off_is_no_run(tmp_path):
+def test_truncated_last_line_is_ignored(tmp_path):
     path = tmp_path / "campaign.jsonl"
     results_store.keep(path, [Run.read(_entry())])
     path.write_text(path.read_text() + path.read_text()[:-9])
@@ -104,7 +104,7 @@ def test_a_last_line_that_was_cut_off_is_no_run(tmp_path):
     assert [run.seed for run in results_store.read(path)] == [7, 8]
 
 
-def test_a_last_line_that_lacks_but_its_end_is_a_run(tmp_path):
+def test_last_line_without_newline_is_read(tmp_path):
     path = tmp_path / "campaign.jsonl"
     path.write_text(json.dumps(_entry()))
     assert results_store.read(path) == results_store.read(path, "mark") == [Run.read(_entry())]
@@ -114,7 +114,7 @@ def test_a_last_line_that_lacks_but_its_end_is_a_run(tmp_path):
 
 
 @given(st.lists(st.binary(max_size=40) | st.sampled_from([json.dumps(_entry()).encode(), b'{"fingerp']), max_size=4))
-def test_reading_writes_nothing_and_keeping_loses_nothing_but_a_cut_off_run(tmp_path_factory, lines):
+def test_read_never_writes_and_keep_drops_only_truncated_line(tmp_path_factory, lines):
     path = tmp_path_factory.mktemp("kept") / "any"
     before = b"\n".join(lines)
     path.write_bytes(before)
@@ -132,7 +132,7 @@ def test_reading_writes_nothing_and_keeping_loses_nothing_but_a_cut_off_run(tmp_
 
 
 @pytest.mark.parametrize("before", [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b"no run", b"[1]\n[2]\n{", b"1\n2"])
-def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
+def test_keep_refuses_foreign_file(tmp_path, before):
     path = tmp_path / "other"
     path.write_bytes(before)
     with pytest.raises(results_store.ResultsError, match=r"other, line 1"):
@@ -140,7 +140,7 @@ def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
     assert path.read_bytes() == before
 
 
-def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
+def test_unreadable_results_file_is_reported(tmp_path, monkeypatch):
     (tmp_path / "campaign.jsonl").mkdir()
     with pytest.raises(
         results_store.ResultsError, match=r"campaign\.jsonl: a file expected, found a folder.*readable file of stored runs"
@@ -161,7 +161,7 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
     ["[]", "{}", "no JSON", '{"scenario": "flat", "seed": 3}', '{"report": {"seed": 3}}', "[" * 100_000],
     ids=lambda line: line[:30],
 )
-def test_a_line_that_is_no_run_is_named(tmp_path, line):
+def test_invalid_line_is_reported_with_its_number(tmp_path, line):
     path = tmp_path / "campaign.jsonl"
     results_store.keep(path, [Run.read(_entry())])
     path.write_text(path.read_text() + line + "\n")
@@ -169,7 +169,7 @@ def test_a_line_that_is_no_run_is_named(tmp_path, line):
         results_store.read(path)
 
 
-def test_a_folder_stands_for_what_it_keeps(tmp_path):
+def test_folder_argument_resolves_to_its_results_file(tmp_path):
     (tmp_path / "trials.jsonl").write_text(json.dumps(_entry()) + "\n")
     assert results_store.files([tmp_path]) == [tmp_path / "trials.jsonl"]
     assert results_store.read(tmp_path / "trials.jsonl") == [Run.read(_entry())]

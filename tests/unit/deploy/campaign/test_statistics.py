@@ -10,7 +10,7 @@ TRIALS = st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.j
 
 
 @given(TRIALS)
-def test_the_interval_holds_the_rate_and_solves_the_score_equation(trials):
+def test_wilson_interval_contains_rate_and_solves_score_equation(trials):
     successes, n = trials
     r = wilson(successes, n)
     assert 0.0 <= r.low <= r.rate <= r.high <= 1.0
@@ -21,14 +21,14 @@ def test_the_interval_holds_the_rate_and_solves_the_score_equation(trials):
 
 
 @given(TRIALS)
-def test_failures_mirror_successes(trials):
+def test_wilson_interval_is_symmetric_in_failures_and_successes(trials):
     successes, n = trials
     a, b = wilson(successes, n), wilson(n - successes, n)
     assert (a.low, a.high) == (pytest.approx(1 - b.high, abs=1e-12), pytest.approx(1 - b.low, abs=1e-12))
 
 
 @given(TRIALS, TRIALS)
-def test_a_difference_lies_in_its_interval_and_turns_with_its_sides(a, b):
+def test_difference_is_in_its_interval_and_antisymmetric(a, b):
     ab, ba = difference(wilson(*a), wilson(*b)), difference(wilson(*b), wilson(*a))
     assert -1.0 - 1e-12 <= ab.low <= ab.difference + 1e-12 <= ab.high + 2e-12
     assert (ab.low, ab.high) == (pytest.approx(-ba.high, abs=1e-12), pytest.approx(-ba.low, abs=1e-12))
@@ -37,7 +37,7 @@ def test_a_difference_lies_in_its_interval_and_turns_with_its_sides(a, b):
         assert ab.low > 0 or ab.high < 0
 
 
-def test_published_values():
+def test_intervals_match_published_values():
     # Newcombe 1998, Statistics in Medicine 17, 857-872 (81 of 263) and 873-890 (56 of 70 against 48 of 80).
     r = wilson(81, 263)
     assert (round(r.low, 4), round(r.high, 4)) == (0.2553, 0.3662)
@@ -45,7 +45,7 @@ def test_published_values():
     assert (round(d.low, 4), round(d.high, 4)) == (0.0524, 0.3339)
 
 
-def test_what_is_refused():
+def test_invalid_counts_are_refused():
     with pytest.raises(ValueError, match="5 of 4"):
         wilson(5, 4)
     assert math.isnan(wilson(0, 0).rate)

@@ -61,7 +61,7 @@ class Runner:
         return _report(scenario, seed)
 
 
-def test_a_batch_is_counted(tmp_path):
+def test_batch_summary(tmp_path):
     said = []
     result = trials.run_trials(SCENARIO, range(10), 1, tmp_path, say=said.append, run=Runner())
     assert (result.success.successes, result.success.n) == (4, 10)
@@ -85,7 +85,7 @@ def test_a_batch_is_counted(tmp_path):
     assert "(4 of 10)" in said[-1]
 
 
-def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
+def test_interrupted_batch_resumes(tmp_path):
     first = Runner(until=4)
     with pytest.raises(KeyboardInterrupt):
         trials.run_trials(SCENARIO, range(10), 1, tmp_path, run=first)
@@ -100,7 +100,7 @@ def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
     assert trials.run_trials(SCENARIO, [2, 4], 1, tmp_path, run=Runner(until=0)).success.n == 2
 
 
-def test_what_another_program_left_is_not_counted_and_no_error(tmp_path):
+def test_lines_of_another_program_are_ignored(tmp_path):
     runner = Runner()
     with (tmp_path / "trials.jsonl").open("wb") as lines:
         lines.write(b'{"fingerprint": "of long ago", "report": {"seed": 1}}\n')
@@ -110,7 +110,7 @@ def test_what_another_program_left_is_not_counted_and_no_error(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner(until=0))
 
 
-def test_a_seed_whose_line_lacks_but_its_end_is_done(tmp_path):
+def test_seed_with_line_without_newline_is_not_repeated(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
     path = tmp_path / "trials.jsonl"
     path.write_bytes(path.read_bytes()[:-1])
@@ -120,7 +120,7 @@ def test_a_seed_whose_line_lacks_but_its_end_is_done(tmp_path):
     assert trials.run_trials(SCENARIO, range(5), 1, tmp_path, run=Runner(until=0)).success.n == 5
 
 
-def test_a_changed_scenario_is_run_anew(tmp_path):
+def test_changed_scenario_is_run_again(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
     faster, moved = replace(SCENARIO, time_limit_s=1.0), replace(SCENARIO, folder="/elsewhere")
     runner = Runner()
@@ -129,7 +129,7 @@ def test_a_changed_scenario_is_run_anew(tmp_path):
     trials.run_trials(moved, range(3), 1, tmp_path, run=Runner(until=0))
 
 
-def test_another_program_or_another_ground_is_run_anew(tmp_path, monkeypatch):
+def test_fingerprint_depends_on_program_and_height_map(tmp_path, monkeypatch):
     ground = replace(SCENARIO, terrain=(HeightMap("ground.npy", 0.01, (0.0, 0.0)),), folder=str(tmp_path))
     (tmp_path / "ground.npy").write_bytes(b"one")
     before = trials.fingerprint(ground)
@@ -140,7 +140,7 @@ def test_another_program_or_another_ground_is_run_anew(tmp_path, monkeypatch):
     assert len({before, changed, trials.fingerprint(ground)}) == 3
 
 
-def test_the_blind_baseline_is_kept_apart_and_compared(tmp_path):
+def test_blind_baseline_is_separate_and_compared(tmp_path):
     seeing = trials.run_trials(SCENARIO, range(0, 80, 2), 1, tmp_path, run=Runner())
     blind = trials.run_trials(SCENARIO, range(0, 80, 2), 1, tmp_path, blind=True, run=Runner())
     assert blind.blind
@@ -157,7 +157,7 @@ def test_the_blind_baseline_is_kept_apart_and_compared(tmp_path):
     assert "disjoint" in text
 
 
-def test_json_of_a_batch_without_a_success_is_strict(tmp_path):
+def test_json_of_batch_without_success_has_no_nan(tmp_path):
     result = trials.run_trials(SCENARIO, [1], 1, tmp_path, run=Runner())
     table = json.loads(trials.to_json(result), parse_constant=lambda name: pytest.fail(name))
     assert table["mean_speed_mps"] is None
@@ -165,7 +165,7 @@ def test_json_of_a_batch_without_a_success_is_strict(tmp_path):
     assert table["failed_seeds"] == [1]
 
 
-def test_what_is_refused(tmp_path):
+def test_invalid_batch_arguments_are_refused(tmp_path):
     with pytest.raises(ValueError, match="0 seeds"):
         trials.run_trials(SCENARIO, [], 1, tmp_path)
     with pytest.raises(ValueError, match="0 jobs"):
@@ -175,7 +175,7 @@ def test_what_is_refused(tmp_path):
         trials.run_trials(SCENARIO, [1], 1, tmp_path)
 
 
-def test_a_batch_says_what_made_it_and_when(tmp_path, monkeypatch):
+def test_batch_reports_commits_and_dates(tmp_path, monkeypatch):
     for commit, time, seeds in (("abc1234", "2024-05-01T10:00:00+00:00", 2), ("def5678+", "2024-05-03T09:00:00+00:00", 4)):
         monkeypatch.setattr(trials.provenance, "commit", lambda commit=commit: commit)
         monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
@@ -185,13 +185,13 @@ def test_a_batch_says_what_made_it_and_when(tmp_path, monkeypatch):
     assert json.loads(trials.to_json(result))["made"]["commits"] == ["abc1234", "def5678+"]
 
 
-def test_every_line_on_file_holds_a_whole_report(tmp_path):
+def test_each_stored_line_holds_complete_report(tmp_path):
     trials.run_trials(SCENARIO, range(5), 1, tmp_path, run=Runner())
     for line in (tmp_path / "trials.jsonl").read_text().splitlines():
         assert reports.check(json.loads(line)["report"]) == []
 
 
-def test_processes_run_one_thread_each(tmp_path, monkeypatch):
+def test_worker_processes_use_one_thread_each(tmp_path, monkeypatch):
     module = tmp_path / "one_run_in_a_process.py"
     module.write_text(
         textwrap.dedent(
@@ -215,7 +215,7 @@ def test_processes_run_one_thread_each(tmp_path, monkeypatch):
     assert str(os.getpid()) not in {t["reason"] for t in done}
 
 
-def test_a_full_disk_ends_no_batch(tmp_path):
+def test_full_disk_warns_and_batch_continues(tmp_path):
     told = []
 
     def run(scenario, seed):

@@ -14,7 +14,7 @@ from sextant.deploy.doctor.rehearsal import StageLoad
 from sextant.shared.runtime import process_priority
 
 
-def test_every_complaint_says_what_to_do() -> None:
+def test_each_failed_check_gives_advice() -> None:
     for check in (
         machine_checks.python((3, 10)),
         machine_checks.cores(1),
@@ -28,17 +28,17 @@ def test_every_complaint_says_what_to_do() -> None:
         assert not check.advice
 
 
-def test_too_little_is_told_from_nothing() -> None:
+def test_low_disk_space_warns_and_full_disk_fails() -> None:
     assert machine_checks.disk(Path(), 1 << 30).level is Level.WARN
     assert machine_checks.disk(Path(), 1 << 20).level is Level.FAIL
 
 
-def test_frames_get_round_through_a_router_here() -> None:
+def test_zenoh_round_trip_through_local_router() -> None:
     check = machine_checks.zenoh_round_trip()
     assert check.level is not Level.FAIL, check.found
 
 
-def clocked(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
+def cycle_check(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
     """Return the check of a cycle with late waits and a fixed time of work.
 
     The kth wait is late by `late_ms(k)`.
@@ -62,39 +62,39 @@ def clocked(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
 
 
 @pytest.fixture(params=["", "real-time priority is refused; allow it"])
-def refused(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def priority_error(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setattr(process_priority, "go_first", lambda: request.param)
     return str(request.param)
 
 
-def test_a_machine_that_keeps_time_is_in_order(refused: str) -> None:
-    check = clocked(lambda _: 0.0)
+def test_regular_cycle_passes(priority_error: str) -> None:
+    check = cycle_check(lambda _: 0.0)
     assert (check.level, check.advice) == (Level.OK, "")
-    without = ", without real-time priority" if refused else ""
+    without = ", without real-time priority" if priority_error else ""
     assert check.found == (
         "takes 9.0 of 20 ms, including an emulated servo bus; period 20.0 ms (p50), 20.0 (p99), 20.0 (max); "
         f"0 of 100 periods above 25{without}"
     )
 
 
-def test_a_cycle_that_is_late_now_and_then_is_told_and_no_failure(refused: str) -> None:
-    once = clocked(lambda k: 9.0 if k == 50 else 0.0)
+def test_late_cycles_are_reported_and_frequent_ones_warn(priority_error: str) -> None:
+    once = cycle_check(lambda k: 9.0 if k == 50 else 0.0)
     assert once.level is Level.OK
     assert "20.0 ms (p50), 20.0 (p99), 29.0 (max); 1 of 100 periods above 25" in once.found
-    often = clocked(lambda k: 9.0 if k % 20 == 0 else 0.0)
+    often = cycle_check(lambda k: 9.0 if k % 20 == 0 else 0.0)
     assert often.level is Level.WARN
     assert "20.0 ms (p50), 29.0 (p99), 29.0 (max); 5 of 100 periods above 25" in often.found
-    assert often.advice == (refused or "close other programs, those with real-time priority first")
+    assert often.advice == (priority_error or "close other programs, those with real-time priority first")
 
 
-def test_the_cycle_that_is_timed_is_the_actuator_s_on_an_emulated_bus() -> None:
+def test_bench_actuator_cycle_runs_on_emulated_bus() -> None:
     with rehearsal.bench_actuator("phantomx_mk2") as tick:
         for _ in range(3):
             tick()
 
 
 @pytest.mark.parametrize(("broken", "advice"), [(ImportError("no mujoco"), "pip install"), (ValueError("no robot"), "--robot")])
-def test_a_cycle_that_cannot_be_timed_says_why(broken: Exception, advice: str) -> None:
+def test_cycle_check_reports_cause_if_not_timed(broken: Exception, advice: str) -> None:
     def actuator(_robot: str) -> AbstractContextManager[Callable[[], None]]:
         raise broken
 
@@ -107,7 +107,7 @@ def load(service: str, takes_ms: float, cores: float = 0.1) -> StageLoad:
     return StageLoad(service, takes_ms, rehearsal.STAGES[service][1], cores)
 
 
-def test_a_machine_that_keeps_up_says_what_each_stage_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
     check = machine_checks.chain(lambda: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)])
     assert (check.level, check.advice) == (Level.OK, "")
@@ -127,16 +127,14 @@ def test_a_machine_that_keeps_up_says_what_each_stage_takes(monkeypatch: pytest.
         ([load("planner", 12.0, cores=1.6)], "; use --lockstep or close programs"),
     ],
 )
-def test_a_machine_that_does_not_keep_up_says_which_stage_is_too_slow(
-    stages: list[StageLoad], words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chain_check_names_slow_stage(stages: list[StageLoad], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
     check = machine_checks.chain(lambda: stages)
     assert check.level is Level.WARN
     assert check.advice == f"at its present load this computer is too slow to walk in real time{words}"
 
 
-def test_a_chain_that_cannot_be_timed_says_why() -> None:
+def test_chain_check_reports_cause_if_not_timed() -> None:
     def rehearse() -> list[StageLoad]:
         raise ImportError("no mujoco")
 
@@ -144,7 +142,7 @@ def test_a_chain_that_cannot_be_timed_says_why() -> None:
     assert (check.level, check.found) == (Level.WARN, "not timed: no mujoco")
 
 
-def test_the_chain_is_the_real_services_and_ends_after_its_time() -> None:
+def test_rehearsal_runs_all_stages_and_ends_on_time() -> None:
     looks = iter(range(100))
     found = {stage.service: stage for stage in rehearsal.rehearse(4.0, lambda: float(next(looks)))}
     assert found.keys() == rehearsal.STAGES.keys()
@@ -152,12 +150,12 @@ def test_the_chain_is_the_real_services_and_ends_after_its_time() -> None:
     assert next(looks) <= 7, "it ends when its seconds are over"
 
 
-def test_loads_are_by_the_simulated_time_in_which_they_came() -> None:
+def test_stage_load_is_relative_to_simulated_time() -> None:
     (found,) = rehearsal.loads({"mapper": [10.0] * 99 + [50.0], "planner": []}, 4.0)
     assert (found.service, found.takes_ms, found.cores) == ("mapper", pytest.approx(10.4), pytest.approx(0.26))
 
 
-def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_library_is_reported_with_its_role(monkeypatch: pytest.MonkeyPatch) -> None:
     def importing(name: str) -> ModuleType:
         if name == "mujoco":
             raise ImportError("libEGL.so.1: cannot open shared object file")
@@ -171,7 +169,7 @@ def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytes
     assert checks["libraries: actuator"].level is Level.OK
 
 
-def test_the_roles_are_those_of_the_package() -> None:
+def test_doctor_roles_are_extras_of_package() -> None:
     import tomllib
 
     root = Path(machine_checks.__file__).resolve().parents[2]
@@ -179,14 +177,14 @@ def test_the_roles_are_those_of_the_package() -> None:
     assert set(machine_checks._ROLES) - {"core"} <= set(extras)
 
 
-def test_a_cache_that_cannot_be_written_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unwritable_numba_cache_warns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert machine_checks.numba_cache().level is Level.OK
     monkeypatch.setattr(machine_checks, "_writable", lambda _: False)
     assert machine_checks.numba_cache().level is Level.WARN
 
 
-def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_camera_warns_and_fails_if_requested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openni", None)
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     check = machine_checks.depth_camera("phantomx_mk2")
@@ -200,7 +198,7 @@ def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: 
 
 
 @pytest.mark.parametrize("plugged", [True, False])
-def test_a_camera_that_is_there_is_named(plugged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connected_camera_model_is_reported(plugged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.services.perception.cameras import realsense
 
     monkeypatch.setattr(realsense, "find", lambda: ["Intel RealSense D435I"] * plugged)
@@ -209,7 +207,7 @@ def test_a_camera_that_is_there_is_named(plugged: bool, monkeypatch: pytest.Monk
     assert ("D435I" in check.found) is plugged
 
 
-def test_words_and_json_say_the_same() -> None:
+def test_text_and_json_outputs_agree() -> None:
     checks = [Check("a", Level.OK, "fine"), Check("b", Level.FAIL, "broken", "mend it")]
     assert machine_checks.in_words(checks).splitlines() == ["OK    a: fine", "FAIL  b: broken", "      -> mend it"]
     assert json.loads(machine_checks.to_json(checks))[1] == {

@@ -10,19 +10,19 @@ from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import Mode
 
 
-def _moment(scorer):
+def _decisive_moment(scorer):
     return decisive_moment(scorer.result(), scorer.trace)
 
 
-def test_a_run_that_arrived_or_never_began_has_no_moment(story):
-    assert _moment(story(moved_leg=2).judged()) is None
-    assert _moment(story().scorer()) is None
+def test_successful_or_empty_run_has_no_decisive_moment(story):
+    assert _decisive_moment(story(moved_leg=2).judged()) is None
+    assert _decisive_moment(story().scorer()) is None
 
 
 @pytest.mark.parametrize("how", ["topple_s", "sink_s", "shutdown_s"])
-def test_the_moment_is_when_and_where_it_happened(story, how):
+def test_decisive_moment_has_time_and_place_of_failure(story, how):
     scorer = story(**{how: 4.0}).judged()
-    moment, trace = _moment(scorer), scorer.trace
+    moment, trace = _decisive_moment(scorer), scorer.trace
     assert 4.0 - 0.011 <= moment.t <= trace.t[-1]
     if how == "shutdown_s":
         assert moment.t == pytest.approx(4.0, abs=0.011)
@@ -35,7 +35,7 @@ def test_the_moment_is_when_and_where_it_happened(story, how):
     np.testing.assert_allclose(moment.p, trace.p_true[min(k, len(trace.t) - 1), :2], atol=1e-9)
 
 
-def test_a_servo_that_comes_back_is_still_the_one_that_failed(story):
+def test_recovered_servo_remains_cause_of_failure(story):
     told = story(shutdown_s=4.0)
     healed = type(told)(shutdown_s=4.0, tail_s=1.5)
     whole = healed.truth
@@ -43,16 +43,18 @@ def test_a_servo_that_comes_back_is_still_the_one_that_failed(story):
     scorer = healed.judge()
     assert scorer.result().reason == "servo shut down: right middle femur"
     assert scorer.result().shutdowns == 1
-    assert _moment(scorer).leg == 2
+    assert _decisive_moment(scorer).leg == 2
 
 
 def _healed(truth, ms):
     return replace(truth, shutdown=np.zeros((6, 3), dtype=bool)) if ms > 4500 else truth
 
 
-def test_a_refusal_is_marked_where_the_robot_has_walked_no_more(story):
-    scorer = story(scenario=_either(), refusal="right rear leg: no foothold within 12 cm", tail_s=12.0, beyond=-0.2).judged()
-    moment, trace = _moment(scorer), scorer.trace
+def test_refusal_moment_is_end_of_walking(story):
+    scorer = story(
+        scenario=_scenario_expecting_refusal(), refusal="right rear leg: no foothold within 12 cm", tail_s=12.0, beyond=-0.2
+    ).judged()
+    moment, trace = _decisive_moment(scorer), scorer.trace
     stood = trace.t[np.flatnonzero(trace.walking)[-1]]
     assert refusal(trace).words.startswith("right rear leg")
     assert moment.words == "stopped"
@@ -60,13 +62,13 @@ def test_a_refusal_is_marked_where_the_robot_has_walked_no_more(story):
     assert abs(moment.t - stood) < 0.6
 
 
-def _either():
+def _scenario_expecting_refusal():
     from tests.unit.deploy.conftest import FLAT
 
     return replace(FLAT, goal=replace(FLAT.goal, expect="refusal"))
 
 
-def test_feet_that_came_down_as_planned_have_missed_nothing(story):
+def test_touchdown_error_is_distance_to_chosen_foothold(story):
     trace = story(moved_leg=2).judged().trace
     assert np.nanmax(missed_by(trace)) < 1e-3
     downs = trace.touchdowns
@@ -78,9 +80,9 @@ def test_feet_that_came_down_as_planned_have_missed_nothing(story):
     assert np.isnan(missed_by(lost)[4:]).all(), "the pose of that time is unknown"
 
 
-def test_signs_lie_before_the_moment_in_order_and_say_which_leg(story):
+def test_precursors_are_ordered_before_failure_and_name_leg(story):
     scorer = story(topple_s=4.0).judged()
-    trace, moment = scorer.trace, _moment(scorer)
+    trace, moment = scorer.trace, _decisive_moment(scorer)
     late = int(np.flatnonzero(trace.touchdowns.t < moment.t)[-1])
     mistaken = np.arange(len(trace.touchdowns.t)) == late
     torque = trace.torque.copy()
@@ -99,17 +101,17 @@ def test_signs_lie_before_the_moment_in_order_and_say_which_leg(story):
     assert pulls[0].t == pytest.approx(moment.t - 0.5, abs=0.02)
 
 
-def test_a_service_that_falls_silent_is_a_sign_and_its_state_ends(story):
+def test_service_that_stops_publishing_is_precursor(story):
     scorer = story(topple_s=4.0).judge()
     scorer._heard.poses = [pose for pose in scorer._heard.poses if pose.stamp_ns < 3_000_000_000]
     scorer._walk = scorer._trace = None
     trace = scorer.trace
-    silent = [sign for sign in signs(trace, _moment(scorer)) if sign.words == "perception stopped publishing"]
+    silent = [sign for sign in signs(trace, _decisive_moment(scorer)) if sign.words == "perception stopped publishing"]
     assert [sign.t for sign in silent] == pytest.approx([3.0], abs=0.05)
     assert max(spell.end for spell in trace.spells if spell.who == "perception") < 3.0
 
 
-def test_states_follow_each_other_without_a_gap_and_are_those_that_were_said(story):
+def test_state_intervals_are_contiguous_and_match_messages(story):
     trace = story(moved_leg=2).judged().trace
     for who in ("planner", "actuator", "perception"):
         own = [spell for spell in trace.spells if spell.who == who]
@@ -121,13 +123,13 @@ def test_states_follow_each_other_without_a_gap_and_are_those_that_were_said(sto
     assert walks[-1][1] == pytest.approx(walked[-1], abs=0.05)
 
 
-def test_what_differs_in_figures_and_legs_is_one_complaint():
+def test_reasons_differing_in_numbers_and_legs_have_one_kind():
     assert kind_of("slipping: left front, right rear and left rear by 3.2 mm") == kind_of("slipping: right middle by -12 mm")
     assert kind_of("no foothold") != kind_of("no pose")
 
 
-def test_who_never_spoke_has_not_fallen_silent(story):
+def test_service_that_never_published_is_no_precursor(story):
     scorer = story(sink_s=4.0).judged()
-    moment, trace = _moment(scorer), scorer.trace
+    moment, trace = _decisive_moment(scorer), scorer.trace
     unheard = replace(trace, spells=tuple(spell for spell in trace.spells if spell.who != "planner"))
     assert not [sign for sign in signs(unheard, moment) if sign.words.startswith("planner")]

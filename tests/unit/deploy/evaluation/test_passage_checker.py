@@ -29,11 +29,11 @@ GAP, HEIGHT = 0.8, 0.11
 START_STANCE = stance_at(PROFILE, START, HEIGHT)
 
 
-def bridged(scenario: int) -> StripMap:
+def bridge_field(scenario: int) -> StripMap:
     return field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
 
 
-def scattered(seed: int, relief: float) -> StripMap:
+def scattered_field(seed: int, relief: float) -> StripMap:
     return field_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
 
 
@@ -42,7 +42,7 @@ def roadmap() -> Roadmap:
     return Roadmap(PROFILE, PassageSettings(body_height=HEIGHT))
 
 
-def planned(roadmap: Roadmap, field: StripMap, seed: int) -> SectionPlan:
+def planned_crossing(roadmap: Roadmap, field: StripMap, seed: int) -> SectionPlan:
     roadmap.begin(field, START_STANCE, NEAR + GAP + BEYOND, seed)
     found = roadmap.grow(10**6)
     assert isinstance(found, SectionPlan)
@@ -50,22 +50,22 @@ def planned(roadmap: Roadmap, field: StripMap, seed: int) -> SectionPlan:
 
 
 @pytest.mark.parametrize("scenario", [1, 2, 3])
-def test_nothing_is_wrong_with_plans_over_bridges(roadmap: Roadmap, scenario: int) -> None:
-    field = bridged(scenario)
-    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, scenario).steps) == []
+def test_bridge_plans_have_no_violations(roadmap: Roadmap, scenario: int) -> None:
+    field = bridge_field(scenario)
+    assert violations(PROFILE, field, START_STANCE, planned_crossing(roadmap, field, scenario).steps) == []
 
 
 @pytest.mark.parametrize(("seed", "relief"), [(1, 0.0), (2, 0.0), (3, 0.015), (4, 0.015)])
-def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, seed: int, relief: float) -> None:
-    field = scattered(seed, relief)
-    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, seed).steps) == []
+def test_scattered_pillar_plans_have_no_violations(roadmap: Roadmap, seed: int, relief: float) -> None:
+    field = scattered_field(seed, relief)
+    assert violations(PROFILE, field, START_STANCE, planned_crossing(roadmap, field, seed).steps) == []
 
 
 @pytest.mark.parametrize("seed", [1000, 1001])
 @pytest.mark.parametrize("done", [20, 44])
-def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: int) -> None:
+def test_backtracking_plan_has_no_violations(roadmap: Roadmap, seed: int, done: int) -> None:
     field = bench.ground("scenario 3", seed)
-    steps, feet = planned(roadmap, field, seed).steps[:done], START_STANCE.feet.copy()
+    steps, feet = planned_crossing(roadmap, field, seed).steps[:done], START_STANCE.feet.copy()
     for step in steps:
         if step.leg >= 0:
             feet[step.leg] = step.touchdown
@@ -76,7 +76,7 @@ def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: i
     assert violations(PROFILE, field, Stance(steps[-1].body, feet), back) == []
 
 
-def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
+def test_steep_swing_near_coxa_keeps_leg_clearance() -> None:
     """Keep the distance between legs where a foot rises steeply near its coxa.
 
     The foot is pushed outward there. In one of a thousand plans, this one, the legs once came too near.
@@ -105,42 +105,42 @@ def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
         (lambda step: replace(step, touchdown=step.touchdown + np.array([9.0, 0.0, 0.0])), "outside the strip"),
     ],
 )
-def test_what_is_spoilt_is_found(roadmap: Roadmap, spoil: Callable[[PassageStep], PassageStep], said: str) -> None:
-    field = bridged(1)
-    steps = list(planned(roadmap, field, 1).steps)
+def test_corrupted_step_is_detected(roadmap: Roadmap, spoil: Callable[[PassageStep], PassageStep], said: str) -> None:
+    field = bridge_field(1)
+    steps = list(planned_crossing(roadmap, field, 1).steps)
     at = next(k for k, step in enumerate(steps) if step.leg >= 0 and k > 3)
     steps[at] = spoil(steps[at])
     assert any(said in words for words in violations(PROFILE, field, START_STANCE, steps[: at + 1]))
 
 
-def test_a_foot_on_no_foothold_is_found(roadmap: Roadmap) -> None:
-    field = bridged(1)
-    steps = planned(roadmap, field, 1).steps
+def test_foot_off_foothold_is_detected(roadmap: Roadmap) -> None:
+    field = bridge_field(1)
+    steps = planned_crossing(roadmap, field, 1).steps
     bare = StripMap(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
     assert any("on a cell of value 3" in words for words in violations(PROFILE, bare, START_STANCE, steps))
 
 
-def test_a_foot_beside_another_is_found() -> None:
+def test_too_close_feet_and_legs_are_detected() -> None:
     rear, middle = START_STANCE.feet[4], START_STANCE.feet[5]
     assert np.linalg.norm(rear - middle) > 0.1
     step = PassageStep(4, middle - np.array([0.04, 0.0, 0.0]), 0.03, START_STANCE.body, 0.03)
-    words = violations(PROFILE, bridged(1), START_STANCE, [step])
+    words = violations(PROFILE, bridge_field(1), START_STANCE, [step])
     assert any("rear foot 0.040 m from another" in each for each in words)
     assert any("legs" in each and "apart" in each for each in words)
 
 
-def test_a_leg_that_bears_too_much_is_found() -> None:
+def test_overloaded_joint_is_detected() -> None:
     demands = Demands(torque=0.05)
     stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
-    assert violations(PROFILE, bridged(1), START_STANCE, [stay]) == []
-    assert any(" N m at the " in words for words in violations(PROFILE, bridged(1), START_STANCE, [stay], demands))
+    assert violations(PROFILE, bridge_field(1), START_STANCE, [stay]) == []
+    assert any(" N m at the " in words for words in violations(PROFILE, bridge_field(1), START_STANCE, [stay], demands))
 
 
-def test_what_rises_under_the_body_is_found_to_its_very_edge() -> None:
+def test_ground_collision_is_detected_up_to_trunk_corner() -> None:
     length, width, height = PROFILE.body.size
     stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
     for inside in (np.array([length, width]) / 2, np.full(2, 0.004)):  # [m] from the corner
-        field = bridged(1)
+        field = bridge_field(1)
         elevation = field.elevation.copy()
         place = START_STANCE.body[:2] + np.array([length, width]) / 2 - inside
         i, j = np.rint((place - field.corner) / field.resolution).astype(int)
@@ -149,7 +149,7 @@ def test_what_rises_under_the_body_is_found_to_its_very_edge() -> None:
         assert any("the trunk 0.010 m over" in words for words in violations(PROFILE, risen, START_STANCE, [stay]))
 
 
-def test_a_body_outside_its_feet_is_found() -> None:
+def test_body_outside_support_polygon_is_detected() -> None:
     leant = replace(START_STANCE, body=START_STANCE.body + np.array([0.0, 0.19, 0.0]))
     stay = PassageStep(-1, leant.body, 0.0, leant.body, 0.03)
-    assert any("inside its standing feet" in words for words in violations(PROFILE, bridged(1), leant, [stay]))
+    assert any("inside its standing feet" in words for words in violations(PROFILE, bridge_field(1), leant, [stay]))

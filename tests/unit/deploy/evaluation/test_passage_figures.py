@@ -20,7 +20,7 @@ N = 100
 
 
 @given(st.floats(-0.049, 0.049), st.floats(-0.049, 0.049), st.floats(-3.0, 3.0))
-def test_the_distance_to_an_edge_is_that_to_the_nearest_side(x, y, yaw):
+def test_edge_distance_is_distance_to_nearest_side(x, y, yaw):
     course = Course(GAP, 0)
     T = from_xyz_rpy((0.3, -0.2, 0.5), (0.0, 0.0, yaw))
     course.lay(T, 0.0)
@@ -28,7 +28,7 @@ def test_the_distance_to_an_edge_is_that_to_the_nearest_side(x, y, yaw):
     assert course.edge_distance(seen)[0] == pytest.approx(0.05 - max(abs(x), abs(y)), abs=0.0008)
 
 
-def test_tops_that_touch_are_one_and_another_height_is_an_edge():
+def test_adjacent_tops_merge_unless_heights_differ():
     row = tuple(Box((0.7 + 0.08 * k, 0.1), (0.081, 0.10), 0.0 if k < 3 else 0.03) for k in range(4))
     course = Course(replace(GAP, terrain=(Plane(height=-0.4), PLATFORM, *row)), 0)
     course.lay(np.eye(4), 0.0)
@@ -37,14 +37,14 @@ def test_tops_that_touch_are_one_and_another_height_is_an_edge():
     assert course.edge_distance(beside_a_step)[0] == pytest.approx(0.02, abs=0.0012)
 
 
-def test_beside_pillars_and_on_platforms_there_is_no_edge_to_be_near():
+def test_edge_distance_is_nan_off_pillars_and_on_platforms():
     course = Course(GAP, 0)
     course.lay(np.eye(4), 0.0)
     places = np.array([[0.7, 0.2], [0.0, 0.0], [0.49, 0.0], [2.0, 0.0]])
     assert np.isnan(course.edge_distance(places)).all()
 
 
-def standing(**feet):
+def foot_and_ground_heights(**feet):
     """Return underside and ground heights (N, 6) of feet that stand at height 0.
 
     `feet` overrides a foot by its number: a pair of arrays (underside, ground).
@@ -61,28 +61,28 @@ def standing(**feet):
     [(0.0, -0.4), (0.0, -np.inf), (-0.4, -0.4), (-0.02, -0.4)],
     ids=["hung on an edge", "over an abyss", "on the floor of the gap", "slipped off"],
 )
-def test_a_foot_that_nothing_carries_is_off(leg, under, below):
-    underside, ground = standing(**{f"f{leg}": (under, below)})
+def test_unsupported_stance_foot_counts_as_off(leg, under, below):
+    underside, ground = foot_and_ground_heights(**{f"f{leg}": (under, below)})
     swings = np.ones((N, 6), dtype=bool)
     assert feet_off(underside, ground, swings) == 1
     swings[:, leg] = False  # in the air by plan
     assert feet_off(underside, ground, swings) == 0
 
 
-def test_each_time_counts_if_it_lasts():
+def test_feet_off_counts_each_sufficiently_long_interval():
     here = np.zeros(N, dtype=bool)
     here[10:20] = here[40:60] = here[80:83] = True  # 0.2 s, 0.4 s, and 0.06 s at the end of a swing
-    underside, ground = standing(f2=(0.0, np.where(here, -0.4, 0.0)))
+    underside, ground = foot_and_ground_heights(f2=(0.0, np.where(here, -0.4, 0.0)))
     assert feet_off(underside, ground, np.ones((N, 6), dtype=bool)) == 2
 
 
 @given(st.lists(st.floats(-0.03, 0.03), min_size=6, max_size=6), st.floats(-0.003, 0.003))
-def test_no_foot_is_off_on_ground_of_any_height_within_a_step(heights, dent):
+def test_supported_feet_are_not_off_at_any_ground_height(heights, dent):
     ground = np.tile(heights, (N, 1))
     assert feet_off(ground + dent, ground, np.ones((N, 6), dtype=bool)) == 0
 
 
-def test_a_passage_comes_back_from_its_table():
+def test_passage_round_trips_through_table():
     sections = (
         Section("partial", "look again", 900, 70, 12.5, 30),
         Section("no way", "too wide", 5, 1, float("nan"), 0),
@@ -94,7 +94,7 @@ def test_a_passage_comes_back_from_its_table():
     assert reports.plain(reports.passage_of(reports.plain(Passage()))) == reports.plain(Passage())
 
 
-def test_what_is_no_passage_is_named():
+def test_invalid_passage_fields_are_named():
     table = reports.plain(Passage(sections=(Section("partial", "", 1, 1, 1.0, 1),)))
     table["sections"][0]["expanded"] = "many"
     table |= {"passable": 1}
@@ -105,7 +105,7 @@ def test_what_is_no_passage_is_named():
     assert reports.check(table | {"sections": 3}, Passage)[-1] == "sections: a list expected, found int '3'"
 
 
-def test_planning_times_are_timing(story):
+def test_without_timing_drops_planning_times(story):
     report = story().judged().result()
     fast, slow = (replace(report, passage=Passage(sections=(Section("complete", "", 9, 8, ms, 3),))) for ms in (1.0, 2.0))
     assert reports.to_json(fast) != reports.to_json(slow)
@@ -119,7 +119,7 @@ def test_planning_times_are_timing(story):
 EITHER = Scenario("either", (Plane(),), Goal(0.5, expect="either"))
 
 
-def test_what_the_planner_says_of_its_sections_is_reported(story):
+def test_report_contains_planner_sections(story):
     passage = story(sections=2).judged().result().passage
     assert [(s.state, s.generated, s.expanded, s.steps) for s in passage.sections] == [
         ("partial", 100, 10, 12),
@@ -128,20 +128,20 @@ def test_what_the_planner_says_of_its_sections_is_reported(story):
     assert story().judged().result().passage.sections == ()
 
 
-def test_of_steps_only_those_count_in_which_a_leg_walks(story):
+def test_section_steps_count_only_leg_steps(story):
     plan = story(sections=1).section(0, 1)
     assert steps_of(plan) == 12
     assert steps_of(replace(plan, leg=np.array([0, 6, *range(6), 6, 1, 2, 3], dtype=np.uint8))) == 10
     assert steps_of(replace(plan, state="no way")) == 0
 
 
-def test_on_level_ground_no_foot_is_off_and_none_is_on_a_pillar(story):
+def test_level_ground_has_no_feet_off_and_no_pillar_touchdowns(story):
     passage = story().judged().result().passage
     assert (passage.feet_off, passage.pillar_touchdowns) == (0, 0)
     assert np.isnan(passage.foothold_edge_m.median)
 
 
-def test_feet_over_a_gap_are_off(story):
+def test_feet_over_gap_are_counted_as_off(story):
     gap = Scenario("gap", (Plane(height=-0.4), Box((0.0, 0.0), (0.8, 2.0), 0.0), Box((1.2, 0.0), (0.8, 2.0), 0.0)), Goal(0.5))
     level = story(scenario=replace(gap, terrain=(Plane(),)))
     bare = level.judged().result()
@@ -151,7 +151,7 @@ def test_feet_over_a_gap_are_off(story):
     assert told.missteps < told.passage.feet_off  # the floor below would carry a foot
 
 
-def test_footholds_on_pillars_are_measured(story):
+def test_pillar_footholds_edge_distance_is_measured(story):
     """Walk on one row of narrow slabs along the way, in place of the plane."""
     slabs = tuple(Box((1.0, y), (3.0, 0.16), 0.0) for y in sorted({round(float(f), 3) for f in story().planted(0)[:, 1]}))
     scenario = Scenario("slabs", (Plane(height=-0.4), *slabs), Goal(0.5))
@@ -173,7 +173,7 @@ def test_footholds_on_pillars_are_measured(story):
         (False, False, True),
     ],
 )
-def test_where_the_seed_decides_it_is_right_to_arrive_or_to_refuse(story, passable, arrives, right):
+def test_success_depends_on_passability_of_random_gap(story, passable, arrives, right):
     told = story(scenario=EITHER, tail_s=12.0) if arrives else story(scenario=EITHER, beyond=-0.2, tail_s=12.0, refusal="a gap")
     result = replace(told, passable=passable).judged().result()
     assert result.success == right
@@ -181,7 +181,7 @@ def test_where_the_seed_decides_it_is_right_to_arrive_or_to_refuse(story, passab
     assert (result.reason == reports.ARRIVED) == (arrives and right)
 
 
-def test_who_turns_back_on_a_pillar_has_not_refused(story):
+def test_stopping_on_pillar_is_not_a_refusal(story):
     slabs = tuple(Box((1.0, y), (3.0, 0.16), 0.0) for y in sorted({round(float(f), 3) for f in story().planted(0)[:, 1]}))
     scenario = Scenario("slabs", (Plane(height=-0.4), *slabs), Goal(0.5, expect="either"))
     told = story(scenario=scenario, level=True, beyond=-0.2, tail_s=12.0, refusal="a gap")

@@ -30,19 +30,19 @@ def course_of(scenario: Scenario, x: float = 0.0, yaw: float = 0.0) -> Course:
     return course
 
 
-def test_only_strewn_pillars_are_decided_by_the_seed() -> None:
+def test_only_random_pillar_fields_depend_on_seed() -> None:
     assert decided_by_seed(FIELD)
     assert not decided_by_seed(load_scenario("passage1"))
     assert not decided_by_seed(replace(FIELD, goal=replace(FIELD.goal, expect="arrival")))
 
 
 @pytest.mark.parametrize("x", [-0.02, 0.0, 0.02])
-def test_the_gap_begins_where_it_truly_does(x: float) -> None:
+def test_gap_begin_matches_terrain(x: float) -> None:
     assert gap_begins(course_of(FIELD, x), 2.3) == pytest.approx(0.8 - x, abs=0.011)
     assert gap_begins(course_of(Scenario("level", (Plane(),), Goal(2.0))), 2.0) == 2.0
 
 
-def test_the_strip_is_the_ground_that_the_simulator_has() -> None:
+def test_strip_elevation_matches_simulated_ground() -> None:
     course = course_of(FIELD, 0.01, 0.03)
     field = strip_from(course, -0.1, 0.105)
     i, j = np.random.default_rng(0).integers(0, field.elevation.shape, (200, 2)).T
@@ -50,7 +50,7 @@ def test_the_strip_is_the_ground_that_the_simulator_has() -> None:
     np.testing.assert_allclose(field.elevation[i, j], course.height_at(xy), atol=1e-6)
 
 
-def test_without_pillars_there_is_no_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gap_without_pillars_is_impassable(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {}
     monkeypatch.setattr(
         passage_truth,
@@ -67,14 +67,14 @@ def _one_attempt(*told: object) -> bool | None:
     return passable(*told, attempts=1)  # type: ignore[arg-type]
 
 
-def test_a_gap_full_of_pillars_has_a_way() -> None:
+def test_gap_full_of_pillars_is_passable() -> None:
     full = replace(FIELD, terrain=(*with_density(0.0).terrain, PillarField((0.8, 1.6), (-0.6, 0.6), (0.0, 0.0), 0.12, 0.0)))
     bridge = replace(full, terrain=(*full.terrain, *load_scenario("passage1").terrain[2:]))
     assert way_exists(PROFILE, bridge, course_of(bridge))
 
 
 @pytest.mark.parametrize("way", [True, False, None])
-def test_the_scorer_looks_for_a_way_once_where_the_seed_decides(story, way, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scorer_checks_passability_once_if_seed_decides(story, way, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(passage_truth, "way_exists", lambda *of: (asked.append(of), way)[1])
     goal = Goal(0.5, route=True, passage=True, expect="either")

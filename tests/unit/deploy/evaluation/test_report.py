@@ -41,7 +41,7 @@ def _report(**changes):
     return replace(made, **changes)
 
 
-def test_the_contract_is_kept():
+def test_report_table_matches_contract():
     table = reports.as_table(_report())
     for key, inner in CONTRACT.items():
         assert key in table
@@ -52,7 +52,7 @@ def test_the_contract_is_kept():
 
 
 @given(st.floats(), st.floats(allow_nan=False, allow_infinity=False))
-def test_json_is_strict_and_round(wild, finite):
+def test_report_json_is_strict_and_rounded(wild, finite):
     text = reports.to_json(_report(speed_mps=wild, map_error_m=MapError(rmse=finite)))
     table = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert table["map_error_m"]["rmse"] == pytest.approx(finite, abs=5.1e-7)
@@ -61,7 +61,7 @@ def test_json_is_strict_and_round(wild, finite):
     assert reports.check(table) == []
 
 
-def test_stages_are_sorted_and_timing_can_be_left_out():
+def test_stages_are_sorted_and_without_timing_drops_times():
     a = _report(real_time_factor=3.1, stages_ms={"mapper": StageTime(1.0, 2.0), "actuator": StageTime(0.1, 0.2)})
     b = _report(real_time_factor=2.9, stages_ms={"actuator": StageTime(0.3, 0.4)})
     assert list(reports.as_table(a)["stages_ms"]) == ["actuator", "mapper"]
@@ -72,7 +72,7 @@ def test_stages_are_sorted_and_timing_can_be_left_out():
     )
 
 
-def test_a_report_is_written_whole(tmp_path):
+def test_write_creates_complete_report_file(tmp_path):
     folder = tmp_path / "runs" / "one"
     reports.write(_report(), folder)
     assert [p.name for p in folder.iterdir()] == ["report.json"]
@@ -80,13 +80,13 @@ def test_a_report_is_written_whole(tmp_path):
 
 
 @pytest.mark.parametrize("name", [f.name for f in fields(Report)])
-def test_a_missing_key_is_named(name):
+def test_check_names_missing_key(name):
     table = reports.as_table(_report())
     del table[name]
     assert reports.check(table) == [f"{name}: missing"]
 
 
-def test_what_does_not_fit_is_named():
+def test_check_names_fields_of_wrong_type():
     table = reports.as_table(_report(stages_ms={"mapper": StageTime(1.0, 2.0)}))
     del table["tilt_deg"]["max"]
     del table["stages_ms"]["mapper"]["p99"]

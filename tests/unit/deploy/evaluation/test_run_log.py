@@ -14,7 +14,7 @@ PROFILE = load_profile("phantomx_mk2")
 LARGEST = (1 << 63) - 1
 
 
-def counted(*steps: int) -> list[int]:
+def counted_steps(*steps: int) -> list[int]:
     """Return the steps of received states as a scorer counts them."""
     flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
     truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
@@ -27,12 +27,12 @@ def counted(*steps: int) -> list[int]:
     return [state.step for state in heard.states]
 
 
-def test_steps_count_on_where_an_actuator_began_again() -> None:
-    assert counted(0, 1, 2, 0, 1, 0) == [0, 1, 2, 2, 3, 3]
+def test_step_count_continues_after_actuator_restart() -> None:
+    assert counted_steps(0, 1, 2, 0, 1, 0) == [0, 1, 2, 2, 3, 3]
 
 
 @pytest.mark.parametrize("claimed", [LARGEST, 1 << 62, -LARGEST])
-def test_a_claimed_step_of_any_size_leaves_numbers_that_a_message_can_hold(claimed: int) -> None:
-    steps = counted(3, claimed, 4, claimed, LARGEST, 5, 6)
+def test_extreme_step_numbers_do_not_overflow_step_count(claimed: int) -> None:
+    steps = counted_steps(3, claimed, 4, claimed, LARGEST, 5, 6)
     assert np.array(steps, dtype=np.int64).shape == (7,)
     assert steps[-1] == steps[-2] + 1, "later messages are counted separately"

@@ -55,7 +55,7 @@ def test_a_perfect_walk_has_no_errors(story):
     assert result.min_stability_margin_m > 0.01
 
 
-def test_the_heading_of_the_start_changes_nothing_but_the_course(story):
+def test_result_does_not_depend_on_start_heading(story):
     straight, turned = (story(heading_deg=h).judged().result() for h in (0.0, 180.0))
     a, b = reports.as_table(straight), reports.as_table(turned)
     for key in ("success", "steps", "touchdowns", "missteps", "tilt_deg", "slip_m_per_step"):
@@ -78,11 +78,11 @@ def test_the_heading_of_the_start_changes_nothing_but_the_course(story):
         ({"map_bias": 0.004}, lambda r: r.course_map_m.off_edges, 0.004),
     ],
 )
-def test_what_is_wrong_is_measured(story, wrong, read, expected):
+def test_injected_errors_are_measured(story, wrong, read, expected):
     assert read(story(**wrong).judged().result()) == pytest.approx(expected, rel=0.03)
 
 
-def test_bobbing_and_slipping_show(story):
+def test_body_oscillation_and_foot_slip_are_measured(story):
     result = story(bob=0.005, slip=0.003).judged().result()
     assert 0.009 < result.body_height_oscillation_m <= 0.010
     assert result.slip_m_per_step.p50 == pytest.approx(0.003, rel=0.1)
@@ -90,11 +90,11 @@ def test_bobbing_and_slipping_show(story):
     assert result.body_height_error_m.rms == pytest.approx(0.005 / np.sqrt(2), rel=0.1)
 
 
-def test_coverage_is_the_known_share_of_the_strip_ahead(story):
+def test_map_coverage_is_known_share_of_strip_ahead(story):
     assert story().judged().result().map_error_m.coverage == pytest.approx(1.0)
 
 
-def test_the_map_of_the_course_is_judged_as_in_the_bench(story):
+def test_course_map_metrics_match_benchmark_definition(story):
     high = Scenario("high", (Plane(), Box(xy=(0.905, 0.005), size=(0.3, 0.4), top=0.05)), Goal(0.2))
     course = story(scenario=high).judged().result().course_map_m
     assert 0.8 < course.coverage < 1.0  # the synthetic maps end 0.6 m to the side; the camera sees further
@@ -105,7 +105,7 @@ def test_the_map_of_the_course_is_judged_as_in_the_bench(story):
 @pytest.mark.parametrize(
     "odd", [{"resolution": 0.0}, {"resolution": -0.01}, {"resolution": 1e-9}, {"origin": np.full(2, 1e200)}]
 )
-def test_a_map_that_makes_no_sense_does_not_end_the_judging(story, odd):
+def test_invalid_map_is_ignored(story, odd):
     scorer = story().judged()
     before = scorer.result()
     n = np.zeros((4, 4), np.float32)
@@ -115,7 +115,7 @@ def test_a_map_that_makes_no_sense_does_not_end_the_judging(story, odd):
     assert reports.as_table(scorer.result()) == reports.as_table(before)
 
 
-def test_a_fall_is_a_fall(story):
+def test_topple_and_sinking_are_falls_even_after_goal(story):
     toppled = story(topple_s=4.0).judged()
     assert toppled.finished
     assert toppled.result().falls == 1
@@ -129,7 +129,7 @@ def test_a_fall_is_a_fall(story):
     assert (late.falls, late.success) == (1, False)
 
 
-def test_a_servo_that_shut_down_is_named_and_ends_the_run(story):
+def test_servo_shutdown_ends_run_and_names_servo(story):
     scorer = story(shutdown_s=3.0).judged()
     result = scorer.result()
     assert scorer.finished
@@ -138,7 +138,7 @@ def test_a_servo_that_shut_down_is_named_and_ends_the_run(story):
     assert "right middle femur" in result.reason
 
 
-def test_the_time_limit_counts_by_the_stamps(story):
+def test_time_limit_uses_message_stamps(story):
     limited = Scenario("slow", (Plane(),), Goal(0.5), time_limit_s=5.0)
     scorer = story(scenario=limited).judged()
     assert scorer.finished
@@ -147,14 +147,14 @@ def test_the_time_limit_counts_by_the_stamps(story):
     assert scorer.result().duration_s == pytest.approx(4.0, abs=0.02)
 
 
-def test_at_the_time_limit_the_reason_is_what_stopped_the_robot_last(story):
+def test_time_limit_reason_includes_last_planner_reason(story):
     limited = Scenario("slow", (Plane(),), Goal(0.5), time_limit_s=6.0)
     words = "no foothold for the left front leg"
     reason = story(scenario=limited, beyond=-0.2, refusal=words, tail_s=5.0).judged().result().reason
     assert re.fullmatch(rf"planner, 4 to 6 s: {words}; time limit of 6 s, 0\.\d\d of 0\.50 m done", reason)
 
 
-def test_a_stop_before_the_goal_is_no_success_and_the_reason_given_is_kept(story):
+def test_stop_before_goal_fails_with_given_reason(story):
     scorer = story(beyond=-0.2).judged()
     assert not scorer.finished
     result = scorer.result(reason="the planner has been blocked for 20 s")
@@ -166,7 +166,7 @@ def test_a_stop_before_the_goal_is_no_success_and_the_reason_given_is_kept(story
 REFUSED = Scenario("refused", (Plane(),), Goal(0.5, route=True, expect="refusal"))
 
 
-def test_a_refusal_with_its_reason_is_a_success_where_it_is_right(story):
+def test_expected_refusal_with_reason_is_success(story):
     scorer = story(scenario=REFUSED, beyond=-0.2, refusal="a wall", tail_s=14.0).judged()
     assert scorer.finished
     assert scorer.result().success
@@ -184,12 +184,12 @@ def test_a_refusal_with_its_reason_is_a_success_where_it_is_right(story):
         {"scenario": replace(REFUSED, goal=Goal(0.5, route=True))},
     ],
 )
-def test_a_refusal_is_none_without_its_reason_or_where_it_is_wrong(story, otherwise):
+def test_refusal_without_reason_or_unexpected_is_failure(story, otherwise):
     wrong = {"scenario": REFUSED, "beyond": -0.2, "refusal": "a wall", "tail_s": 14.0} | otherwise
     assert not story(**wrong).judged().result().success
 
 
-def test_on_a_route_it_is_no_success_to_walk_into_something(story):
+def test_collision_on_route_is_failure(story):
     reach = float(load_profile("phantomx_mk2").rest_feet()[:, 1].max())
     wall = (Plane(), Box(xy=(0.52, reach + 0.1), size=(0.1, 0.2), top=0.3))
     result = story(scenario=Scenario("wall", wall, Goal(0.5, route=True))).judged().result()
@@ -208,26 +208,26 @@ def test_touchdowns_on_blocks_and_stairs_are_counted(story):
     assert np.all(downs.raised[on_stairs])
 
 
-def test_contact_that_flickers_is_no_touchdown(story):
+def test_flickering_contact_is_not_counted_as_touchdown(story):
     calm, flickering = (story(flicker=f).judged().result() for f in (False, True))
     assert flickering.touchdowns == calm.touchdowns
     assert flickering.min_stability_margin_m == pytest.approx(calm.min_stability_margin_m)
 
 
-def test_moved_footholds_are_found(story):
+def test_footholds_moved_by_planner_are_detected(story):
     scorer = story(moved_leg=2).judged()
     downs = scorer.trace.touchdowns
     np.testing.assert_array_equal(downs.moved, downs.leg == 2)
 
 
-def test_one_story_makes_one_report(story):
+def test_same_messages_give_same_report(story):
     first, second = story(scenario=STEPS).judged().result(), story(scenario=STEPS).judge().result()
     assert reports.to_json(first) == reports.to_json(second)
     assert reports.check(reports.as_table(first)) == []
 
 
 @pytest.mark.parametrize("other", [{"scenario": "another"}, {"seed": 8}, {"robot": "lotriet_rx64"}])
-def test_a_simulator_that_runs_something_else_ends_it_at_once_and_is_named(story, other):
+def test_mismatched_simulator_ends_run_and_is_named(story, other):
     told = story()
     scorer = told.scorer()
     list(scorer.step(replace(told.truth(0), **other), Inbox([scorer.trigger, *scorer.subscribes], scorer.stages)))
@@ -237,7 +237,7 @@ def test_a_simulator_that_runs_something_else_ends_it_at_once_and_is_named(story
     assert "start another" in scorer.result().reason
 
 
-def test_nothing_heard_is_a_failure_with_a_reason(story):
+def test_no_messages_is_failure_with_reason(story):
     scorer = story().scorer()
     result = scorer.result()
     assert not result.success

@@ -22,7 +22,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Box, Goal, Hole, Plane, Scenario, Slope
 
 
-def test_what_is_walked_into_is_counted_and_a_step_is_not():
+def test_collisions_are_counted_and_steps_are_not():
     profile = load_profile("phantomx_mk2")
     feet = profile.rest_feet() + np.array([0.0, 0.0, profile.stance.body_height])
 
@@ -53,7 +53,7 @@ def test_runs_and_debounce():
     np.testing.assert_array_equal(runs(clean), [[0, 6], [14, 17]])
 
 
-def test_a_touch_on_the_way_and_a_foot_that_drags_are_no_touchdowns():
+def test_brushed_edge_and_dragged_foot_are_no_touchdowns():
     swing = np.zeros((100, 1), dtype=bool)
     swing[20:50] = True
     contact = ~swing
@@ -67,7 +67,7 @@ def test_a_touch_on_the_way_and_a_foot_that_drags_are_no_touchdowns():
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
-def test_stability_margin_is_the_least_distance_to_the_hull(seed, count):
+def test_stability_margin_is_distance_to_support_polygon(seed, count):
     rng = np.random.default_rng(seed)
     feet = rng.uniform(-0.2, 0.2, (1, 6, 2))
     carrying = np.zeros((1, 6), dtype=bool)
@@ -83,7 +83,7 @@ def test_stability_margin_is_the_least_distance_to_the_hull(seed, count):
         assert margin == pytest.approx(support.min(), abs=1e-4)
 
 
-def test_stability_margin_of_few_feet():
+def test_stability_margin_with_fewer_than_three_feet():
     feet = np.zeros((3, 6, 2))
     feet[:, 0], feet[:, 1] = (1.0, 0.0), (1.0, 1.0)
     carrying = np.zeros((3, 6), dtype=bool)
@@ -103,7 +103,7 @@ def test_slip_counts_only_while_planted():
     assert len(slip_per_step(feet[:1], planted[:1], step[:1])) == 0
 
 
-def test_a_foot_that_rolls_does_not_rub_and_one_that_slides_does():
+def test_sliding_foot_slips_and_rolling_foot_does_not():
     """Count only motion beyond that of a rolling wheel as slip.
 
     A wheel without slip moves by its radius times its rotation.
@@ -119,7 +119,7 @@ def test_a_foot_that_rolls_does_not_rub_and_one_that_slides_does():
             np.testing.assert_allclose(rubbing((rolled + slide)[:, None], shanks, radius)[:, 0], slide, atol=1e-6)
 
 
-def test_footholds_end_at_edges_and_steep_ground():
+def test_edges_and_steep_ground_are_no_footholds():
     ground = (Plane(), Box(xy=(1.0, 0.0), size=(0.4, 0.4), top=0.03), Box(xy=(2.0, 0.0), size=(0.4, 0.4), top=0.007))
     terrain = build_terrain(Scenario("edges", ground, Goal(1.0)), np.random.default_rng(0))
     xy = np.array([[0.0, 0.0], [1.0, 0.0], [0.805, 0.0], [0.795, 0.0], [0.78, 0.0], [0.82, 0.0], [1.805, 0.0]])

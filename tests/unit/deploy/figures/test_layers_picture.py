@@ -22,7 +22,7 @@ def terrain(known: slice, relief: float = 0.05, good: bool = True) -> TerrainMap
 
 
 @pytest.mark.parametrize(("known", "good"), [(slice(10, 50), True), (slice(30, 31), False)])
-def test_a_map_is_drawn(known: slice, good: bool, tmp_path: Path) -> None:
+def test_layers_of_map_are_drawn(known: slice, good: bool, tmp_path: Path) -> None:
     way = np.array([from_xyz_rpy((0.01 * k, 0.4, 0.1), (0.0, 0.0, 0.0)) for k in range(30)])
     path = tmp_path / "new" / "layers.png"
     assert layers_picture.draw(path, terrain(known, good=good), way)
@@ -31,6 +31,6 @@ def test_a_map_is_drawn(known: slice, good: bool, tmp_path: Path) -> None:
     assert picture.std() > 5
 
 
-def test_nothing_known_nothing_drawn(tmp_path: Path) -> None:
+def test_unknown_map_is_not_drawn(tmp_path: Path) -> None:
     assert not layers_picture.draw(tmp_path / "layers.png", terrain(slice(0, 0)))
     assert not list(tmp_path.iterdir())

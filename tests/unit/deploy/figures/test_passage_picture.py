@@ -27,7 +27,7 @@ def _share(pixels, color, region):
 
 
 @pytest.fixture(scope="module")
-def crossed(tmp_path_factory):
+def drawn_crossing(tmp_path_factory):
     """Return a function that draws a crossing once, and returns its scorer and pixels."""
     folder = tmp_path_factory.mktemp("crossed")
 
@@ -39,8 +39,8 @@ def crossed(tmp_path_factory):
     return picture
 
 
-def test_it_shows_where_feet_may_stand_the_plans_and_their_colours(story, crossed):
-    _, pixels = crossed(story)
+def test_picture_shows_footholds_plans_and_leg_colors(story, drawn_crossing):
+    _, pixels = drawn_crossing(story)
     assert _share(pixels, GOOD, PLANNED) > 0.2
     assert _share(pixels, ELSEWHERE, PLANNED) > 0.04
     assert _share(pixels, BLUE, PLANNED) > 0.001
@@ -49,18 +49,18 @@ def test_it_shows_where_feet_may_stand_the_plans_and_their_colours(story, crosse
     assert np.all(pixels[:, -8:] == 255)
 
 
-def test_without_a_map_of_the_strip_the_plans_are_shown_all_the_same(tmp_path, story, crossed):
-    scorer, _ = crossed(story)
+def test_plans_are_shown_without_strip_map(tmp_path, story, drawn_crossing):
+    scorer, _ = drawn_crossing(story)
     sections = tuple(replace(section, map=None) for section in scorer.trace.sections)
     pixels = _drawn(tmp_path / "p.png", scorer, replace(scorer.trace, sections=sections))
     assert _share(pixels, GOOD, PLANNED) < 1e-3 < _share(pixels, BLUE, PLANNED)
 
 
-def test_where_there_is_no_way_it_shows_how_far_one_got_and_why(tmp_path, story, crossed):
+def test_impassable_section_shows_reach_and_reason(tmp_path, story, drawn_crossing):
     none = _drawn(tmp_path / "none.png", story(scenario=PASSAGE, level=True, sections=1, way=False).judged())
     words = (slice(1230, 1500), slice(80, 900))
     red = (0xB3, 0x26, 0x1E)
-    _, some = crossed(story)
+    _, some = drawn_crossing(story)
     assert _share(none, red, words) > 5e-4 > _share(some, red, words)
     # Half a metre ahead, across the strip: 0.35 + 0.5 m of 2.98 m, but dashed.
     column = 0.07 * 1600 + 0.86 * 1600 * 0.85 / (PASSAGE.goal.distance + 0.7)
@@ -68,7 +68,7 @@ def test_where_there_is_no_way_it_shows_how_far_one_got_and_why(tmp_path, story,
     assert np.all(np.abs(none[across].astype(int) - BLUE) < 40, axis=-1).any(axis=1).mean() > 0.4
 
 
-def test_what_stops_it_is_marked_and_the_stance_there_is_drawn_in_grey(tmp_path, story, crossed):
+def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_crossing):
     scorer = story(scenario=PASSAGE, level=True, sections=1, way=False).judged()
     (section,) = scorer.trace.sections
     none = _drawn(tmp_path / "none.png", scorer)
@@ -79,13 +79,13 @@ def test_what_stops_it_is_marked_and_the_stance_there_is_drawn_in_grey(tmp_path,
     place = (round(1500 * (1 - 0.627 - 0.1325) - scale * y), round(0.07 * 1600 + scale * (0.35 + x)))
     mark = tuple(slice(c - 9, c + 10) for c in place)
     red, grey = (0xB3, 0x26, 0x1E), (0x5F, 0x63, 0x68)
-    some = crossed(story)[1]
+    some = drawn_crossing(story)[1]
     assert _share(none, red, mark) > 0.2 > _share(some, red, mark)
     assert _share(some, grey, PLANNED) < _share(stays, grey, PLANNED) < _share(none, grey, PLANNED)
 
 
-def test_an_attempt_that_others_followed_is_not_marked(tmp_path, story, crossed):
-    scorer, some = crossed(story)
+def test_failed_attempt_with_later_sections_is_not_marked(tmp_path, story, drawn_crossing):
+    scorer, some = drawn_crossing(story)
     first, *others = scorer.trace.sections
     failed = replace(first, plan=replace(first.plan, state="no way", stopped=first.plan.footholds[:1]))
     pixels = _drawn(tmp_path / "p.png", scorer, replace(scorer.trace, sections=(failed, *others)))
@@ -93,18 +93,18 @@ def test_an_attempt_that_others_followed_is_not_marked(tmp_path, story, crossed)
     assert _share(pixels, red, PLANNED) <= _share(some, red, PLANNED) + 1e-4
 
 
-def test_what_gives_way_is_marked(tmp_path, story, crossed):
+def test_weak_pillar_is_marked(tmp_path, story, drawn_crossing):
     shaky = replace(PASSAGE, terrain=tuple(replace(p, weak=1) if isinstance(p, Pillars) else p for p in PASSAGE.terrain))
     walked = (slice(630, 1010), slice(120, 1430))
     pixels = _drawn(tmp_path / "shaky.png", story(scenario=shaky, level=True, sections=1).judged())
-    firm, _ = crossed(story)
+    firm, _ = drawn_crossing(story)
     red = (0xB3, 0x26, 0x1E)
     assert not len(firm.trace.weak)
-    assert _share(pixels, red, walked) > _share(crossed(story)[1], red, walked) + 1e-3
+    assert _share(pixels, red, walked) > _share(drawn_crossing(story)[1], red, walked) + 1e-3
 
 
-def test_a_section_ends_where_each_leg_stepped_last_or_stands(story, crossed):
-    scorer, _ = crossed(story)
+def test_section_end_stance_uses_last_foothold_of_each_leg(story, drawn_crossing):
+    scorer, _ = drawn_crossing(story)
     section = scorer.trace.sections[0]
     feet = stance_at_end(section)
     for leg in range(6):
@@ -117,7 +117,7 @@ def test_a_section_ends_where_each_leg_stepped_last_or_stands(story, crossed):
     np.testing.assert_array_equal(stance_at_end(replace(section, plan=leant)), section.feet)
 
 
-def test_a_run_with_sections_leaves_this_picture_too_and_another_run_does_not(tmp_path, story, crossed, monkeypatch):
+def test_passage_picture_is_written_only_for_run_with_sections(tmp_path, story, drawn_crossing, monkeypatch):
     drawn = []
     monkeypatch.setattr(passage_picture, "draw", lambda path, *_: drawn.append(path.name))
     for scenario, sections in ((PASSAGE, 3), (replace(PASSAGE, name="bare"), 0)):
@@ -129,7 +129,7 @@ def test_a_run_with_sections_leaves_this_picture_too_and_another_run_does_not(tm
     assert drawn == ["passage.png"]
 
 
-def test_what_a_newer_map_has_forgotten_is_shown_as_it_was_and_what_gave_way_as_it_is(story):
+def test_merged_strips_keep_forgotten_cells_and_update_sunk_ones(story):
     older = story(scenario=PASSAGE, level=True).passage(0, 2)
     pillar, platform = (46, int(older.evaluation[46].argmin())), (15, 40)  # cells of one foothold on each
     assert older.evaluation[pillar] < -2 > older.evaluation[platform]
@@ -148,7 +148,7 @@ def test_what_a_newer_map_has_forgotten_is_shown_as_it_was_and_what_gave_way_as_
     assert len(passage_picture._strips([older, elsewhere])) == 2
 
 
-def test_it_says_the_steps_that_were_walked_not_the_gait_that_was_asked_for(story):
+def test_caption_counts_walked_steps_instead_of_requested_gait(story):
     scorer = story(scenario=PASSAGE, level=True, sections=1).judged()
     step = replace(scorer.trace.plans[0][1], swing=np.eye(6, dtype=bool)[0])
     trace = replace(scorer.trace, plans=tuple((0.1 * k, step) for k in range(7)))

@@ -14,7 +14,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, TerrainMap
 
 
-def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scenario):
+def test_replayed_recording_reproduces_live_evaluation(story, kept, scenario):
     told = story(moved_leg=2, drift=0.02)
     was = told.judged()
     run = recorded_run(kept("good", told), scenario)
@@ -35,7 +35,7 @@ def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scena
     np.testing.assert_allclose(run.torque_rms, np.tile([0.3, 0.6, 0.3], (6, 1)))
 
 
-def test_the_recording_alone_does_and_what_is_lost_of_its_end_is_said(story, kept, scenario, tmp_path):
+def test_truncated_recording_is_read_and_marked(story, kept, scenario, tmp_path):
     whole = kept("good", story(moved_leg=2, drift=0.02)) / "recording.mcap"
     by_file = recorded_run(whole, scenario)
     assert by_file.name == "good"
@@ -49,14 +49,14 @@ def test_the_recording_alone_does_and_what_is_lost_of_its_end_is_said(story, kep
     np.testing.assert_array_equal(run.trace.p_true, by_file.trace.p_true[:n])
 
 
-def test_the_verdict_is_the_one_of_the_run_itself(story, kept, scenario, tmp_path):
+def test_stored_report_overrides_recomputed_result(story, kept, scenario, tmp_path):
     shutil.copytree(kept("good", story(moved_leg=2, drift=0.02)), tmp_path / "stopped")
     stopped = replace(story(moved_leg=2, drift=0.02).judged().result(), success=False, reason="stopped by the operator")
     reports.write(stopped, tmp_path / "stopped")
     assert recorded_run(tmp_path / "stopped", scenario).report.reason == "stopped by the operator"
 
 
-def test_a_robot_without_a_truth_is_drawn_as_it_saw_itself(story, heard):
+def test_run_without_truth_uses_own_estimate_and_map(story, heard):
     told = story(moved_leg=2)
     run, true = heard("robot", told, truth=False), told.judged().trace
     assert run.own_words
@@ -73,7 +73,7 @@ def test_a_robot_without_a_truth_is_drawn_as_it_saw_itself(story, heard):
     np.testing.assert_allclose(run.trace.ground[known], 0.0, atol=1e-6)
 
 
-def test_the_newest_map_says_where_the_ground_is(story):
+def test_ground_height_is_from_newest_map_that_knows_cell(story):
     old, new = [m for m in story().messages() if isinstance(m, TerrainMap)][:2]
     new = replace(new, elevation=new.elevation + np.float32(0.1))
     seen = new.origin + new.resolution * np.array([[12, 20]])
@@ -86,7 +86,7 @@ def test_the_newest_map_says_where_the_ground_is(story):
         assert np.isnan(MappedGround(maps).height_at(np.array([[100.0, 0.0]]))).all()
 
 
-def test_what_is_no_run_is_refused_with_what_would_be(story, kept, scenario, tmp_path):
+def test_invalid_run_is_refused_with_hint(story, kept, scenario, tmp_path):
     good = kept("good", story(moved_leg=2, drift=0.02))
     with pytest.raises(RecordingError, match="no recordings in this folder"):
         recorded_run(tmp_path)

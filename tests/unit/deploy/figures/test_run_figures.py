@@ -29,7 +29,7 @@ def _share(path, color):
 
 
 @pytest.mark.parametrize("name", ["height", "tilt", "joints", "stability", "pose", "table"])
-def test_several_runs_stand_beside_each_other_each_in_its_colour(name, good, fallen, tmp_path):
+def test_several_runs_are_overlaid_in_different_colors(name, good, fallen, tmp_path):
     path = tmp_path / f"{name}.png"
     assert run_figures.draw(name, [good, fallen], path)
     for color in RUN_COLORS[:2]:
@@ -38,7 +38,7 @@ def test_several_runs_stand_beside_each_other_each_in_its_colour(name, good, fal
 
 
 @pytest.mark.parametrize("name", ["foot", "feet", "footholds"])
-def test_what_cannot_be_overlaid_is_drawn_below_each_other(name, good, fallen, tmp_path):
+def test_runs_that_cannot_be_overlaid_are_stacked(name, good, fallen, tmp_path):
     heights = []
     for runs in ([good], [good, fallen]):
         path = tmp_path / f"{name}{len(runs)}.png"
@@ -47,7 +47,7 @@ def test_what_cannot_be_overlaid_is_drawn_below_each_other(name, good, fallen, t
     assert heights[1] > 1.5 * heights[0]
 
 
-def test_who_has_nothing_to_show_leaves_no_file(story, heard, good, tmp_path):
+def test_empty_figure_writes_no_file(story, heard, good, tmp_path):
     stood = heard("stood", story(moved_leg=2), until_s=0.8)
     assert not stood.trace.walking.any()
     drawn = {name for name in FIGURES if run_figures.draw(name, [stood], tmp_path / f"{name}.svg")}
@@ -57,7 +57,7 @@ def test_who_has_nothing_to_show_leaves_no_file(story, heard, good, tmp_path):
     assert not run_figures.draw("table", [good], tmp_path / "table.svg")
 
 
-def test_every_figure_that_is_listed_is_made_of_some_runs(story, heard, good, fallen, tmp_path):
+def test_each_listed_figure_can_be_drawn(story, heard, good, fallen, tmp_path):
     crossed = replace(good, trace=replace(good.trace, sections=_sections(story)))
     for name in FIGURES:
         runs = {"passage": [crossed], "table": [good, fallen]}.get(name, [good])
@@ -69,7 +69,7 @@ def _sections(story):
     return story(sections=2).judged().trace.sections
 
 
-def test_the_page_of_a_run_says_what_is_known_of_it(story, heard, good, fallen, tmp_path):
+def test_run_summary_title_color_shows_known_result(story, heard, good, fallen, tmp_path):
     robot = heard("robot", story(moved_leg=2), truth=False)
     green, red = "#1a7f37", "#b3261e"
     shares = {}
@@ -83,7 +83,7 @@ def test_the_page_of_a_run_says_what_is_known_of_it(story, heard, good, fallen, 
     assert not np.isfinite(robot.trace.pose_error).any(), "nobody knows it"
 
 
-def test_each_robot_has_its_own_limit(story, heard, good, tmp_path):
+def test_torque_figure_shows_stall_limit_of_each_robot(story, heard, good, tmp_path):
     strong = replace(good.trace.profile, servo=replace(good.trace.profile.servo, stall_torque=3.0))
     other = replace(good, report=replace(good.report, robot="other"), trace=replace(good.trace, profile=strong))
     figure = FIGURES["torque"].draw([good, other])
@@ -92,7 +92,7 @@ def test_each_robot_has_its_own_limit(story, heard, good, tmp_path):
     assert figure.axes[0].get_ylim()[1] > 3.0
 
 
-def test_a_goal_is_shown_only_of_who_is_known_to_have_had_one(story, heard, good, tmp_path):
+def test_goal_is_drawn_only_if_known(story, heard, good, tmp_path):
     green = "#1a7f37"
     for run, has in ((good, True), (heard("robot", story(moved_leg=2), truth=False), False)):
         path = tmp_path / f"{run.name}.png"
@@ -101,7 +101,7 @@ def test_a_goal_is_shown_only_of_who_is_known_to_have_had_one(story, heard, good
 
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf", "png"])
-def test_the_same_run_makes_the_same_file(suffix, good, tmp_path):
+def test_figure_file_is_deterministic(suffix, good, tmp_path):
     a, b = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
     for path in (a, b):
         assert run_figures.draw("height", [good], path)
@@ -109,7 +109,7 @@ def test_the_same_run_makes_the_same_file(suffix, good, tmp_path):
     assert a.read_bytes()[:5] == {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG\r"}[suffix]
 
 
-def test_the_worst_within_a_while_is_never_less_than_what_happened():
+def test_windowed_maximum_is_at_least_each_value():
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 10.0, 0.02)
     values = np.where(rng.random(len(t)) < 0.1, np.nan, rng.standard_normal(len(t)))
@@ -121,7 +121,7 @@ def test_the_worst_within_a_while_is_never_less_than_what_happened():
         assert worst[k] == np.nanmax(values[np.abs(t - t[k]) < run_figures.WINDOW_S / 2 + 1e-9])
 
 
-def test_the_numbers_are_those_of_the_reports_and_a_dash_where_there_is_none(good, fallen):
+def test_comparison_table_shows_report_values_or_dash(good, fallen):
     header, *rows = comparison([good, fallen])
     assert header == ["", "good", "fallen"]
     found = {words: values for words, *values in rows}
@@ -136,7 +136,7 @@ def test_the_numbers_are_those_of_the_reports_and_a_dash_where_there_is_none(goo
     assert markdown([["", "a"], ["x", "1"]]) == "|  | a |\n|---|---|\n| x | 1 |"
 
 
-def test_the_command_draws_what_is_asked_for_and_compares(story, kept, scenario, tmp_path, capsys):
+def test_plot_command_draws_requested_figures_and_comparison(story, kept, scenario, tmp_path, capsys):
     good, fallen = kept("good", story(moved_leg=2, drift=0.02, bob=0.001)), kept("fallen", story(topple_s=4.0, bob=0.003))
     out = ["--scenario", scenario, "--out", str(tmp_path / "plots")]
     assert cli.main(["plot", str(good), str(fallen), "--what", "height", "footholds", "--format", "pdf", *out]) == 0
@@ -156,7 +156,7 @@ def test_the_command_draws_what_is_asked_for_and_compares(story, kept, scenario,
     assert "part.mcap is truncated; only its readable part is drawn" in capsys.readouterr().err
 
 
-def test_the_command_lists_its_figures(capsys):
+def test_plot_command_lists_figures(capsys):
     assert cli.main(["plot", "--list"]) == 0
     listed = [re.split(r"\s{2,}", line) for line in capsys.readouterr().out.splitlines()]
     assert [name for name, _ in listed] == list(FIGURES)
@@ -174,7 +174,7 @@ def test_the_command_lists_its_figures(capsys):
     ],
     ids=["none", "no such", "one run", "two runs", "no figure"],
 )
-def test_wrong_input_is_refused_in_words(words, hint, tmp_path, monkeypatch, capsys):
+def test_invalid_input_is_refused_with_hint(words, hint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(words) == 2
     assert hint in capsys.readouterr().err

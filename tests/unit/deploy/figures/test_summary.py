@@ -39,7 +39,7 @@ def good(tmp_path_factory):
     return pixels
 
 
-def test_the_picture_says_at_once_how_it_went(tmp_path, story, good):
+def test_summary_title_is_green_on_success_and_red_on_failure(tmp_path, story, good):
     bad = _drawn(tmp_path / "bad.png", story(topple_s=4.0).judged())
     title = (slice(0, 80), slice(None))
     green, red = (0x1A, 0x7F, 0x37), (0xB3, 0x26, 0x1E)
@@ -47,7 +47,7 @@ def test_the_picture_says_at_once_how_it_went(tmp_path, story, good):
     assert _share(bad, red, title) > 0.005 > _share(bad, green, title)
 
 
-def test_unseen_ground_looks_unseen_and_no_reason_is_too_long(tmp_path, story, good):
+def test_summary_of_empty_run_shows_unknown_ground_and_long_reason(tmp_path, story, good):
     scorer = story().scorer()  # it received no message
     long = replace(scorer.result(), reason="no foothold for the left front leg, " * 20)
     summary.draw(tmp_path / "new" / "nothing.png", long, scorer.trace)
@@ -57,7 +57,7 @@ def test_unseen_ground_looks_unseen_and_no_reason_is_too_long(tmp_path, story, g
     assert np.all(nothing[:, -8:] == 255)
 
 
-def test_a_map_in_colour_is_shown_in_its_colours(tmp_path, story, good):
+def test_colored_map_is_shown_in_its_colors(tmp_path, story, good):
     scorer = story().judged()
     seen = np.isfinite(scorer.trace.mosaic.elevation)
     color = np.where(seen[..., None], np.array([40, 90, 200], dtype=np.uint8), np.uint8(0))

@@ -8,7 +8,7 @@ from tests.support.recorded import terrain
 
 
 @given(seed=st.integers(0, 500), nx=st.integers(2, 9), ny=st.integers(2, 9))
-def test_every_known_cell_is_a_point_and_faces_look_up(seed: int, nx: int, ny: int) -> None:
+def test_mesh_has_vertex_per_known_cell_and_upward_faces(seed: int, nx: int, ny: int) -> None:
     map_: TerrainMap = terrain(seed, (nx, ny))
     points, triangles, colors = terrain_mesh(map_)
     where = np.argwhere(np.isfinite(map_.elevation))
@@ -20,7 +20,7 @@ def test_every_known_cell_is_a_point_and_faces_look_up(seed: int, nx: int, ny: i
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
-def test_good_ground_is_green_and_bad_red() -> None:
+def test_mesh_colors_good_ground_green_and_bad_ground_red() -> None:
     map_ = terrain(1, (4, 4))
     _, _, colors = terrain_mesh(map_)
     score = map_.score[np.isfinite(map_.elevation)]

@@ -7,7 +7,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 
 
-def test_the_tests_of_the_thesis_are_walked_by_its_robot_with_its_stride_and_height():
+def test_thesis_scenarios_use_thesis_robot_stride_and_height():
     for name in TESTS:
         scenario = load_scenario(name)
         assert scenario.robot == "lotriet_rx64"
@@ -16,7 +16,7 @@ def test_the_tests_of_the_thesis_are_walked_by_its_robot_with_its_stride_and_hei
         assert 2 * scenario.walk.speed * step_s == pytest.approx(TESTS[name].stride_m, abs=1e-3)  # of two steps
 
 
-def test_what_is_measured_is_what_was_walked(story):
+def test_measured_walk_values_match_synthetic_walk(story):
     trace = story(sag=0.004, tilt_deg=1.0, bob=0.002, stride=0.06).judged().trace
     measured = Measured.of(trace)
     assert measured.height_error_m == pytest.approx(-0.004, abs=3e-4)
@@ -26,7 +26,7 @@ def test_what_is_measured_is_what_was_walked(story):
     assert measured.step_height_m == pytest.approx(0.04, abs=2e-3)
 
 
-def test_what_the_thesis_does_not_say_is_a_dash():
+def test_missing_thesis_values_are_dashes():
     measured = Measured(-0.001, 0.002, 0.3, 0.8, 0.2, 0.15, np.nan)
     rows = side_by_side(Published("8.9", height_error_m=-0.01, stride_m=0.15), measured)
     by_name = {name: (theirs, ours) for name, theirs, ours in rows}
@@ -35,7 +35,7 @@ def test_what_the_thesis_does_not_say_is_a_dash():
     assert by_name["tilt, jumps"] == ("-", "0.80 deg")
 
 
-def test_the_picture_of_such_a_test_has_the_table_below(tmp_path, story, monkeypatch):
+def test_walk_picture_of_thesis_test_includes_table(tmp_path, story, monkeypatch):
     cv2 = pytest.importorskip("cv2")
     scorer = story().judged()
     monkeypatch.setattr(walk_picture, "TESTS", {"story": Published("8.1", -0.010, 0.009, 0.5, 2.0, 0.15, 0.10)})

@@ -4,7 +4,7 @@ import pytest
 from sextant.deploy.figures import walk_picture
 
 
-def test_a_walk_is_drawn_and_standing_is_not(tmp_path, story):
+def test_walk_picture_is_drawn_only_for_walking_robot(tmp_path, story):
     cv2 = pytest.importorskip("cv2")
     scorer = story(tilt_deg=2.0).judged()
     assert walk_picture.draw(tmp_path / "walk.png", scorer.result(), scorer.trace)
@@ -19,7 +19,7 @@ def test_a_walk_is_drawn_and_standing_is_not(tmp_path, story):
     assert not (tmp_path / "none.png").exists()
 
 
-def test_the_trace_has_feet_over_their_ground_and_the_lean_apart_from_the_command(story):
+def test_trace_separates_foot_height_and_uncommanded_tilt(story):
     trace = story(tilt_deg=2.0).judged().trace
     walking = trace.walking
     np.testing.assert_allclose(np.degrees(trace.attitude[walking]), [[2.0, 0.0]] * walking.sum(), atol=1e-6)
@@ -29,7 +29,7 @@ def test_the_trace_has_feet_over_their_ground_and_the_lean_apart_from_the_comman
     assert lowest.max() > 0.03
 
 
-def test_the_leg_that_is_shown_strays_least(story):
+def test_shown_leg_has_least_lateral_spread(story):
     trace = story(moved_leg=1).judged().trace
     shown = walk_picture.steadiest_leg(trace)
     spread = np.ptp(trace.feet[trace.walking, :, 1], axis=0)

@@ -36,12 +36,12 @@ def file(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_the_committed_file_is_the_generated_one(file: str) -> None:
+def test_committed_compose_file_equals_generated_one(file: str) -> None:
     option = " --offboard" if "offboard" in file else ""
     assert (DEPLOY / file).read_text() == MADE[file], f"run `sextant service compose{option} > deploy/{file}`"
 
 
-def test_it_starts_exactly_the_table(file: str) -> None:
+def test_compose_services_match_process_table(file: str) -> None:
     composed = yaml.safe_load(MADE[file])["services"]
     assert list(composed) == [c.name for c in COMMANDS[file]]
     for command in COMMANDS[file]:
@@ -53,17 +53,17 @@ def test_it_starts_exactly_the_table(file: str) -> None:
         assert service["mem_limit"] == f"{command.memory_mb}m"
 
 
-def test_the_offboard_file_has_what_no_robot_needs_on_itself() -> None:
+def test_offboard_file_has_only_off_robot_processes() -> None:
     offboard = {p.name for p in TABLE if p.side in ("either", "page")}
     assert {c.name for c in offboard_commands()} == offboard | {"router"}
 
 
-def test_commands_read_back_from_the_file_are_those_of_the_table_but_that_the_launcher_watches_none() -> None:
+def test_commands_parsed_from_file_match_table_without_watchdog() -> None:
     unwatched = tuple(replace(command, watchdog_s=0.0) for command in compose_commands("flat", 5))
     assert commands_of(compose_yaml("flat", 5)) == unwatched
 
 
-def test_what_is_waited_for_can_become_healthy(file: str) -> None:
+def test_each_dependency_has_healthcheck(file: str) -> None:
     services = services_of(MADE[file], VARIABLES)
     for service in services.values():
         for name, wanted in service.get("depends_on", {}).items():
@@ -74,7 +74,7 @@ def test_what_is_waited_for_can_become_healthy(file: str) -> None:
                 assert services[name]["healthcheck"]["test"][0] == "CMD"
 
 
-def test_whoever_gives_signs_of_life_is_listened_to_for_as_long_as_the_table_allows(file: str) -> None:
+def test_watchdog_timeouts_match_process_table(file: str) -> None:
     patience = {p.name: p.watchdog_s for p in TABLE}
     for name, service in services_of(MADE[file], VARIABLES).items():
         if name not in patience:
@@ -85,7 +85,7 @@ def test_whoever_gives_signs_of_life_is_listened_to_for_as_long_as_the_table_all
         assert float(service["healthcheck"]["timeout"].removesuffix("s")) > patience[name]
 
 
-def test_containers_may_little(file: str) -> None:
+def test_containers_have_minimal_privileges(file: str) -> None:
     for service in services_of(MADE[file], VARIABLES).values():
         assert service["read_only"]
         assert service["cap_drop"] == ["ALL"]
@@ -96,7 +96,7 @@ def test_containers_may_little(file: str) -> None:
     assert urgent == {p.name for p in TABLE if p.urgent} & set(services_of(MADE[file], VARIABLES))
 
 
-def test_certificates_come_as_files_to_the_router_alone() -> None:
+def test_only_router_receives_certificates_as_secrets() -> None:
     services, secrets = services_of(MADE["compose.offboard.yaml"], VARIABLES), _top("secrets")
     given = services.pop("router")["secrets"]
     assert {secret["target"] for secret in given} == {f"{KEYS}/{name}" for name in (AUTHORITY, CERTIFICATE, KEY, ROLE)}
@@ -104,26 +104,26 @@ def test_certificates_come_as_files_to_the_router_alone() -> None:
     assert not any("secrets" in service for service in services.values())
 
 
-def test_what_a_container_is_to_keep_is_a_volume_that_the_file_names(file: str) -> None:
+def test_container_volumes_are_declared(file: str) -> None:
     volumes = yaml.safe_load(MADE[file])["volumes"]
     for service in services_of(MADE[file], VARIABLES).values():
         named = [volume.partition(":")[0] for volume in service.get("volumes", ()) if isinstance(volume, str)]
         assert set(named) <= set(volumes)
 
 
-def test_without_the_robot_or_the_keys_it_says_what_is_missing() -> None:
+def test_missing_compose_variables_are_named() -> None:
     for name in VARIABLES:
         with pytest.raises(KeyError, match=name):
             services_of(MADE["compose.offboard.yaml"], {k: v for k, v in VARIABLES.items() if k != name})
 
 
-def test_all_meet_at_the_router_it_starts(file: str) -> None:
+def test_all_services_connect_to_started_router(file: str) -> None:
     words = {name: s["command"] for name, s in services_of(MADE[file], VARIABLES).items() if name != WARM_UP}
     (listen,) = [word for word in words.pop("router") if word.startswith("tcp/")]
     assert all(listen in command for command in words.values())
 
 
-def test_each_service_runs_in_an_image_that_the_dockerfile_makes(file: str) -> None:
+def test_each_service_image_is_a_dockerfile_target(file: str) -> None:
     services, targets = services_of(MADE[file], VARIABLES), _targets()
     build = services["router"]["build"]
     assert (DEPLOY / build["context"] / build["dockerfile"]).resolve() == DEPLOY / "Dockerfile"
@@ -131,7 +131,7 @@ def test_each_service_runs_in_an_image_that_the_dockerfile_makes(file: str) -> N
     assert {service["image"] for service in services.values()} == {f"sextant-{build['target']}"}
 
 
-def test_each_image_installs_the_extra_of_its_role_pinned_and_without_a_compiler() -> None:
+def test_images_install_pinned_wheels_of_their_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     targets = _targets()
     assert set(targets) == {"base", "wheel", "actuator", "onboard", "offboard", "simulator", "all"}
@@ -146,7 +146,7 @@ def test_each_image_installs_the_extra_of_its_role_pinned_and_without_a_compiler
     assert re.search(r"^FROM python:\d+\.\d+\.\d+-slim-\w+ AS base$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
 
 
-def test_what_the_dockerfile_copies_reaches_the_engine() -> None:
+def test_dockerignore_admits_all_copied_paths() -> None:
     sent = re.findall(r"^!(.+)$", (DEPLOY / "Dockerfile.dockerignore").read_text(), re.MULTILINE)
     copied = re.findall(r"^COPY (.+) \S+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
     copied += re.findall(r"source=(\w\S+?),", (DEPLOY / "Dockerfile").read_text())
@@ -154,14 +154,14 @@ def test_what_the_dockerfile_copies_reaches_the_engine() -> None:
     assert all((ROOT / name).exists() for name in sent)
 
 
-def test_a_scenario_that_containers_cannot_see_is_refused() -> None:
+def test_scenario_outside_containers_is_refused() -> None:
     with pytest.raises(ConfigError, match="containers cannot read"):
         compose_yaml("/tmp/mine.toml", 3)
     with pytest.raises(ConfigError, match="no scenario 'nope'"):
         compose_yaml("nope", 3)
 
 
-def test_docker_compose_takes_the_file(file: str) -> None:
+def test_docker_compose_accepts_file(file: str) -> None:
     docker = shutil.which("docker")
     if docker is None or subprocess.run([docker, "compose", "version"], capture_output=True, check=False).returncode:
         pytest.skip("docker has no `compose` here, so it is not asked whether it takes the file; install docker-compose-plugin")

@@ -26,14 +26,14 @@ token = "a-long-secret-word"
 """
 
 
-def written(folder: Path, text: str) -> Path:
+def write_fleet_file(folder: Path, text: str) -> Path:
     path = folder / "fleet.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_each_robot_has_processes_a_router_and_keys_of_its_own(tmp_path: Path) -> None:
-    base = Base(fleet.load(written(tmp_path, TWO)), False, print)
+def test_each_robot_has_separate_processes_router_and_keys(tmp_path: Path) -> None:
+    base = Base(fleet.load(write_fleet_file(tmp_path, TWO)), False, print)
     alpha, beta = base.planned["alpha-1"], base.planned["beta"]
     assert alpha.names == ["mapper", "planner", "console", "recorder"]
     assert beta.names == ["mapper", "planner", "console"]
@@ -53,15 +53,15 @@ def test_each_robot_has_processes_a_router_and_keys_of_its_own(tmp_path: Path) -
         assert "token=a-long-secret-word" in console, "who knows one page's address knows none of the others"
 
 
-def test_where_no_robot_has_a_console_there_is_no_page(tmp_path: Path) -> None:
-    made = fleet.load(written(tmp_path, '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nwithout = ["console"]\n'))
+def test_fleet_without_consoles_has_no_page(tmp_path: Path) -> None:
+    made = fleet.load(write_fleet_file(tmp_path, '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nwithout = ["console"]\n'))
     assert Base(made, False, print).lobby == ()
 
 
-def test_folders_and_profiles_are_seen_from_the_file(tmp_path: Path) -> None:
+def test_paths_are_relative_to_fleet_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_bytes((Path("shared/robot/profiles") / "phantomx_mk2.toml").read_bytes())
     text = '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nkeys = "keys/base"\nrobot = "mine.toml"\n'
-    (member,) = fleet.load(written(tmp_path, text)).robots.values()
+    (member,) = fleet.load(write_fleet_file(tmp_path, text)).robots.values()
     assert member.keys == str(tmp_path / "keys" / "base")
     assert member.robot == str(tmp_path / "mine.toml")
 
@@ -79,9 +79,9 @@ def test_folders_and_profiles_are_seen_from_the_file(tmp_path: Path) -> None:
         ('[robots.a]\nconnect = ["tcp/1:1"]\n[page]\nhost = "0.0.0.0"', ("token",)),
     ],
 )
-def test_what_is_wrong_is_listed_all_at_once(tmp_path: Path, text: str, hints: tuple[str, ...]) -> None:
+def test_all_fleet_file_problems_are_listed_together(tmp_path: Path, text: str, hints: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError) as caught:
-        fleet.load(written(tmp_path, text))
+        fleet.load(write_fleet_file(tmp_path, text))
     for hint in hints:
         assert hint in str(caught.value)
 
@@ -97,10 +97,10 @@ def test_what_is_wrong_is_listed_all_at_once(tmp_path: Path, text: str, hints: t
         ('connect = ["tcp/127.0.0.1:1"]\nset = ["camera.device=none"]', "no service 'camera' is started"),
     ],
 )
-def test_a_robot_that_cannot_be_met_is_named_before_anything_starts(
+def test_unreachable_robot_configuration_is_refused_before_start(
     tmp_path: Path, lines: str, hint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = written(tmp_path, f"[robots.alpha]\n{lines}\n")
+    path = write_fleet_file(tmp_path, f"[robots.alpha]\n{lines}\n")
     with pytest.raises(FleetError, match=r"robots\.alpha: ") as caught:
         Base(fleet.load(path), False, print)
     assert hint in str(caught.value)
@@ -110,11 +110,11 @@ def test_a_robot_that_cannot_be_met_is_named_before_anything_starts(
     )
 
 
-def test_who_is_met_without_certificates_is_met_only_if_it_was_said(tmp_path: Path) -> None:
-    path = written(tmp_path, '[robots.alpha]\nconnect = ["tcp/192.0.2.1:7447"]\n')
+def test_open_connection_requires_explicit_option(tmp_path: Path) -> None:
+    path = write_fleet_file(tmp_path, '[robots.alpha]\nconnect = ["tcp/192.0.2.1:7447"]\n')
     assert set(Base(fleet.load(path), True, print).planned) == {"alpha"}
 
 
-def test_a_fleet_that_is_not_there_is_said_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_fleet_file_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["fleet", str(tmp_path / "none.toml")]) == 2
     assert "no such file" in capsys.readouterr().err

@@ -28,14 +28,14 @@ with Watchdog(os.environ) as watchdog:
 
 
 @pytest.fixture
-def around() -> Iterator[dict[str, str]]:
+def watchdog_environment() -> Iterator[dict[str, str]]:
     with tempfile.TemporaryDirectory() as folder:  # a socket's path must be short
         yield {"NOTIFY_SOCKET": f"{folder}/notify", "WATCHDOG_USEC": "1000000"}
 
 
 @pytest.fixture
-def living(around: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    environment = {**os.environ, **around, "PYTHONPATH": os.pathsep.join(sys.path)}
+def pulsing_process(watchdog_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    environment = {**os.environ, **watchdog_environment, "PYTHONPATH": os.pathsep.join(sys.path)}
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-c", _LIVING], env=environment, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdout is not None
@@ -52,36 +52,42 @@ def hang(process: subprocess.Popen[str]) -> None:
     assert process.stdout.readline() == "hanging\n"
 
 
-def test_what_gives_signs_of_life_is_healthy_and_leaves_no_socket_behind(
-    around: dict[str, str], living: subprocess.Popen[str]
+def test_pulsing_process_is_healthy_and_socket_is_removed(
+    watchdog_environment: dict[str, str], pulsing_process: subprocess.Popen[str]
 ) -> None:
-    assert healthcheck.silence(around) == ""
-    assert healthcheck.silence(around) == ""
-    assert not Path(around["NOTIFY_SOCKET"]).exists()
-    assert living.poll() is None
+    assert healthcheck.silence(watchdog_environment) == ""
+    assert healthcheck.silence(watchdog_environment) == ""
+    assert not Path(watchdog_environment["NOTIFY_SOCKET"]).exists()
+    assert pulsing_process.poll() is None
 
 
-def test_what_hangs_is_named_and_killed_where_that_is_asked_for(around: dict[str, str], living: subprocess.Popen[str]) -> None:
-    assert healthcheck.silence(around, end_hung=True) == ""
-    hang(living)
-    assert healthcheck.silence(around) == f"process {living.pid} hangs: no sign of life within 1 s"
-    assert living.poll() is None
-    assert healthcheck.silence(around, end_hung=True).endswith("; killed")
-    assert living.wait(10.0) == -signal.SIGKILL
+def test_hung_process_is_reported_and_killed_on_request(
+    watchdog_environment: dict[str, str], pulsing_process: subprocess.Popen[str]
+) -> None:
+    assert healthcheck.silence(watchdog_environment, end_hung=True) == ""
+    hang(pulsing_process)
+    assert healthcheck.silence(watchdog_environment) == f"process {pulsing_process.pid} hangs: no sign of life within 1 s"
+    assert pulsing_process.poll() is None
+    assert healthcheck.silence(watchdog_environment, end_hung=True).endswith("; killed")
+    assert pulsing_process.wait(10.0) == -signal.SIGKILL
 
 
-def test_what_has_not_begun_is_starting_and_left_alone(around: dict[str, str], living: subprocess.Popen[str]) -> None:
-    hang(living)
-    assert healthcheck.silence(around, end_hung=True) == "no sign of life within 1 s: still starting"
-    assert living.poll() is None
+def test_process_without_first_pulse_is_starting_and_not_killed(
+    watchdog_environment: dict[str, str], pulsing_process: subprocess.Popen[str]
+) -> None:
+    hang(pulsing_process)
+    assert healthcheck.silence(watchdog_environment, end_hung=True) == "no sign of life within 1 s: still starting"
+    assert pulsing_process.poll() is None
 
 
-def test_who_has_another_processes_number_by_now_is_not_killed(around: dict[str, str]) -> None:
-    Path(f"{around['NOTIFY_SOCKET']}.heard").write_text(f"{os.getpid()}\n")
-    assert healthcheck.silence(around, end_hung=True) == f"process {os.getpid()} hangs: no sign of life within 1 s"
+def test_process_with_reused_pid_is_not_killed(watchdog_environment: dict[str, str]) -> None:
+    Path(f"{watchdog_environment['NOTIFY_SOCKET']}.heard").write_text(f"{os.getpid()}\n")
+    assert (
+        healthcheck.silence(watchdog_environment, end_hung=True) == f"process {os.getpid()} hangs: no sign of life within 1 s"
+    )
 
 
-def test_a_port_that_nobody_listens_on_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_closed_port_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     port = free_port()
     assert healthcheck.main(["--port", str(port)]) == 1
@@ -90,7 +96,7 @@ def test_a_port_that_nobody_listens_on_is_told(monkeypatch: pytest.MonkeyPatch, 
         assert healthcheck.main(["--port", str(port)]) == 0
 
 
-def test_it_is_cheap_to_ask() -> None:
+def test_healthcheck_imports_no_heavy_packages() -> None:
     code = "import sys, sextant.deploy.launch.healthcheck; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert not set(done.stdout.split()) & {"numpy", "zenoh", "cv2", "numba"}

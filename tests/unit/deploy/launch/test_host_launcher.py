@@ -87,14 +87,14 @@ def claim(link: FakeLink, role: str, *services: str) -> None:
     link.frames[topics.PRESENCE_OF[role].key] = [codec.encode(made)]
 
 
-def a_half(role: Role, upstream: tuple[str, ...]) -> HostLauncher:
+def make_host_launcher(role: Role, upstream: tuple[str, ...]) -> HostLauncher:
     rows = process_table.rows(role, simulated=False)
     return HostLauncher(role, rows, Choices(), {}, Gate((OWN,), upstream=upstream, open=True), lambda _: None)
 
 
 @pytest.mark.parametrize("role", topics.ROLE_NAMES)
-def test_a_robot_that_runs_goes_on_whatever_is_claimed(link: FakeLink, role: str) -> None:
-    with a_half("onboard", ()) as running:
+def test_running_robot_ignores_presence_claims(link: FakeLink, role: str) -> None:
+    with make_host_launcher("onboard", ()) as running:
         assert {"actuator", "stop"} <= set(FakeLauncher.started), "at once, for others come to it"
         for _ in range(60):
             claim(link, role, "actuator", "stop", "perception")
@@ -102,16 +102,16 @@ def test_a_robot_that_runs_goes_on_whatever_is_claimed(link: FakeLink, role: str
         assert {"actuator", "stop"} <= set(FakeLauncher.started)
 
 
-def test_a_base_that_runs_goes_on_whatever_is_claimed(link: FakeLink) -> None:
-    with a_half("offboard", ("tcp/10.0.0.1:7447",)) as running:
+def test_running_base_ignores_presence_claims(link: FakeLink) -> None:
+    with make_host_launcher("offboard", ("tcp/10.0.0.1:7447",)) as running:
         while "planner" not in FakeLauncher.started:
             assert running.beat(0.0) == ""
         claim(link, "robot", "planner")
         assert [running.beat(0.0) for _ in range(60)] == [""] * 60
 
 
-def test_a_base_does_not_start_what_another_has_started(link: FakeLink) -> None:
-    with a_half("offboard", ("tcp/10.0.0.1:7447",)) as starting:
+def test_base_does_not_start_service_running_elsewhere(link: FakeLink) -> None:
+    with make_host_launcher("offboard", ("tcp/10.0.0.1:7447",)) as starting:
         assert starting.beat(0.0) == ""
         assert FakeLauncher.started == [], "the others are waited for"
         with pytest.raises(KeyError):
@@ -121,11 +121,11 @@ def test_a_base_does_not_start_what_another_has_started(link: FakeLink) -> None:
         assert FakeLauncher.started == []
 
 
-def test_a_process_that_fails_later_on_leaves_the_actuator_and_its_stop_path(link: FakeLink) -> None:
-    with a_half("onboard", ()) as running:
+def test_late_process_failure_keeps_actuator_and_stop_running(link: FakeLink) -> None:
+    with make_host_launcher("onboard", ()) as running:
         FakeLauncher.ended = [Ended("perception", "exit status 1", "", restarted=False)]
         assert "perception keeps failing" in running.beat(0.0), "it was never started rightly"
-    with a_half("onboard", ()) as running:
+    with make_host_launcher("onboard", ()) as running:
         for _ in range(700):
             assert running.beat(0.0) == ""
         FakeLauncher.ended = [Ended("perception", "exit status 1", "", restarted=False)]
@@ -134,15 +134,15 @@ def test_a_process_that_fails_later_on_leaves_the_actuator_and_its_stop_path(lin
         assert "actuator keeps failing" in running.beat(0.0)
 
 
-def test_a_console_cannot_keep_a_robot_from_starting(link: FakeLink) -> None:
-    with a_half("onboard", ("tcp/10.0.0.1:7447",)) as starting:
+def test_console_claim_cannot_prevent_robot_start(link: FakeLink) -> None:
+    with make_host_launcher("onboard", ("tcp/10.0.0.1:7447",)) as starting:
         while "actuator" not in FakeLauncher.started:
             claim(link, "console", "actuator", "stop", "perception")
             assert starting.beat(0.0) == ""
 
 
-def test_its_processes_publish_under_the_role_of_the_machine(tmp_path: Path, link: FakeLink) -> None:
-    robot, base = a_half("onboard", ()), a_half("offboard", ("tcp/10.0.0.1:7447",))
+def test_processes_publish_under_machine_role(tmp_path: Path, link: FakeLink) -> None:
+    robot, base = make_host_launcher("onboard", ()), make_host_launcher("offboard", ("tcp/10.0.0.1:7447",))
     assert not any("--role" in command.arguments for command in robot.commands), "the robot's, which it is by itself"
     for command in base.commands:
         assert command.arguments[command.arguments.index("--role") + 1] == "base"

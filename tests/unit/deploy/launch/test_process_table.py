@@ -21,20 +21,20 @@ class Text:
 
 
 @pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
-def test_every_module_is_there(row: process_table.Process) -> None:
+def test_each_process_module_exists(row: process_table.Process) -> None:
     assert importlib.util.find_spec(row.module) is not None
     assert importlib.util.find_spec(f"{row.module}.__main__") is not None
 
 
 @pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
-def test_every_setting_is_one_that_the_service_has(row: process_table.Process) -> None:
+def test_each_setting_exists_in_service_schema(row: process_table.Process) -> None:
     schema = importlib.import_module(f"{row.module}.config").Settings
     settings = row.settings(Choices(scenario="steps", camera="realsense"))
     made = process.load_settings(schema, None, [assignment(k, v) for k, v in settings.items()])
     assert {key: getattr(made, key) for key in settings} == settings
 
 
-def test_a_scenario_s_map_reaches_mapper_and_perception() -> None:
+def test_scenario_map_options_reach_mapper_and_perception() -> None:
     chosen = choices(Scenario("fine", (Plane(),), Goal(1.0), map=MapOptions(100, 300, 0.02)), "fine", 0)
     made = {}
     for row in process_table.TABLE:
@@ -44,7 +44,7 @@ def test_a_scenario_s_map_reaches_mapper_and_perception() -> None:
     assert made["perception"].scan_resolution == 0.02
 
 
-def test_the_roles_share_the_services_out() -> None:
+def test_roles_partition_services() -> None:
     names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
     assert names["onboard"] == ["actuator", "stop", "camera", "perception"], "the camera's bandwidth stays on the robot"
     assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
@@ -53,14 +53,14 @@ def test_the_roles_share_the_services_out() -> None:
     assert rows("all", simulated=True)[0].name == "simulator"
 
 
-def test_a_page_is_served_where_operators_are_and_only_where_it_is_wanted() -> None:
+def test_console_runs_only_on_operator_roles_if_page_is_wanted() -> None:
     for role, there in (("all", True), ("offboard", True), ("onboard", False), ("sim", False)):
         for simulated in (True, False):
             assert ("console" in {p.name for p in rows(role, simulated, page=True)}) is there  # type: ignore[arg-type]
             assert "console" not in {p.name for p in rows(role, simulated)}  # type: ignore[arg-type]
 
 
-def test_the_camera_is_read_on_the_robot_and_not_where_the_simulator_stands_in() -> None:
+def test_camera_process_runs_only_on_real_robot() -> None:
     for role, simulated, there in (
         ("all", False, True),
         ("onboard", True, False),
@@ -72,20 +72,20 @@ def test_the_camera_is_read_on_the_robot_and_not_where_the_simulator_stands_in()
     assert made["camera"].arguments[-2:] == ("--set", "device=/a/walk")
 
 
-def test_names_are_unique_and_what_is_waited_for_is_in_the_table() -> None:
+def test_names_are_unique_and_dependencies_are_in_table() -> None:
     names = [p.name for p in process_table.TABLE]
     assert len(set(names)) == len(names)
     assert all(set(p.after) <= set(names) for p in process_table.TABLE)
 
 
-def test_who_holds_the_robot_may_hang_the_least_and_nobody_for_ever() -> None:
+def test_watchdog_limits_are_shortest_for_actuator_and_stop() -> None:
     patience = {c.name: c.watchdog_s for c in commands(process_table.TABLE, Choices(), ENDPOINTS)}
     assert all(0.0 < limit < float("inf") for limit in patience.values())
     assert max(patience["actuator"], patience["stop"]) <= 1.5, "detected, killed, started, and holding within 3.5 s"
     assert min(limit for name, limit in patience.items() if name not in ("actuator", "stop")) >= 10.0
 
 
-def test_a_scenario_reaches_the_processes() -> None:
+def test_scenario_options_reach_processes() -> None:
     scenario = Scenario(
         "wild",
         (Plane(),),
@@ -104,7 +104,7 @@ def test_a_scenario_reaches_the_processes() -> None:
     assert all("--connect tcp/127.0.0.1:7447 --namespace test" in line for line in made.values())
 
 
-def test_the_actuator_waits_for_the_simulated_bus_and_for_nothing_on_the_robot() -> None:
+def test_actuator_waits_only_for_simulated_bus() -> None:
     simulated = {c.name: c for c in commands(rows("all", True), Choices(scenario="flat", bus_port=7450), ENDPOINTS)}
     assert simulated["actuator"].after == ("simulator",)
     assert simulated["simulator"].ready_port == 7450
@@ -113,29 +113,29 @@ def test_the_actuator_waits_for_the_simulated_bus_and_for_nothing_on_the_robot()
     assert "--set" not in real["actuator"].arguments
 
 
-def test_extra_settings_come_last_and_so_count() -> None:
+def test_extra_settings_override_defaults() -> None:
     made = commands(rows("onboard", False), Choices(), ENDPOINTS, {"actuator": ("port=/dev/ttyACM3",)})
     actuator = next(c for c in made if c.name == "actuator")
     assert actuator.arguments[-2:] == ("--set", "port=/dev/ttyACM3")
 
 
-def test_a_process_gets_one_thread_a_library() -> None:
+def test_process_environment_limits_libraries_to_one_thread() -> None:
     for command in commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS):
         assert {command.environment[k] for k in command.environment if k.endswith("_NUM_THREADS")} == {"1"}
         assert command.environment["PYTHONUNBUFFERED"] == "1"
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"]), max_size=30))
-def test_any_text_survives_the_command_line(text: str) -> None:
+def test_text_setting_round_trips_through_command_line(text: str) -> None:
     assert process.load_settings(Text, None, [assignment("key", text)]).key == text
 
 
 @given(st.sampled_from([Path("/tmp/a b/c.toml"), Path("/x/true"), Path("/é.toml")]))
-def test_a_path_is_passed_as_it_is(path: Path) -> None:
+def test_path_setting_is_passed_unchanged(path: Path) -> None:
     assert assignment("key", str(path)) == f"key={path}"
 
 
-def test_any_process_that_may_runs_on_either_side() -> None:
+def test_movable_process_can_run_on_robot_or_base() -> None:
     onboard, offboard = (process_table.rows(role, simulated=False, page=True) for role in ("onboard", "offboard"))
     robot = process_table.rearranged(onboard, ("mapper", "planner"), (), "onboard")
     base = process_table.rearranged(offboard, (), ("mapper", "planner"), "offboard")
@@ -148,20 +148,20 @@ def test_any_process_that_may_runs_on_either_side() -> None:
             process_table.rearranged(offboard, (name,), (), "offboard")
 
 
-def test_only_another_machine_than_the_robot_goes_by_its_clock() -> None:
+def test_elsewhere_option_is_only_for_other_machines() -> None:
     rows = process_table.rows("offboard", simulated=False)
     here, away = (process_table.commands(rows, Choices(), ENDPOINTS, elsewhere=elsewhere) for elsewhere in (False, True))
     assert not any("--elsewhere" in command.arguments for command in here)
     assert all("--elsewhere" in command.arguments for command in away)
 
 
-def test_one_heap_is_for_who_frees_what_many_hand_on_and_for_nobody_with_a_beat_to_keep() -> None:
+def test_only_recorder_uses_single_malloc_arena() -> None:
     made = process_table.commands(process_table.rows("all", True, page=True), Choices(), ENDPOINTS)
     assert [one.name for one in made if "MALLOC_ARENA_MAX" in one.environment] == ["recorder"]
     assert all(one.environment.items() >= process_table.ENVIRONMENT.items() for one in made)
 
 
-def test_only_a_simulated_run_shares_simulated_time() -> None:
+def test_simulated_time_file_requires_simulator() -> None:
     file = Path("/a/time")
     made = commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS, simulated_time=file)
     assert all(

@@ -44,7 +44,7 @@ def router(*words: str, port: int | None = None) -> Iterator[tuple[subprocess.Po
             process.wait(PATIENCE_S)
 
 
-def test_it_tells_of_its_machine_and_names_who_is_there() -> None:
+def test_router_publishes_presence_of_its_machine() -> None:
     with router("--role", "offboard", "--starts", "mapper,planner") as (_, link):
         heard = link.collect(topics.PRESENCE_OF["base"])
         found: list[bytes] = []
@@ -57,7 +57,7 @@ def test_it_tells_of_its_machine_and_names_who_is_there() -> None:
         assert (word.role, word.services, word.version) == ("offboard", ("mapper", "planner"), version())
 
 
-def test_no_presence_of_another_machine_ends_it() -> None:
+def test_router_reports_conflicting_presences_and_continues() -> None:
     """Report a robot of another version or an older start of the same role, and go on."""
     robot = peer_handshake.presence("hexapod-1", "onboard", "0.0.1", ["actuator", "stop"], 5.0, 1)
     robot = replace(robot, schemas=("another", *robot.schemas[1:]))
@@ -76,7 +76,7 @@ def test_no_presence_of_another_machine_ends_it() -> None:
         assert process.poll() is None
 
 
-def stopped(process: subprocess.Popen[str], port: int, for_s: float) -> None:
+def suspend_router(process: subprocess.Popen[str], port: int, for_s: float) -> None:
     """Stop a router for some time, in which a caller receives nothing."""
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)
@@ -87,20 +87,20 @@ def stopped(process: subprocess.Popen[str], port: int, for_s: float) -> None:
     process.send_signal(signal.SIGCONT)
 
 
-def test_one_that_was_stopped_for_a_moment_goes_on_and_ends_when_it_is_told_to() -> None:
+def test_briefly_suspended_router_continues_and_ends_on_sigterm() -> None:
     port = free_port()
     with router(port=port) as (process, _):
-        stopped(process, port, 0.25)
+        suspend_router(process, port, 0.25)
         with ZenohLink(Endpoints((f"tcp/127.0.0.1:{port}",))):
             assert process.poll() is None, "it was not told to end"
         process.terminate()
         assert process.wait(PATIENCE_S) == 0
 
 
-def test_one_that_was_stopped_for_longer_than_its_links_last_ends_for_another_to_take_its_place() -> None:
+def test_router_suspended_beyond_link_timeout_exits_for_restart() -> None:
     port = free_port()
     with router(port=port) as (process, _):
-        stopped(process, port, 1.5)
+        suspend_router(process, port, 1.5)
         assert process.wait(PATIENCE_S) == 75
         assert process.stderr is not None
         assert "router: suspended for 1." in process.stderr.read()

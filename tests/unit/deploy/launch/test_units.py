@@ -19,13 +19,13 @@ MINE, MACHINE = Manager("/opt/sextant/bin/python"), Manager("/opt/sextant/bin/py
 ONBOARD = commands(rows("onboard", simulated=False), Choices(), Endpoints((ROUTER_ENDPOINT,)))
 
 
-def made(manager: Manager, processes: tuple[Command, ...] = ONBOARD) -> Mapping[str, str]:
+def generated_units(manager: Manager, processes: tuple[Command, ...] = ONBOARD) -> Mapping[str, str]:
     return units.units(router_command(ROUTER_ENDPOINT), processes, manager)
 
 
 @pytest.mark.parametrize("manager", [MINE, MACHINE], ids=["user", "system"])
-def test_each_process_of_the_table_has_a_unit_that_starts_exactly_its_command_and_is_watched_as_it_is(manager: Manager) -> None:
-    texts = dict(made(manager))
+def test_each_process_has_unit_with_its_command_and_watchdog(manager: Manager) -> None:
+    texts = dict(generated_units(manager))
     target = read_unit(texts.pop(TARGET))
     assert set(texts) == {"sextant-router.service", *(f"sextant-{c.name}.service" for c in ONBOARD)}
     assert set(" ".join(target["Unit"]["Wants"]).split()) == set(texts)
@@ -43,8 +43,8 @@ def test_each_process_of_the_table_has_a_unit_that_starts_exactly_its_command_an
         assert not {"PrivateDevices", "ProtectClock", "MemoryDenyWriteExecute"} & set(unit["Service"])
 
 
-def test_the_order_to_let_go_is_one_file_for_all_and_outlives_them() -> None:
-    for name, text in made(MACHINE).items():
+def test_latch_folder_is_shared_and_preserved_by_units() -> None:
+    for name, text in generated_units(MACHINE).items():
         if name != TARGET:
             service = read_unit(text)["Service"]
             assert service["RuntimeDirectory"] == ["sextant"]
@@ -54,19 +54,19 @@ def test_the_order_to_let_go_is_one_file_for_all_and_outlives_them() -> None:
 
 
 @pytest.mark.parametrize("word", ["a b", "100%", "$HOME", 'say "x"', "back\\slash", "ß", "camera=/a/b c/%t", "'"])
-def test_words_come_to_the_process_as_they_are(word: str) -> None:
-    text = made(MINE, (Command("odd", ("-m", "odd", word), {}),))["sextant-odd.service"]
+def test_unit_quoting_preserves_arguments(word: str) -> None:
+    text = generated_units(MINE, (Command("odd", ("-m", "odd", word), {}),))["sextant-odd.service"]
     assert words_of(read_unit(text)["Service"]["ExecStart"][0]) == [MINE.python, "-m", "odd", word]
 
 
 @pytest.mark.parametrize("manager", [MINE, MACHINE], ids=["user", "system"])
-def test_systemd_finds_nothing_wrong_with_them(manager: Manager, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_systemd_analyze_verifies_units(manager: Manager, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     analyze = shutil.which("systemd-analyze")
     if analyze is None:
         pytest.skip("systemd-analyze is not here, so nothing verifies the units")
     (tmp_path / "python").touch(mode=0o755)
     here = Manager(str(tmp_path / "python"), manager.user)
-    written = units.install(made(here), tmp_path / "units")
+    written = units.install(generated_units(here), tmp_path / "units")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     side = [] if manager.system else ["--user"]
     words = [analyze, "verify", *side, *(str(path) for path in written)]
@@ -75,10 +75,10 @@ def test_systemd_finds_nothing_wrong_with_them(manager: Manager, tmp_path: Path,
     assert str(tmp_path) not in done.stderr, done.stderr
 
 
-def test_what_was_installed_is_removed_and_nothing_else(tmp_path: Path) -> None:
+def test_uninstall_removes_only_unmodified_installed_units(tmp_path: Path) -> None:
     (tmp_path / "sextant-mine.service").write_text("[Service]\nExecStart=/bin/true\n")
-    written = units.install(made(MINE), tmp_path)
-    assert units.install(made(MINE), tmp_path) == written, "again changes nothing"
+    written = units.install(generated_units(MINE), tmp_path)
+    assert units.install(generated_units(MINE), tmp_path) == written, "again changes nothing"
     router = tmp_path / "sextant-router.service"
     router.write_text(router.read_text() + "Nice=1\n")
     removed, left = units.uninstall(tmp_path, "systemctl --user")
@@ -87,9 +87,9 @@ def test_what_was_installed_is_removed_and_nothing_else(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == left
 
 
-def test_units_of_an_earlier_role_go(tmp_path: Path) -> None:
-    units.install(made(MINE), tmp_path)
-    units.install(made(MINE, ONBOARD[:1]), tmp_path)
+def test_install_removes_units_of_earlier_role(tmp_path: Path) -> None:
+    units.install(generated_units(MINE), tmp_path)
+    units.install(generated_units(MINE, ONBOARD[:1]), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
         TARGET,
         "sextant-router.service",
@@ -97,16 +97,16 @@ def test_units_of_an_earlier_role_go(tmp_path: Path) -> None:
     }
 
 
-def test_a_file_of_somebody_else_is_not_overwritten(tmp_path: Path) -> None:
+def test_install_refuses_to_overwrite_foreign_unit(tmp_path: Path) -> None:
     foreign = tmp_path / "sextant-stop.service"
     foreign.write_text("[Service]\nExecStart=/bin/true\n")
     with pytest.raises(UnitError, match=r"sextant-stop\.service: changed since .* move it away"):
-        units.install(made(MINE), tmp_path)
+        units.install(generated_units(MINE), tmp_path)
     assert list(tmp_path.iterdir()) == [foreign]
 
 
-def test_what_is_enabled_is_disabled_first(tmp_path: Path) -> None:
-    units.install(made(MINE), tmp_path)
+def test_uninstall_refuses_enabled_target(tmp_path: Path) -> None:
+    units.install(generated_units(MINE), tmp_path)
     (tmp_path / "default.target.wants").mkdir()
     (tmp_path / "default.target.wants" / TARGET).symlink_to(tmp_path / TARGET)
     with pytest.raises(UnitError, match=r"systemctl --user disable --now sextant\.target"):
@@ -114,7 +114,7 @@ def test_what_is_enabled_is_disabled_first(tmp_path: Path) -> None:
     assert (tmp_path / TARGET).exists()
 
 
-def test_the_command_writes_prints_what_is_next_and_removes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_service_command_installs_prints_next_step_and_uninstalls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = ["service", "install", "onboard", "--camera", "none", "--folder", str(tmp_path)]
     assert cli.main([*asked, "--dry-run"]) == 0
     assert "ExecStart=" in capsys.readouterr().out
@@ -127,7 +127,7 @@ def test_the_command_writes_prints_what_is_next_and_removes(tmp_path: Path, caps
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_machines_own_manager_gives_the_groups_of_devices_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_system_units_have_existing_device_groups(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["service", "install", "onboard", "--camera", "none", "--system", "--as", "root", "--dry-run"]) == 0
     found = re.findall(r"^SupplementaryGroups=(.+)$", capsys.readouterr().out, re.MULTILINE)
     there = {group.gr_name for group in grp.getgrall()}
@@ -135,7 +135,7 @@ def test_the_machines_own_manager_gives_the_groups_of_devices_that_there_are(cap
     assert len(found) == (4 if there & set(units.DEVICE_GROUPS) else 0)
 
 
-def test_what_is_wrong_is_said_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_install_reports_problems_before_writing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = ["--folder", str(tmp_path)]
     assert cli.main(["service", "install", "onboard", "--keys", "/nowhere", *folder]) == 2
     assert "`sextant keys new DIR` creates keys" in capsys.readouterr().err

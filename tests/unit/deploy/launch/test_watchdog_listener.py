@@ -19,76 +19,76 @@ SEND = "import socket; socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b
 
 
 @pytest.fixture
-def pulses() -> Iterator[WatchdogListener]:
+def listener() -> Iterator[WatchdogListener]:
     made = WatchdogListener(0.0)
     yield made
     made.close()
 
 
-def beat(pulses: WatchdogListener, at_s: float) -> None:
-    with Watchdog(pulses.environment(10.0)) as watchdog:
+def beat(listener: WatchdogListener, at_s: float) -> None:
+    with Watchdog(listener.environment(10.0)) as watchdog:
         watchdog.beat(round(at_s * 1e9))
 
 
-def test_silence_counts_from_the_first_sign_and_ends_with_the_next(pulses: WatchdogListener) -> None:
-    pulses.watch(ME)
-    pulses.look(0.3)
-    assert pulses.silent_s(ME) == -inf, "what starts is not late"
-    beat(pulses, 0.4)
-    pulses.look(0.5)
-    assert pulses.silent_s(ME) == 0.0
+def test_silence_is_counted_from_first_pulse_to_next(listener: WatchdogListener) -> None:
+    listener.watch(ME)
+    listener.look(0.3)
+    assert listener.silent_s(ME) == -inf, "what starts is not late"
+    beat(listener, 0.4)
+    listener.look(0.5)
+    assert listener.silent_s(ME) == 0.0
     for k in range(1, 11):
-        pulses.look(0.5 + 0.1 * k)
-        assert pulses.silent_s(ME) == pytest.approx(0.1 * k)
-    beat(pulses, 1.6)
-    pulses.look(1.7)
-    assert pulses.silent_s(ME) == 0.0
-    pulses.forget(ME)
-    assert pulses.silent_s(ME) == -inf
+        listener.look(0.5 + 0.1 * k)
+        assert listener.silent_s(ME) == pytest.approx(0.1 * k)
+    beat(listener, 1.6)
+    listener.look(1.7)
+    assert listener.silent_s(ME) == 0.0
+    listener.forget(ME)
+    assert listener.silent_s(ME) == -inf
 
 
 @given(away_s=st.lists(st.floats(0.0, 1e4), min_size=1, max_size=3))
-def test_who_watches_again_after_an_absence_blames_nobody_for_it(away_s: list[float]) -> None:
-    pulses, now = WatchdogListener(0.0), 0.0
-    pulses.watch(ME)
-    beat(pulses, now)
-    pulses.look(now)
+def test_listener_absence_is_not_counted_as_silence(away_s: list[float]) -> None:
+    listener, now = WatchdogListener(0.0), 0.0
+    listener.watch(ME)
+    beat(listener, now)
+    listener.look(now)
     for away in away_s:
         now += away
-        pulses.look(now)
-    assert pulses.silent_s(ME) <= 0.5 * len(away_s)
-    assert pulses.silent_s(ME) <= now
-    pulses.close()
+        listener.look(now)
+    assert listener.silent_s(ME) <= 0.5 * len(away_s)
+    assert listener.silent_s(ME) <= now
+    listener.close()
 
 
-def test_nobody_speaks_for_another(pulses: WatchdogListener) -> None:
+def test_pulse_counts_only_for_sending_process(listener: WatchdogListener) -> None:
     """Count a pulse for its sending process only.
 
     The socket's name is no secret. Pulses of an unknown process do not count.
     """
-    name = "\0" + pulses.environment(10.0)["NOTIFY_SOCKET"][1:]
-    pulses.watch(ME)
+    name = "\0" + listener.environment(10.0)["NOTIFY_SOCKET"][1:]
+    listener.watch(ME)
     subprocess.run([sys.executable, "-c", SEND.format(name)], check=True)
-    pulses.look(0.1)
-    assert pulses.silent_s(ME) == -inf
+    listener.look(0.1)
+    assert listener.silent_s(ME) == -inf
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mine:
         mine.sendto(b"", name)
-    pulses.look(0.2)
-    assert pulses.silent_s(ME) == 0.0
+    listener.look(0.2)
+    assert listener.silent_s(ME) == 0.0
 
 
-def test_two_watchers_are_two(pulses: WatchdogListener) -> None:
+def test_two_listeners_are_independent(listener: WatchdogListener) -> None:
     other = WatchdogListener(0.0)
-    pulses.watch(ME)
+    listener.watch(ME)
     other.watch(ME)
     beat(other, 0.0)
-    pulses.look(0.1)
+    listener.look(0.1)
     other.look(0.1)
-    assert (pulses.silent_s(ME), other.silent_s(ME)) == (-inf, 0.0)
+    assert (listener.silent_s(ME), other.silent_s(ME)) == (-inf, 0.0)
     other.close()
 
 
-def test_a_process_does_not_take_its_parent_s_watcher_for_its_own(pulses: WatchdogListener) -> None:
-    watched = {"PATH": "/bin", "WATCHDOG_PID": "1", **pulses.environment(1.5)}
+def test_child_environment_drops_parent_watchdog(listener: WatchdogListener) -> None:
+    watched = {"PATH": "/bin", "WATCHDOG_PID": "1", **listener.environment(1.5)}
     assert watched["WATCHDOG_USEC"] == "1500000"
     assert unwatched(watched) == {"PATH": "/bin"}

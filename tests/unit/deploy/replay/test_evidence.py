@@ -36,7 +36,7 @@ def evidence(found: list[PictureEvidence], truth: TrueComparison | None = None, 
     return Evidence(tuple(found), sensor, truth)
 
 
-def test_pictures_that_show_everything_support_the_trajectory() -> None:
+def test_fully_observable_pictures_support_trajectory() -> None:
     found = evidence(pictures())
     assert found.problem == ""
     assert found.supporting == 59
@@ -44,14 +44,14 @@ def test_pictures_that_show_everything_support_the_trajectory() -> None:
     assert found.as_table()["supported"]
 
 
-def test_the_first_picture_only_begins_the_map() -> None:
+def test_first_picture_is_not_counted_as_evidence() -> None:
     first = replace(pictures(1)[0], unobservable=("x", "y", "z", "roll", "pitch", "yaw"))
     assert evidence([first, *pictures()[1:]]).problem == ""
     assert "at least 2 pictures" in evidence([first]).problem
     assert "at least 2 pictures" in evidence([]).problem
 
 
-def test_directions_that_no_picture_shows_are_named_and_counted() -> None:
+def test_unobservable_directions_are_named_and_counted() -> None:
     found = evidence(pictures(unobservable=("x", "yaw")))
     assert found.unobservable == {"x": 59, "yaw": 59}
     assert "0 of 59 pictures show every direction" in found.problem
@@ -60,7 +60,7 @@ def test_directions_that_no_picture_shows_are_named_and_counted() -> None:
 
 
 @pytest.mark.parametrize(("missing", "supported"), [(3, True), (20, False)])
-def test_a_gap_is_forgiven_while_it_is_short(missing: int, supported: bool) -> None:
+def test_only_short_registration_gap_is_accepted(missing: int, supported: bool) -> None:
     found = pictures(600)
     found[100 : 100 + missing] = [replace(p, registered=False, reason="lost") for p in found[100 : 100 + missing]]
     whole = evidence(found)
@@ -71,11 +71,11 @@ def test_a_gap_is_forgiven_while_it_is_short(missing: int, supported: bool) -> N
         assert "at 3.33 s: lost" in whole.problem
 
 
-def test_slow_pictures_that_all_support_it_leave_no_gap() -> None:
+def test_low_frame_rate_is_not_a_gap() -> None:
     assert evidence([replace(p, stamp_s=2.0 * n) for n, p in enumerate(pictures(5))]).problem == ""
 
 
-def test_a_scale_that_puts_the_depths_in_range_is_proposed() -> None:
+def test_fitting_depth_scale_is_proposed() -> None:
     rng = np.random.default_rng(0)
     wrong = replace(SENSOR, depth_scale=5000.0)
     millimetres = rng.uniform(800, 2400, (48, 64)).astype(np.uint16)
@@ -86,7 +86,7 @@ def test_a_scale_that_puts_the_depths_in_range_is_proposed() -> None:
     assert "depth_scale = 1000 in camera.toml fits" in found.problem, "even where all of them registered"
 
 
-def test_a_scale_that_is_right_is_left_alone() -> None:
+def test_correct_depth_scale_is_not_changed() -> None:
     far = depth_range(np.full((48, 64), 6000, np.uint16), SENSOR)
     found = evidence([replace(p, depth=far) for p in pictures()])
     assert found.problem == "", "depths beyond the range that register all the same may be right"
@@ -96,7 +96,7 @@ def test_a_scale_that_is_right_is_left_alone() -> None:
     assert "set min_range and max_range" in found.problem
 
 
-def test_pictures_without_a_depth_are_no_evidence() -> None:
+def test_pictures_without_depth_do_not_support_trajectory() -> None:
     empty = depth_range(np.zeros((48, 64), np.uint16), SENSOR)
     assert empty.measured == empty.in_range == 0.0
     assert math.isnan(empty.depths[1])
@@ -107,7 +107,7 @@ def test_pictures_without_a_depth_are_no_evidence() -> None:
     assert in_words(found.as_table())
 
 
-def test_depths_are_counted_against_the_range() -> None:
+def test_depth_range_counts_measured_and_in_range_depths() -> None:
     raw = np.zeros((160, 160), np.uint16)
     raw[:80], raw[80:120] = 1000, 4000
     found = depth_range(raw, SENSOR)
@@ -116,7 +116,7 @@ def test_depths_are_counted_against_the_range() -> None:
     assert found.depths == pytest.approx((1.0, 1.0, 4.0), abs=1e-6)
 
 
-def test_a_truth_that_contradicts_fails() -> None:
+def test_contradicting_ground_truth_is_reported() -> None:
     assert evidence(pictures(), TrueComparison(0.02, 1.0, 1.0)).problem == ""
     half = evidence(pictures(), TrueComparison(0.3, 1.0, 0.5))
     assert "0.5 times the true size" in half.problem
@@ -125,7 +125,7 @@ def test_a_truth_that_contradicts_fails() -> None:
     assert "300 mm rms off groundtruth.txt, 100 mm allowed" in elsewhere.problem
 
 
-def test_the_size_is_that_of_the_true_shape() -> None:
+def test_relative_size_compares_trajectories_of_same_shape() -> None:
     rng = np.random.default_rng(1)
     truth = np.cumsum(rng.normal(size=(50, 3)), axis=0)
     R = exp_so3(np.array([0.3, -0.2, 1.0]))
@@ -135,7 +135,7 @@ def test_the_size_is_that_of_the_true_shape() -> None:
     assert relative_size(truth, np.zeros((50, 3))) is None
 
 
-def test_a_picture_is_judged_by_its_pose() -> None:
+def test_picture_evidence_follows_pose_message() -> None:
     pose = BodyPose(0, np.eye(4), np.eye(4), np.zeros((6, 6)), 0.8, True, "", np.eye(6)[:1])
     found = picture_evidence(0, pose, DEPTH)
     assert found.unobservable == ("x",)

@@ -40,43 +40,43 @@ def folder(tmp_path: Path) -> Path:
     camera = tum.Camera(INTRINSICS, 1000.0, 30.0, np.array([0.0, 0.0, -1.0]))
     with tum.RecordingWriter(tmp_path / "sequence", camera) as writer:
         for i in range(5):
-            writer.add(100 * S + i * S // 30, np.full((6, 8), 1000 + i, np.uint16), tilted(i))
+            writer.add(100 * S + i * S // 30, np.full((6, 8), 1000 + i, np.uint16), tilted_camera_pose(i))
     return tmp_path / "sequence"
 
 
-def tilted(i: int) -> np.ndarray:
+def tilted_camera_pose(i: int) -> np.ndarray:
     mounted = load_profile("phantomx_mk2").camera.T_body_camera
     return np.asarray(from_xyz_rpy((0.1 * i, 0.0, 1.0), np.radians((5.0, 10.0, 30.0))) @ mounted)
 
 
-def test_the_body_below_a_hand_held_camera_is_level(folder: Path) -> None:
+def test_hand_held_camera_body_frame_is_level(folder: Path) -> None:
     sequence = tum.read_recording(folder)
     assert sequence.truth is not None
     T_body_camera = replay.profile_for(sequence).camera.T_body_camera
     R = T_body_camera[:3, :3]
     assert np.allclose(R @ R.T, np.eye(3))
     assert np.isclose(np.linalg.det(R), 1.0)
-    down = tilted(0)[:3, :3].T @ [0.0, 0.0, -1.0]
+    down = tilted_camera_pose(0)[:3, :3].T @ [0.0, 0.0, -1.0]
     assert np.allclose(R @ down, [0.0, 0.0, -1.0]), "gravity is straight down in the body"
     assert R[0, 2] > 0, "the camera looks ahead"
     assert abs(R[1, 2]) < 1e-9, "and to neither side"
 
 
-def test_a_camera_without_roll_is_the_mounted_one() -> None:
+def test_hand_held_camera_without_roll_equals_mounted_one() -> None:
     mounted = load_profile("phantomx_mk2").camera
     down = mounted.T_body_camera[:3, :3].T @ [0.0, 0.0, -1.0]
     held = HandHeld(mounted.intrinsics, mounted.sensor, mounted.mount_xyz, 0.0, down=tuple(down))
     assert np.allclose(held.T_body_camera, mounted.T_body_camera)
 
 
-def test_a_camera_that_looks_straight_down_has_a_body_too() -> None:
+def test_downward_camera_has_valid_body_frame() -> None:
     mounted = load_profile("phantomx_mk2").camera
     R = HandHeld(mounted.intrinsics, mounted.sensor, (0.0, 0.0, 0.0), 0.0, down=(0.0, 0.0, 1.0)).T_body_camera[:3, :3]
     assert np.allclose(R @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
     assert np.isclose(np.linalg.det(R), 1.0)
 
 
-def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
+def test_player_publishes_each_picture_once_and_not_early(folder: Path) -> None:
     player = Player(tum.read_recording(folder), DepthSensor())
     inbox = Inbox((), Stages())
     played: list[DepthImage] = []
@@ -89,7 +89,7 @@ def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
     assert played[0].stamp_ns == 0
 
 
-def test_colour_goes_with_the_depth_nearest_in_time(folder: Path) -> None:
+def test_color_is_paired_with_nearest_depth_frame(folder: Path) -> None:
     (folder / "rgb").mkdir()
     lines = []
     for i, second in enumerate(("100.004", "100.130", "100.500")):
@@ -109,13 +109,13 @@ def test_colour_goes_with_the_depth_nearest_in_time(folder: Path) -> None:
         list(Player(sequence, DepthSensor()).step(Tick(0), Inbox((), Stages())))
 
 
-def test_what_is_wrong_in_a_folder_is_said(folder: Path, tmp_path: Path) -> None:
+def test_missing_camera_file_is_reported(folder: Path, tmp_path: Path) -> None:
     (folder / "camera.toml").unlink()
     with pytest.raises(ReplayError, match=r"camera\.toml: no such file"):
         replay.replay_folder(folder, tmp_path, Silent())
 
 
-def test_a_missing_picture_is_named(folder: Path) -> None:
+def test_missing_depth_image_is_reported(folder: Path) -> None:
     sequence = tum.read_recording(folder)
     (folder / sequence.files[0]).unlink()
     with pytest.raises(ReplayError, match="no such file"):
@@ -128,7 +128,7 @@ def terrain(elevation: np.ndarray) -> TerrainMap:
     return TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags, cells)
 
 
-def test_maps_that_agree_do_not_differ_and_a_shift_is_a_bias() -> None:
+def test_map_difference_of_equal_shifted_and_partial_maps() -> None:
     rng = np.random.default_rng(0)
     heights = rng.normal(size=(20, 30))
     heights[:5] = np.nan
@@ -170,7 +170,7 @@ def record(tmp_path: Path, about: dict[str, str], settings: Settings) -> Path:
     return path
 
 
-def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Path) -> None:
+def test_replayed_run_reproduces_recorded_maps(recorded: Path, tmp_path: Path) -> None:
     table = replay_recording(recorded, tmp_path, Silent())
     assert table["complete"]
     assert table["topics"]["perception/scan"] == 30
@@ -180,7 +180,7 @@ def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Pat
     assert "differ by 0.00 mm" in in_words(table)
 
 
-def test_the_command_replays_a_recording_or_the_folder_that_holds_it(
+def test_replay_command_accepts_recording_or_its_folder(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -223,16 +223,16 @@ def replay_table(**changed: Any) -> dict[str, Any]:
         ({"about": {"run": "live"}, "plan_error_m": {"touchdown_p50": 0.05}}, "in the median, 20 mm allowed"),
     ],
 )
-def test_a_replay_that_does_not_meet_what_was_recorded_says_so(changed: dict[str, Any], problem: str) -> None:
+def test_replay_mismatch_with_recording_is_reported(changed: dict[str, Any], problem: str) -> None:
     found = problem_of(replay_table(**changed))
     assert re.search(problem, found) if problem else found == ""
 
 
-def test_where_only_some_topics_are_fed_the_rest_is_not_asked_for() -> None:
+def test_partial_replay_skips_checks_of_other_topics() -> None:
     assert problem_of(replay_table(plans={"compared": 0}, map_error_m={"rmse": 0.004}), everything=False) == ""
 
 
-def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path) -> None:
+def test_run_with_custom_map_size_is_reproduced(tmp_path: Path) -> None:
     scenario = replace(load_scenario("flat"), map=MapOptions(cells=120, cells_y=100, resolution=0.02))
     path = record(tmp_path, about(scenario, 0, "live"), Settings(120, 100, 0.02))
     table = replay_recording(path, tmp_path, Silent())
@@ -240,7 +240,7 @@ def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path)
     assert table["map_error_m"]["rmse"] == 0.0
 
 
-def test_maps_of_other_cells_are_not_compared_in_silence(tmp_path: Path) -> None:
+def test_map_size_mismatch_is_refused(tmp_path: Path) -> None:
     path = record(tmp_path, {}, Settings(120, 100, 0.02))
     with pytest.raises(ReplayError, match=r"120x100 cells of 0\.02 m.* recorded.*256x256 cells of 0\.01 m.* made"):
         replay_recording(path, tmp_path, Silent())
@@ -248,7 +248,7 @@ def test_maps_of_other_cells_are_not_compared_in_silence(tmp_path: Path) -> None
         replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
 
 
-def test_a_run_that_was_cut_off_replays_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
+def test_truncated_recording_is_replayed_up_to_its_end(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     recorded.write_bytes(data[: len(data) - 40])
     table = replay_recording(recorded, tmp_path, Silent())
@@ -259,14 +259,14 @@ def test_a_run_that_was_cut_off_replays_as_far_as_it_goes(recorded: Path, tmp_pa
         replay_recording(recorded, tmp_path, Silent())
 
 
-def test_a_profile_for_a_sequence_keeps_the_robot(folder: Path) -> None:
+def test_sequence_profile_changes_only_camera(folder: Path) -> None:
     default = load_profile("phantomx_mk2")
     found = replay.profile_for(tum.read_recording(folder))
     assert found.camera.intrinsics == INTRINSICS
     assert replace(found, camera=default.camera) == default
 
 
-def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping() -> None:
+def test_constant_velocity_guess_predicts_steady_motion_exactly() -> None:
     """Guess the next true pose together with perception.
 
     Perception composes its correction with the guess, so both together must give the next true pose.
@@ -289,7 +289,7 @@ def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping(
     assert guess.doing().startswith("predicting")
 
 
-def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
+def test_simulated_sequence_replay_matches_ground_truth(tmp_path: Path) -> None:
     """Replay a camera that moves steadily past a wall with a step and over a floor.
 
     The depth frames are drawn by the rays of their pixels.
@@ -301,7 +301,7 @@ def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
             T = from_xyz_rpy((0.004 * i, 0.003 * i, 0.45), (0.0, 0.0, 0.003 * i)) @ transform(
                 profile.camera.T_body_camera[:3, :3], np.zeros(3)
             )
-            writer.add(i * S // 30, corner(camera.intrinsics, T), T)
+            writer.add(i * S // 30, corner_depth_mm(camera.intrinsics, T), T)
     table = replay.replay_folder(tmp_path / "sequence", tmp_path, Silent())
     assert table["poses"] == 12
     assert table["poses_not_ok"] == 0
@@ -313,7 +313,7 @@ def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
     assert set(table["stages_ms"]) >= {"perception", "perception.registration", "mapper"}
 
 
-def corner(intrinsics: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
+def corner_depth_mm(intrinsics: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
     """Return the depth [mm] of a floor at z = 0 with a block, and of two walls.
 
     The walls are at x = 1.6 and y = 0.9.

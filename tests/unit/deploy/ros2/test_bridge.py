@@ -72,7 +72,7 @@ def stamped(found: dict[str, Any]) -> dict[str, Any]:
     return {"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base_link"}, "twist": found}
 
 
-def said_by_a_robot(now_ns: int) -> list[Message]:
+def robot_messages(now_ns: int) -> list[Message]:
     """Return one message of each type from a standing robot."""
     height = np.full((6, 4), 0.02, np.float32)
     none = np.zeros((6, 4), dtype=bool)
@@ -153,9 +153,9 @@ class Bench:
         return [PEER.deserialize_cdr(payload, kind) for payload, _ in self.wire.publishers[self.node.key(topic, kind)].sent]
 
 
-def test_every_topic_is_read_by_a_peer_as_it_was_said() -> None:
+def test_published_topics_decode_to_robot_values() -> None:
     bench = Bench(pictures=True)
-    bench.hear(*said_by_a_robot(bench.now))
+    bench.hear(*robot_messages(bench.now))
     bench.beat()
     found = {topic: bench.sent(topic, kind) for topic, kind, _ in (*PUBLISHED, *PICTURES)}
     assert found["odom"][0].pose.pose.position.x == 0.5
@@ -170,10 +170,10 @@ def test_every_topic_is_read_by_a_peer_as_it_was_said() -> None:
     assert found["camera/color_preview/compressed"] == [], "there is no colour camera"
 
 
-def test_attachments_count_up_and_carry_the_id_of_their_token() -> None:
+def test_attachments_have_increasing_sequence_and_token_gid() -> None:
     bench = Bench()
     for _ in range(3):
-        bench.hear(*said_by_a_robot(bench.now))
+        bench.hear(*robot_messages(bench.now))
         bench.beat()
     sent = bench.wire.publishers[bench.node.key("odom", "nav_msgs/msg/Odometry")].sent
     kinds = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
@@ -184,18 +184,18 @@ def test_attachments_count_up_and_carry_the_id_of_their_token() -> None:
     assert [at for _, at, _ in read] == sorted(at for _, at, _ in read)
 
 
-def test_what_nobody_wants_is_not_made() -> None:
+def test_topics_without_subscribers_are_not_published() -> None:
     bench = Bench(asked=False)
-    bench.hear(*said_by_a_robot(bench.now))
+    bench.hear(*robot_messages(bench.now))
     assert bench.beat() == []
     assert all(publisher.sent == [] for publisher in bench.wire.publishers.values())
     assert topics.PREVIEW not in bench.bridge.subscribes, "perception makes pictures for who asks alone"
 
 
-def test_a_twist_and_a_stamped_one_lead_alike() -> None:
+def test_twist_and_twist_stamped_drive_robot_equally() -> None:
     for kind, value in ((TWIST, twist()), (TWIST_STAMPED, stamped(twist()))):
         bench = Bench()
-        bench.hear(*said_by_a_robot(bench.now))
+        bench.hear(*robot_messages(bench.now))
         bench.beat()
         bench.publish(kind, cdr.encode(kind, value))
         (order,) = bench.beat()
@@ -210,7 +210,7 @@ def test_a_twist_and_a_stamped_one_lead_alike() -> None:
 
 @given(st.binary(max_size=120), st.sampled_from([kind for _, kind, _ in SUBSCRIBED]))
 @settings(max_examples=150)
-def test_whatever_comes_is_a_finite_velocity_or_a_refusal(data: bytes, kind: str) -> None:
+def test_fuzzed_twist_is_finite_or_refused(data: bytes, kind: str) -> None:
     for head in (b"", b"\0\1\0\0", b"\0\0\0\0"):
         try:
             velocity, turn = read_twist(kind, head + data)
@@ -222,9 +222,9 @@ def test_whatever_comes_is_a_finite_velocity_or_a_refusal(data: bytes, kind: str
 
 @given(st.binary(max_size=40), st.sampled_from([kind for _, kind, _ in SUBSCRIBED]))  # a Twist has 52
 @settings(max_examples=80, deadline=None)
-def test_wild_bytes_are_refused_counted_and_named_and_move_nothing(data: bytes, kind: str) -> None:
+def test_random_bytes_are_refused_counted_and_move_nothing(data: bytes, kind: str) -> None:
     bench = Bench()
-    bench.hear(*said_by_a_robot(bench.now))
+    bench.hear(*robot_messages(bench.now))
     for payload in (data, b"\0\1\0\0" + data):
         bench.publish(kind, payload)
     assert bench.beat() == []
@@ -235,11 +235,11 @@ def test_wild_bytes_are_refused_counted_and_named_and_move_nothing(data: bytes, 
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
-def test_a_twist_that_is_not_finite_is_refused_wherever_it_is(number: float) -> None:
+def test_non_finite_twist_component_is_refused(number: float) -> None:
     for part in ("linear", "angular"):
         for axis in "xyz":
             bench = Bench()
-            bench.hear(*said_by_a_robot(bench.now))
+            bench.hear(*robot_messages(bench.now))
             value = twist()
             value[part] = {**value[part], axis: number}
             bench.publish(TWIST, cdr.encode(TWIST, value))
@@ -247,7 +247,7 @@ def test_a_twist_that_is_not_finite_is_refused_wherever_it_is(number: float) -> 
             assert "finite numbers expected" in bench.bridge.last_refusal
 
 
-def test_a_payload_that_is_too_long_is_not_even_read() -> None:
+def test_oversized_payload_is_refused() -> None:
     bench = Bench()
     bench.publish(TWIST, cdr.encode(TWIST, twist()) + bytes(MAX_TWIST_BYTES))
     assert bench.beat() == []
@@ -321,7 +321,7 @@ class PlayedRobot:
     def _speak(self) -> None:
         while not self._over.wait(0.02):
             now = time.monotonic_ns()
-            for message in said_by_a_robot(now):
+            for message in robot_messages(now):
                 if isinstance(message, type(actuator_state(PROFILE, stamp_ns=0))):
                     message = replace(message, lease=self.lease)
                 self._link.send(topics.OF_TYPE[type(message)], codec.encode(message, Timing(now, now)))
@@ -334,7 +334,7 @@ def router() -> Iterator[str]:
         yield endpoint
 
 
-def test_a_ros_node_finds_the_robot_reads_it_and_leads_it_over_zenoh(router: str) -> None:
+def test_ros_node_discovers_reads_and_drives_robot_over_zenoh(router: str) -> None:
     said: list[str] = []
     stop = threading.Event()
     with ZenohLink(Endpoints((router,))) as link, ForeignLink((router,)) as wire, ZenohLink(Endpoints((router,))) as robots:
@@ -383,7 +383,7 @@ def test_a_ros_node_finds_the_robot_reads_it_and_leads_it_over_zenoh(router: str
     assert "bytes expected" in said[2]
 
 
-def test_the_command_says_what_it_offers_and_ends_at_ctrl_c(
+def test_ros2_command_prints_topics_and_ends_on_ctrl_c(
     router: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sextant.deploy.terminal.interrupts import Interrupts
@@ -407,14 +407,14 @@ def test_the_command_says_what_it_offers_and_ends_at_ctrl_c(
         (["--robot", "nobody"], 2, "no profile 'nobody'"),
     ],
 )
-def test_wrong_input_is_named(
+def test_invalid_input_is_reported(
     words: list[str], status: int, said: str, router: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["topics", "ros2", "--connect", router, *words]) == status
     assert said in capsys.readouterr().err
 
 
-def test_the_domain_is_that_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_domain_defaults_to_ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
     assert cli.parse(["topics", "ros2"]).domain == 42
     monkeypatch.setenv("ROS_DOMAIN_ID", "")

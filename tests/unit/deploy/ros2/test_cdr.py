@@ -80,7 +80,7 @@ def for_peer(name: str, value: dict[str, Any]) -> Any:
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_another_reader_reads_what_is_written_and_the_other_way_round(name: str, data: st.DataObject) -> None:
+def test_cdr_round_trips_with_independent_implementation(name: str, data: st.DataObject) -> None:
     value = data.draw(values(name))
     frame = cdr.encode(name, value)
     assert alike(value, PEER.deserialize_cdr(frame, name))
@@ -93,7 +93,7 @@ def test_another_reader_reads_what_is_written_and_the_other_way_round(name: str,
     )
 
 
-def test_known_bytes() -> None:
+def test_encoding_matches_known_bytes() -> None:
     assert cdr.encode("std_msgs/msg/String", {"data": "hello"}).hex() == "000100000600000068656c6c6f00"
     head = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base"}
     joints = {"header": head, "name": ["j1", "j2"], "position": [0.5, -1.0], "velocity": [], "effort": []}
@@ -105,7 +105,7 @@ def test_known_bytes() -> None:
 
 @given(st.sampled_from(NAMES), st.binary(max_size=200))
 @settings(max_examples=150, deadline=None)
-def test_wild_bytes_are_a_message_or_a_refusal_in_words(name: str, data: bytes) -> None:
+def test_random_bytes_decode_or_raise_cdr_error(name: str, data: bytes) -> None:
     for head in (b"", b"\0\1\0\0", b"\0\0\0\0"):
         try:
             found = cdr.decode(name, head + data)
@@ -117,7 +117,7 @@ def test_wild_bytes_are_a_message_or_a_refusal_in_words(name: str, data: bytes) 
 
 @given(st.data())
 @settings(max_examples=60, deadline=None)
-def test_a_message_that_is_cut_off_or_goes_on_is_refused(data: st.DataObject) -> None:
+def test_truncated_or_overlong_message_is_refused(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(NAMES))
     frame = cdr.encode(name, data.draw(values(name)))
     for short in {0, 1, 3, 4, len(frame) - 1} - {len(frame)}:
@@ -127,7 +127,7 @@ def test_a_message_that_is_cut_off_or_goes_on_is_refused(data: st.DataObject) ->
         cdr.decode(name, frame + bytes(4))
 
 
-def test_a_count_that_would_fill_the_memory_is_refused_at_once() -> None:
+def test_excessive_sequence_length_is_refused() -> None:
     many = b"\0\1\0\0" + b"\xff\xff\xff\xff"
     for name in ("tf2_msgs/msg/TFMessage", "std_msgs/msg/String"):
         with pytest.raises(CdrError, match=r"do not fit|at least \d+ bytes expected"):
@@ -144,12 +144,12 @@ def test_a_count_that_would_fill_the_memory_is_refused_at_once() -> None:
         ("builtin_interfaces/msg/Time", {"sec": 0.5, "nanosec": 0}, r"Time\.sec: a int32 expected"),
     ],
 )
-def test_a_value_that_does_not_fit_its_type_is_refused(name: str, value: dict[str, Any], words: str) -> None:
+def test_value_of_wrong_type_is_refused(name: str, value: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         cdr.encode(name, value)
 
 
-def test_a_fixed_array_of_another_length_is_refused() -> None:
+def test_fixed_array_of_wrong_length_is_refused() -> None:
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
     pose = {"position": zero, "orientation": {**zero, "w": 1.0}}
     with pytest.raises(ValueError, match="36 values expected, found 35"):

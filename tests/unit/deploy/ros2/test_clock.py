@@ -10,7 +10,7 @@ OFFSET = 1_700_000_000 * S
 
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=200))
-def test_the_error_is_the_least_delay_of_late_and_never_more_than_the_newest(delays_ms: list[int]) -> None:
+def test_clock_error_is_minimum_delay_within_window(delays_ms: list[int]) -> None:
     clock = TimeOfDay()
     for n, delay in enumerate(delays_ms):
         stamp = 7 * S + n * 20 * MS
@@ -21,7 +21,7 @@ def test_the_error_is_the_least_delay_of_late_and_never_more_than_the_newest(del
             assert error == min(delays_ms[: n + 1]) * MS
 
 
-def test_a_clock_that_drifts_is_followed() -> None:
+def test_clock_drift_is_tracked() -> None:
     clock = TimeOfDay()
     for n in range(3000):  # a minute in which the time of day gains 30 ms
         stamp = n * 20 * MS
@@ -29,7 +29,7 @@ def test_a_clock_that_drifts_is_followed() -> None:
     assert clock.of(stamp) - (OFFSET + stamp + MS + 30 * MS) > -6 * MS
 
 
-def test_a_clock_that_begins_anew_or_is_set_is_believed_at_once() -> None:
+def test_clock_reset_is_followed_immediately() -> None:
     clock = TimeOfDay()
     clock.learn(500 * S, OFFSET + 500 * S)
     clock.learn(1 * S, OFFSET + 501 * S)  # the robot's clock was reset

@@ -34,9 +34,7 @@ def odometry(stamp_ns: int, T: NDArray[np.float64]) -> Odometry:
 
 
 @given(TWISTS, TWISTS)
-def test_odometry_has_the_pose_and_the_twist_that_leads_from_one_to_the_next(
-    start: NDArray[np.float64], moved: NDArray[np.float64]
-) -> None:
+def test_odometry_has_pose_and_twist_between_messages(start: NDArray[np.float64], moved: NDArray[np.float64]) -> None:
     before = odometry(5 * S, exp_se3(start))
     newest = odometry(5 * S + S // 50, before.T_odom_body @ exp_se3(moved * 0.02))
     value = converted.odometry(newest, before, AT)
@@ -50,14 +48,14 @@ def test_odometry_has_the_pose_and_the_twist_that_leads_from_one_to_the_next(
 
 
 @pytest.mark.parametrize("gap_ns", [0, -S, 2 * S])
-def test_no_twist_is_told_over_a_gap(gap_ns: int) -> None:
+def test_twist_is_zero_across_gap(gap_ns: int) -> None:
     before, newest = odometry(5 * S, np.eye(4)), odometry(5 * S + gap_ns, from_xyz_rpy((1.0, 0.0, 0.0), (0, 0, 0)))
     for found in (converted.twist(newest, before), converted.twist(newest, None)):
         assert found["linear"] == found["angular"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 @given(TWISTS, TWISTS)
-def test_transforms_chain_from_the_map_to_the_body(correction: NDArray[np.float64], way: NDArray[np.float64]) -> None:
+def test_transforms_chain_from_map_to_base_link(correction: NDArray[np.float64], way: NDArray[np.float64]) -> None:
     chain = (("map", "odom", exp_se3(correction)), ("odom", "base_link", exp_se3(way)))
     value = converted.transforms(AT, *chain)
     assert cdr.encode("tf2_msgs/msg/TFMessage", value)
@@ -67,7 +65,7 @@ def test_transforms_chain_from_the_map_to_the_body(correction: NDArray[np.float6
     assert np.allclose(T, exp_se3(correction) @ exp_se3(way), atol=1e-9)
 
 
-def test_a_pose_keeps_its_covariance_row_by_row() -> None:
+def test_pose_covariance_is_row_major() -> None:
     covariance = np.arange(36.0).reshape(6, 6)
     found = BodyPose(0, from_xyz_rpy((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)), np.eye(4), covariance, 1.0, True, "", np.zeros((0, 6)))
     value = converted.pose(found, AT)
@@ -77,7 +75,7 @@ def test_a_pose_keeps_its_covariance_row_by_row() -> None:
     assert value["pose"]["covariance"].tolist() == list(range(36))
 
 
-def test_joints_are_named_by_leg_and_link_in_their_order() -> None:
+def test_joint_names_follow_leg_and_link_order() -> None:
     state = actuator_state(PROFILE, stamp_ns=0, q=np.arange(18.0).reshape(6, 3), load_nm=-np.arange(18.0).reshape(6, 3))
     value = converted.joint_state(state, AT)
     assert cdr.encode("sensor_msgs/msg/JointState", value)
@@ -112,7 +110,7 @@ def at_position(grid: converted.Value, layer: str, xy: NDArray[np.float64]) -> f
     return float(data["data"][column * rows["size"] + row])
 
 
-def test_a_grid_map_has_every_cell_where_the_terrain_has_it() -> None:
+def test_grid_map_cells_match_terrain_positions() -> None:
     map_ = terrain()
     grid = converted.grid_map(map_, AT)
     assert cdr.encode("grid_map_msgs/msg/GridMap", grid)
@@ -124,7 +122,7 @@ def test_a_grid_map_has_every_cell_where_the_terrain_has_it() -> None:
         assert at_position(grid, "evaluation", xy) == pytest.approx(np.nan if (i, j) == (1, 2) else -3, nan_ok=True)
 
 
-def test_a_point_cloud_has_the_cells_that_are_known() -> None:
+def test_point_cloud_contains_known_cells() -> None:
     map_ = terrain()
     value = converted.points(map_, AT)
     assert cdr.encode("sensor_msgs/msg/PointCloud2", value)
@@ -139,7 +137,7 @@ def test_a_point_cloud_has_the_cells_that_are_known() -> None:
     assert value["is_dense"]
 
 
-def test_a_map_that_knows_nothing_is_an_empty_cloud() -> None:
+def test_unknown_map_gives_empty_point_cloud() -> None:
     height = np.full((4, 4), np.nan, np.float32)
     none = np.zeros((4, 4), dtype=bool)
     value = converted.points(TerrainMap(0, 0.01, np.zeros(2), height, height, height, none, none.astype(np.int8)), AT)

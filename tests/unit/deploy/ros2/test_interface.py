@@ -31,31 +31,31 @@ STORES = {store: get_typestore(store) for store in (Stores.ROS2_JAZZY, Stores.RO
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_the_hash_is_the_published_one(name: str) -> None:
+def test_type_hash_matches_published_hash(name: str) -> None:
     assert type_hash(name) == f"RIHS01_{PUBLISHED[name]}"
 
 
 @pytest.mark.parametrize("store", STORES, ids=lambda store: store.value)
 @pytest.mark.parametrize("name", [name for name in DEFINITIONS if not name.startswith("grid_map_msgs")])
-def test_definition_and_hash_are_those_of_another_reader(name: str, store: Stores) -> None:
+def test_fields_and_hash_match_rosbags(name: str, store: Stores) -> None:
     peer = STORES[store]
     assert [field.name for field in fields(name)] == [name for name, _ in peer.fielddefs[name][1]]
     assert type_hash(name) == peer.hash_rihs01(name)
 
 
-def test_every_type_that_is_referred_to_is_defined() -> None:
+def test_all_referenced_types_are_defined() -> None:
     for name in DEFINITIONS:
         assert fields(name)
         assert all(not field.nested or field.base in DEFINITIONS for field in fields(name)), name
 
 
 @pytest.mark.parametrize("line", ["float64", "float64 X", "float64[ x", "int32 x = 3", "float64[<] x", ""])
-def test_a_line_that_defines_nothing_is_refused(line: str) -> None:
+def test_invalid_field_line_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match="a type and a name expected"):
         interface._field(line, "a/msg/B")
 
 
-def test_arrays_of_all_kinds_are_read() -> None:
+def test_all_array_kinds_are_parsed() -> None:
     found = [interface._field(line, "a/msg/B") for line in ("int8 x", "int8[3] x", "int8[] x", "int8[<=4] x", "C[] x", "d/E x")]
     assert [(field.base, field.array, field.length) for field in found] == [
         ("int8", "", 0),
@@ -67,6 +67,6 @@ def test_arrays_of_all_kinds_are_read() -> None:
     ]
 
 
-def test_a_message_that_nobody_has_defined_is_named() -> None:
+def test_undefined_message_type_is_named() -> None:
     with pytest.raises(ValueError, match="found 'geometry_msgs/msg/Wrench'"):
         fields("geometry_msgs/msg/Wrench")

@@ -20,7 +20,7 @@ MS = 1_000_000
 PROFILE = load_profile("phantomx_mk2")
 
 
-class Desk:
+class LeadBench:
     """A lead in beats of 20 ms, and an actuator that gives the lease to each sender."""
 
     def __init__(self, ahead: int = 0, **state: Any) -> None:
@@ -61,8 +61,8 @@ class Desk:
         return [m.mode for m in self.said if isinstance(m, ModeCommand)]
 
 
-def test_twists_become_velocities_and_keep_the_lease() -> None:
-    desk = Desk()
+def test_twists_become_velocity_commands_and_renew_lease() -> None:
+    desk = LeadBench()
     desk.drive(100, x=0.04, y=-0.02, turn=0.3)
     found = desk.velocities()
     assert 45 <= len(found) <= 51, "every 40 ms"
@@ -73,9 +73,9 @@ def test_twists_become_velocities_and_keep_the_lease() -> None:
     assert 4 <= len(orders) <= 5, "twice a second"
 
 
-def test_what_goes_out_is_stamped_and_numbered_by_the_robots_clock_also_after_it_began_anew() -> None:
+def test_commands_are_stamped_with_robot_clock_after_its_restart() -> None:
     hour = 3_600_000 * MS
-    desk = Desk(ahead=hour)
+    desk = LeadBench(ahead=hour)
     desk.drive(60)
     orders = [m for m in desk.said if isinstance(m, ModeCommand)]
     assert len(orders) >= 2
@@ -93,8 +93,8 @@ def test_what_goes_out_is_stamped_and_numbered_by_the_robots_clock_also_after_it
     assert order.sequence < hour, "another bridge would count on from here"
 
 
-def test_a_pause_is_zero_once_a_stop_and_then_silence() -> None:
-    desk = Desk()
+def test_twist_timeout_sends_one_zero_velocity_and_stop() -> None:
+    desk = LeadBench()
     desk.drive(20)
     desk.said.clear()
     before = desk.now
@@ -109,8 +109,8 @@ def test_a_pause_is_zero_once_a_stop_and_then_silence() -> None:
     assert "no Twist for 0.3 s" in desk.words[-1]
 
 
-def test_it_may_lead_again_after_a_pause_with_a_newer_order() -> None:
-    desk = Desk()
+def test_drive_resumes_after_pause_with_newer_order() -> None:
+    desk = LeadBench()
     for _ in range(2):
         desk.drive(20)
         desk.rest(30)
@@ -119,8 +119,8 @@ def test_it_may_lead_again_after_a_pause_with_a_newer_order() -> None:
     assert list(orders) == sorted(orders)
 
 
-def test_a_twist_of_zeros_begins_nothing() -> None:
-    desk = Desk()
+def test_zero_twist_does_not_start_walking() -> None:
+    desk = LeadBench()
     desk.drive(50, x=0.0)
     assert desk.said == []
     desk.drive(20)
@@ -137,8 +137,8 @@ def test_a_twist_of_zeros_begins_nothing() -> None:
         ({"mode": Mode.OFF, "reason": "ordered off"}, "in mode off"),
     ],
 )
-def test_a_refusal_is_said_once_and_nothing_moves(state: dict[str, Any], words: str) -> None:
-    desk = Desk(**state)
+def test_refusal_is_logged_once_and_requires_released_stick(state: dict[str, Any], words: str) -> None:
+    desk = LeadBench(**state)
     desk.drive(50)
     assert desk.said == []
     assert len(desk.words) == 1
@@ -152,8 +152,8 @@ def test_a_refusal_is_said_once_and_nothing_moves(state: dict[str, Any], words: 
     assert desk.orders() == ["walk"]
 
 
-def test_without_a_word_of_the_actuator_nothing_is_led() -> None:
-    desk = Desk()
+def test_no_commands_without_actuator_state() -> None:
+    desk = LeadBench()
     desk.state = None
     desk.beat()
     desk.drive(10)
@@ -162,8 +162,8 @@ def test_without_a_word_of_the_actuator_nothing_is_led() -> None:
 
 
 @pytest.mark.parametrize("change", [{"lease": "console 2"}, {"mode": Mode.OFF, "reason": "torque off"}])
-def test_who_takes_over_or_lets_go_ends_it_without_a_word_from_here(change: dict[str, Any]) -> None:
-    desk = Desk()
+def test_lost_lease_or_torque_off_ends_drive_without_commands(change: dict[str, Any]) -> None:
+    desk = LeadBench()
     desk.drive(20)
     assert desk.state is not None
     desk.state = replace(desk.state, **change)
@@ -177,16 +177,16 @@ def test_who_takes_over_or_lets_go_ends_it_without_a_word_from_here(change: dict
     assert desk.orders() == ["walk"]
 
 
-def test_velocities_wait_for_the_lease() -> None:
-    desk = Desk()
+def test_velocities_are_sent_only_after_lease_is_granted() -> None:
+    desk = LeadBench()
     assert desk.state is not None
     desk.lead.twist(np.array([0.05, 0.0]), 0.0, desk.now)
     made = desk.lead.beat(desk.now + 20 * MS, desk.state)
     assert [type(m) for m in made] == [ModeCommand], "the actuator has not given it yet"
 
 
-def test_an_actuator_that_does_not_give_the_lease_is_named_with_its_reason() -> None:
-    desk = Desk()
+def test_denied_lease_is_reported_with_reason() -> None:
+    desk = LeadBench()
     assert desk.state is not None
     refused = "`walk` of ros2 refused: it is older than the newest order of this client"
     for _ in range(60):
@@ -197,8 +197,8 @@ def test_an_actuator_that_does_not_give_the_lease_is_named_with_its_reason() -> 
     assert desk.words[-1] == f"the actuator does not grant the lease; {refused}"
 
 
-def test_the_end_of_the_bridge_stops_a_robot_that_it_leads() -> None:
-    desk = Desk()
+def test_release_stops_driven_robot() -> None:
+    desk = LeadBench()
     assert desk.lead.release(desk.now) == []
     desk.drive(10)
     zero, stop = desk.lead.release(desk.now)
@@ -210,8 +210,8 @@ def test_the_end_of_the_bridge_stops_a_robot_that_it_leads() -> None:
 
 @given(st.lists(st.tuples(st.floats(-1e300, 1e300), st.floats(-1e300, 1e300), st.floats(-1e300, 1e300)), max_size=20))
 @settings(deadline=None)
-def test_whatever_is_asked_the_speed_is_the_robots(asked: list[tuple[float, float, float]]) -> None:
-    desk = Desk()
+def test_velocity_commands_are_clipped_to_robot_limits(asked: list[tuple[float, float, float]]) -> None:
+    desk = LeadBench()
     for x, y, turn in asked:
         desk.drive(2, x, y, turn)
     for found in desk.velocities():

@@ -14,7 +14,7 @@ STRING = "std_msgs/msg/String"
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
-def test_the_examples_of_its_design_come_out() -> None:
+def test_tokens_and_keys_match_rmw_zenoh_examples() -> None:
     listener = Node(2, "aac3178e146ba6f1fc6e6a4085e77f21", "listener")
     assert listener.token() == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
     assert listener.endpoint_token(10, "MS", "chatter", STRING, 10) == (
@@ -28,7 +28,7 @@ def test_the_examples_of_its_design_come_out() -> None:
     assert listener.key("chatter", STRING) == f"2/chatter/std_msgs::msg::dds_::String_/{HASH}"
 
 
-def test_a_namespace_goes_before_relative_names_and_into_tokens() -> None:
+def test_namespace_prefixes_relative_names_and_tokens() -> None:
     node = Node(0, "1", "sextant", "/fleet/robot_1")
     assert node.full("odom") == "/fleet/robot_1/odom"
     assert node.full("/tf") == "/tf"
@@ -51,19 +51,19 @@ def test_a_namespace_goes_before_relative_names_and_into_tokens() -> None:
         (0, "a", "", "namespace like"),
     ],
 )
-def test_what_is_no_domain_name_or_namespace_is_refused(domain: int, name: str, namespace: str, words: str) -> None:
+def test_invalid_domain_name_or_namespace_is_refused(domain: int, name: str, namespace: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Node(domain, "1", name, namespace)
 
 
 @given(st.integers(1, 2**62), st.integers(0, 2**62), st.binary(min_size=16, max_size=16))
-def test_an_attachment_is_read_by_zenohs_own_reader(number: int, at_ns: int, source: bytes) -> None:
+def test_attachment_decodes_with_zenoh_deserializer(number: int, at_ns: int, source: bytes) -> None:
     data = zenoh.ZBytes(attachment(number, at_ns, source))
     kinds = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
     assert zenoh.ext.z_deserialize(kinds, data) == (number, at_ns, source)
 
 
-def test_a_gid_belongs_to_its_token() -> None:
+def test_gid_is_hash_of_token() -> None:
     tokens = [Node(0, "1", "a").endpoint_token(n, "MP", "odom", STRING, 1) for n in (1, 2)]
     assert len({gid(token) for token in tokens}) == 2
     assert [len(gid(token)) for token in tokens] == [16, 16]
@@ -71,7 +71,7 @@ def test_a_gid_belongs_to_its_token() -> None:
     assert gid("") == (0x99AA06D3014798D86001C324468D497F).to_bytes(16, "little")
 
 
-def test_keys_and_tokens_are_key_expressions() -> None:
+def test_keys_and_tokens_are_valid_key_expressions() -> None:
     node = Node(0, "1", "sextant", "/robot")
     for key in (node.key("odom", STRING), node.token(), node.endpoint_token(1, "MS", "odom", STRING, 10)):
         assert str(zenoh.KeyExpr(key)) == key

@@ -18,7 +18,7 @@ from sextant.shared.wire.messages import Message, ModeCommand, Tick
 PATIENCE_S = 20.0
 
 
-class Caller:
+class OrderPublisher:
     """A service that orders the robot to stand, fifty times a second."""
 
     name = "caller"
@@ -36,7 +36,7 @@ class Caller:
         return "calling"
 
 
-class Listener:
+class OrderSubscriber:
     """A service that receives orders, and fails after enough of them."""
 
     name = "listener"
@@ -59,17 +59,23 @@ class Listener:
         return "listening"
 
 
-def test_attendants_hear_each_other_and_end() -> None:
-    listener = Listener()
-    with host_router() as endpoints, ObserverThread({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+def test_observers_exchange_messages_and_end() -> None:
+    listener = OrderSubscriber()
+    with (
+        host_router() as endpoints,
+        ObserverThread({"caller": OrderPublisher(), "listener": listener}, endpoints) as attendants,
+    ):
         assert listener.heard.wait(PATIENCE_S)
         attendants.check()
     assert not [t for t in threading.enumerate() if t.name in ("caller", "listener")]
 
 
-def test_what_breaks_in_an_attendant_comes_out_where_the_run_is_watched() -> None:
-    listener = Listener(breaks=True)
-    with host_router() as endpoints, ObserverThread({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+def test_observer_exception_is_raised_by_check() -> None:
+    listener = OrderSubscriber(breaks=True)
+    with (
+        host_router() as endpoints,
+        ObserverThread({"caller": OrderPublisher(), "listener": listener}, endpoints) as attendants,
+    ):
         assert listener.heard.wait(PATIENCE_S)
         for thread in threading.enumerate():
             if thread.name == "listener":
@@ -78,7 +84,7 @@ def test_what_breaks_in_an_attendant_comes_out_where_the_run_is_watched() -> Non
             attendants.check()
 
 
-class Hand:
+class FakeLauncher:
     """A replacement for the launcher that records its calls."""
 
     def __init__(self) -> None:
@@ -94,8 +100,8 @@ class Hand:
         self.acts.append(("thaw", name))
 
 
-def test_faults_happen_once_when_their_time_has_come() -> None:
-    hand = Hand()
+def test_faults_trigger_once_at_their_time() -> None:
+    hand = FakeLauncher()
     camera = Fault(1.0, "camera", "blind")  # the simulator handles its own fault
     faults = Faults((Fault(5.0, "planner", "hang", for_s=2.0), Fault(6.0, "mapper"), camera))
     told = []
@@ -117,7 +123,7 @@ class Clock:
         return self.now_ns
 
 
-def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
+def test_simulated_time_speed_is_relative_to_real_time() -> None:
     simulated, real = Clock(), Clock()
     speed = Speed(simulated, real)
     assert (speed.mean(), speed.newest(), speed.words({})) == (1.0, 1.0, "")
@@ -136,7 +142,7 @@ def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
     assert speed.words(waited_s) == words
 
 
-def test_a_computer_is_not_blamed_for_what_passing_bytes_between_processes_costs() -> None:
+def test_interprocess_overhead_is_not_reported_as_slow_computer() -> None:
     simulated, real = Clock(), Clock()
     speed = Speed(simulated, real)
     for _ in range(100):
@@ -160,7 +166,9 @@ SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
         (0.0, "simulated time ran at 0.40 of real time: this computer is too slow", "time limit", None),
     ],
 )
-def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: str, reason: str, too_slow: str | None) -> None:
+def test_failed_run_with_late_inputs_reports_slow_computer(
+    late_s: float, slowed_down: str, reason: str, too_slow: str | None
+) -> None:
     attendance = RunObservers(load_profile("phantomx_mk2"), load_scenario("flat"), 0, live=True)
     attendance.monitor.lateness.late_s = late_s
     attendance.monitor.lateness.words = SLOW if late_s else ""
@@ -171,7 +179,7 @@ def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: 
     assert not reports.check(json.loads(reports.to_json(report)))
 
 
-def test_lines_of_services_that_do_not_fit_are_dropped_and_that_is_said(tmp_path: Path) -> None:
+def test_unwritable_service_log_is_reported(tmp_path: Path) -> None:
     (tmp_path / "services.log").symlink_to("/dev/full")
     for path in (tmp_path / "services.log", tmp_path / "gone" / "services.log"):
         log = ServiceLog(path)
@@ -182,7 +190,7 @@ def test_lines_of_services_that_do_not_fit_are_dropped_and_that_is_said(tmp_path
         assert log.problem.startswith(f"{path} cannot be written: ")
 
 
-def test_lines_of_services_are_kept_as_they_come(tmp_path: Path) -> None:
+def test_service_log_is_written_immediately(tmp_path: Path) -> None:
     log = ServiceLog(tmp_path / "services.log")
     log.hear("mapper", "mapper: käme")
     assert (tmp_path / "services.log").read_text(encoding="utf-8") == "mapper: käme\n"

@@ -40,13 +40,13 @@ def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: boo
     return heard
 
 
-def test_one_seed_makes_one_run_to_the_byte() -> None:
+def test_lockstep_run_is_deterministic_for_seed() -> None:
     first = frames(3, S)
     assert frames(3, S) == first
     assert frames(4, S) != first
 
 
-def test_depth_frames_that_nobody_looks_at_can_be_left_out_without_a_difference() -> None:
+def test_skipping_unused_depth_frames_changes_nothing_else() -> None:
     every, used = frames(3, 3 * S), frames(3, 3 * S, every_frame=False)
     pictures = [{at_ns: frame for key, frame, at_ns in heard if key == topics.DEPTH.key} for heard in (every, used)]
     assert len(pictures[1]) == len(pictures[0]) // 2
@@ -56,12 +56,12 @@ def test_depth_frames_that_nobody_looks_at_can_be_left_out_without_a_difference(
     assert others[0] == others[1]
 
 
-def test_where_something_breaks_every_frame_is_made() -> None:
+def test_all_depth_frames_are_rendered_with_faults() -> None:
     scenario = replace(FLAT, faults=(Fault(0.5, "mapper", "kill", for_s=0.1),))
     assert frames(3, S, scenario, every_frame=False) == frames(3, S, scenario)
 
 
-def test_all_services_are_heard_at_their_rates() -> None:
+def test_all_services_publish_at_nominal_rates() -> None:
     heard = Counter(key for key, _, at_ns in frames(3, S))
     for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
         assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
@@ -71,7 +71,7 @@ def test_all_services_are_heard_at_their_rates() -> None:
     assert heard[topics.COLOR.key] == 0, "no service asked for colour"
 
 
-def test_a_service_that_is_killed_is_silent_and_comes_back() -> None:
+def test_killed_service_is_silent_until_restart() -> None:
     faults = (Fault(1.2, "mapper", "kill", for_s=0.4),)
     scenario = Scenario("short", (Plane(),), Goal(1.0), faults=faults)
     times = [at_ns for key, _, at_ns in frames(3, 5 * S // 2, scenario) if key == topics.TERRAIN.key]
@@ -89,14 +89,14 @@ def two_runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, objec
     return made
 
 
-def test_a_run_leaves_report_picture_and_recording(two_runs: list[tuple[Path, object]]) -> None:
+def test_run_writes_report_summary_and_recording(two_runs: list[tuple[Path, object]]) -> None:
     out, report = two_runs[0]
     assert sorted(path.name for path in out.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
     assert not report.success  # type: ignore[attr-defined]
     assert "time limit" in report.reason  # type: ignore[attr-defined]
 
 
-def test_reports_and_recordings_of_one_seed_are_the_same(two_runs: list[tuple[Path, object]]) -> None:
+def test_reports_and_recordings_are_equal_for_same_seed(two_runs: list[tuple[Path, object]]) -> None:
     (a, first), (b, second) = two_runs
     assert repr(first) == repr(second), "compared as text: a metric that was not measured is NaN"
     said = [[frame for frame in Recording(out / "recording.mcap").frames() if frame[0] != topics.HEALTH.key] for out in (a, b)]
@@ -108,7 +108,7 @@ def crash(*_: object) -> None:
     raise IndexError("index 5 is out of bounds")
 
 
-def test_a_service_that_fails_ends_its_run_with_that_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_service_exception_ends_run_with_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.services.planner.service.Planner.step", crash)
     report = run_lockstep(FLAT, 3, tmp_path)
     assert not report.success
@@ -117,7 +117,7 @@ def test_a_service_that_fails_ends_its_run_with_that_reason(tmp_path: Path, monk
     assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["reason"] == report.reason
 
 
-def test_a_batch_goes_on_past_a_run_in_which_a_service_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batch_continues_after_failed_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.services.mapper.service.Mapper.step", crash)
     trials = run_trials(FLAT, (1000, 1001), 1, tmp_path)
     assert (trials.success.n, trials.success.successes) == (2, 0)
@@ -153,13 +153,13 @@ print(hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest())
 """
 
 
-def test_no_service_reads_a_clock_of_the_machine_and_none_decides_by_the_stopwatch() -> None:
+def test_services_do_not_depend_on_machine_clock() -> None:
     done = subprocess.run([sys.executable, "-c", NO_MACHINE_CLOCK], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split()[-1] == hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest()
 
 
-class Told(Silent):
+class CapturedProgress(Silent):
     def __init__(self) -> None:
         self.said: list[str] = []
 
@@ -167,9 +167,9 @@ class Told(Silent):
         self.said.append(text)
 
 
-def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_ends_recording_and_walk_is_still_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer.RESERVE_BYTES", 1 << 60)
-    told = Told()
+    told = CapturedProgress()
 
     def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         raise WriteError(Path("depth.txt"), OSError(errno.ENOSPC, "No space left on device"))
@@ -186,14 +186,14 @@ def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path:
     assert kept.complete, "what was written before is a whole file"
 
 
-def test_a_folder_never_pairs_a_run_with_the_verdict_of_an_earlier_one(tmp_path: Path) -> None:
+def test_clear_removes_files_of_earlier_run(tmp_path: Path) -> None:
     for name in ("report.json", "walk.png", "notes.txt"):
         (tmp_path / name).write_text("of an earlier run")
     clear(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_files_that_cannot_be_written_are_named_and_the_others_are_there(tmp_path: Path) -> None:
+def test_unwritable_output_file_is_reported_by_name(tmp_path: Path) -> None:
     (tmp_path / "report.json").mkdir()
     attendance = RunObservers(PROFILE, FLAT, 3)
     (problem,) = attendance.leave_behind(attendance.judge(1.0, "ended"), tmp_path)

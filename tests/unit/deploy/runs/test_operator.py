@@ -98,7 +98,7 @@ class Robot:
         return self
 
 
-def test_a_robot_that_something_stopped_while_it_rose_is_ordered_to_stand_anew():
+def test_operator_repeats_stand_order_after_interrupted_rise():
     robot = Robot()
     for _ in range(5):
         robot.beat()
@@ -117,7 +117,7 @@ def test_a_robot_that_something_stopped_while_it_rose_is_ordered_to_stand_anew()
     assert min(walk) > max(stands)
 
 
-def test_one_who_comes_as_the_robot_walks_and_stops_it_before_he_knows_where_it_is_has_it_stand_up_anew():
+def test_operator_joining_walking_robot_orders_stand_again():
     robot = Robot()
     robot.mode, robot.pose_comes = Mode.WALK, False
     robot.beat()
@@ -132,7 +132,7 @@ def test_one_who_comes_as_the_robot_walks_and_stops_it_before_he_knows_where_it_
     assert min(order.sequence for _, order in robot.orders if order.mode == "walk") > max(stands)
 
 
-def test_it_orders_to_stand_then_to_walk_and_repeats_itself():
+def test_operator_orders_stand_then_walk_and_repeats_orders():
     robot = Robot().run()
     modes = [order.mode for _, order in robot.orders]
     assert modes == sorted(modes)  # "stand" before "walk"
@@ -147,7 +147,7 @@ def test_it_orders_to_stand_then_to_walk_and_repeats_itself():
     assert first_velocity >= walks[0] >= 1_000_000_000  # the robot had risen
 
 
-def test_it_walks_to_the_goal_and_stops_there():
+def test_operator_walks_robot_to_goal_and_stops():
     robot = Robot().run()
     assert robot.operator.finished
     assert "at the goal" in robot.operator.reason
@@ -163,7 +163,7 @@ def test_it_walks_to_the_goal_and_stops_there():
 
 
 @pytest.mark.parametrize(("y", "yaw", "side_slip"), [(0.1, 0.0, 0.0), (-0.1, 0.3, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, 0.01)])
-def test_it_comes_back_to_the_line(y, yaw, side_slip):
+def test_operator_steers_robot_back_to_line(y, yaw, side_slip):
     robot = Robot(y, yaw, side_slip).run()
     assert robot.operator.finished
     steady = side_slip / (2.0 * SCENARIO.walk.speed)  # offset at which the course compensates the slip
@@ -173,7 +173,7 @@ def test_it_comes_back_to_the_line(y, yaw, side_slip):
     assert all(np.linalg.norm(v.velocity) <= SCENARIO.walk.speed + 1e-12 for v in robot.velocities)
 
 
-def test_its_course_stays_within_25_degrees_of_the_line():
+def test_operator_course_stays_within_25_degrees_of_line():
     robot = Robot(y=2.0)
     for _ in range(60):
         robot.beat()
@@ -181,7 +181,7 @@ def test_its_course_stays_within_25_degrees_of_the_line():
     assert max(np.abs(course)) == pytest.approx(np.radians(25.0))
 
 
-def test_it_gives_up_on_a_planner_that_stays_blocked():
+def test_operator_gives_up_if_planner_stays_blocked():
     robot = Robot()
     for _ in range(60):
         robot.beat()
@@ -193,7 +193,7 @@ def test_it_gives_up_on_a_planner_that_stays_blocked():
     assert "left front" in robot.operator.reason
 
 
-def test_a_planner_that_goes_on_is_given_new_patience():
+def test_planner_progress_resets_operator_timeout():
     robot = Robot()
     for k in range(1000):
         robot.blocked = "no foothold" if k > 60 and k % 300 > 10 else ""
@@ -201,7 +201,7 @@ def test_a_planner_that_goes_on_is_given_new_patience():
     assert "blocked" not in robot.operator.reason
 
 
-def test_it_gives_up_on_a_planner_that_does_not_hear_it():
+def test_operator_gives_up_if_planner_receives_no_command():
     robot = Robot()
     for _ in range(60):
         robot.beat()
@@ -212,7 +212,7 @@ def test_it_gives_up_on_a_planner_that_does_not_hear_it():
     assert "received no command from here: no fresh velocity command" in robot.operator.reason
 
 
-def test_it_never_steers_blind_and_gives_up_without_a_pose():
+def test_operator_sends_zero_velocity_and_gives_up_without_pose():
     robot = Robot()
     for _ in range(60):
         robot.beat()
@@ -228,7 +228,7 @@ def test_it_never_steers_blind_and_gives_up_without_a_pose():
 
 
 @pytest.mark.parametrize("mode", [Mode.FAULT, Mode.OFF])
-def test_it_does_not_force_a_robot_that_has_failed(mode):
+def test_operator_does_not_reorder_failed_robot(mode):
     robot = Robot()
     for _ in range(60):
         robot.beat()
@@ -239,7 +239,7 @@ def test_it_does_not_force_a_robot_that_has_failed(mode):
     assert len({order.sequence for _, order in robot.orders}) <= 2
 
 
-def test_it_says_what_it_waits_for():
+def test_operator_status_shows_awaited_event():
     robot = Robot()
     operator = robot.operator
     assert "waiting for the actuator" in operator.doing()
@@ -250,7 +250,7 @@ def test_it_says_what_it_waits_for():
     assert "of 1.50 m" in operator.progress
 
 
-def test_it_gives_up_when_nobody_answers():
+def test_operator_gives_up_without_actuator_messages():
     operator = Operator(load_profile(SCENARIO.robot), replace(SCENARIO))
     inbox = Inbox(operator.subscribes, operator.stages)
     for now in range(0, 61_000_000_000, 1_000_000_000):
@@ -259,7 +259,7 @@ def test_it_gives_up_when_nobody_answers():
     assert "within 60 s" in operator.reason
 
 
-def test_a_route_is_told_and_not_steered():
+def test_operator_publishes_route_goal_without_velocities():
     route = replace(SCENARIO, goal=Goal(1.5, route=True, waypoints=((0.5, 0.2),)))
     robot = Robot(scenario=route).run(400)
     assert not robot.velocities
@@ -275,7 +275,7 @@ def test_a_route_is_told_and_not_steered():
 
 
 @pytest.mark.parametrize("allowed", [True, False])
-def test_only_where_the_scenario_allows_it_a_robot_without_sight_is_asked_to_go_on_by_touch(allowed):
+def test_blind_walking_is_requested_only_if_scenario_allows(allowed):
     robot = Robot(scenario=replace(SCENARIO, walk=replace(SCENARIO.walk, by_touch=allowed)))
     for _ in range(60):
         robot.beat()

@@ -36,14 +36,14 @@ T = from_xyz_rpy((0.7, -0.2, 0.1), (0.02, 0.01, 0.5))
 POSE = BodyPose(0, T, from_xyz_rpy((0.1, 0, 0), (0, 0, 0.1)), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
 
 
-def course(model: PoseErrorModel, seconds: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def error_series(model: PoseErrorModel, seconds: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     t = np.arange(0.0, seconds, 1 / 15)
     error = PoseError(model, np.random.default_rng(seed))
     return t, np.array([error.at(round(s * 1e9)) for s in t])
 
 
-def test_its_size_and_its_memory_are_the_models() -> None:
-    t, x = course(MODEL, 3000.0)
+def test_pose_error_sigma_and_autocorrelation_match_model() -> None:
+    t, x = error_series(MODEL, 3000.0)
     np.testing.assert_allclose(x.std(axis=0), MODEL.sigma, rtol=0.12)
     assert np.all(np.abs(x.mean(axis=0)) < 0.15 * MODEL.sigma)
     for columns, correlation in ((slice(0, 3), MODEL.position), (slice(3, 6), MODEL.rotation)):
@@ -51,8 +51,8 @@ def test_its_size_and_its_memory_are_the_models() -> None:
         np.testing.assert_allclose(found, correlation.at(lags), atol=0.1)
 
 
-def test_a_fit_finds_the_model_again() -> None:
-    t, x = course(MODEL, 3000.0, seed=3)
+def test_fit_recovers_model() -> None:
+    t, x = error_series(MODEL, 3000.0, seed=3)
     found = fitted(t, x[:, :3], x[:, 3:])
     lags = np.linspace(1 / 15, 2.0, 30)
     np.testing.assert_allclose(found.sigma, MODEL.sigma, rtol=0.12)
@@ -60,19 +60,19 @@ def test_a_fit_finds_the_model_again() -> None:
     np.testing.assert_allclose(found.rotation.at(lags), MODEL.rotation.at(lags), atol=0.12)
 
 
-def test_one_time_has_one_error_and_one_seed_one_course() -> None:
+def test_pose_error_is_deterministic_for_time_and_seed() -> None:
     error = PoseError(MODEL, np.random.default_rng(1))
     first = error.at(0)
     np.testing.assert_array_equal(error.at(0), first)
     later = error.at(10**9)
     assert (later != first).all()
     np.testing.assert_array_equal(error.at(10**9), later)
-    np.testing.assert_array_equal(course(MODEL, 2.0, seed=4)[1], course(MODEL, 2.0, seed=4)[1])
+    np.testing.assert_array_equal(error_series(MODEL, 2.0, seed=4)[1], error_series(MODEL, 2.0, seed=4)[1])
 
 
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "series"), [("rgbdslam", "rgbdslam_fr1_xyz"), ("orb_slam", "orb_rgbd_fr2_desk")])
-def test_the_models_are_those_of_the_recordings(name: str, series: str) -> None:
+def test_models_match_recorded_pose_errors(name: str, series: str) -> None:
     file = "slam_pose_errors.npz"
     path = recording("pose_errors", holds=file) / file
     with np.load(path, allow_pickle=False) as data:
@@ -85,7 +85,7 @@ def test_the_models_are_those_of_the_recordings(name: str, series: str) -> None:
         )
 
 
-class Still:
+class StaticPerception:
     """A perception that sends the same pose and scan repeatedly."""
 
     name = "perception"
@@ -122,7 +122,7 @@ def scan(n: int = 50, color: bool = True) -> Scan:
 def test_pose_and_scan_move_together() -> None:
     """Move the scan with the pose: points keep their place relative to the body."""
     before = scan()
-    erring = NoisyPerception(Still(before), MODEL, seed=2)  # type: ignore[arg-type]
+    erring = NoisyPerception(StaticPerception(before), MODEL, seed=2)  # type: ignore[arg-type]
     for stamp_ns in (0, 10**9, 3 * 10**9):
         pose, moved = erring.step(stamp_ns, Inbox((), Stages()))  # type: ignore[arg-type]
         assert isinstance(pose, BodyPose)
@@ -139,7 +139,7 @@ def test_pose_and_scan_move_together() -> None:
         assert (np.diag(moved.pose_covariance) > MODEL.sigma**2).all()
 
 
-def test_an_error_turns_the_body_about_itself() -> None:
+def test_rotation_error_is_about_body_origin() -> None:
     error = np.array([0.01, -0.02, 0.03, 0.1, 0.2, -0.3])
     moved = moved_by(error, T) @ T
     np.testing.assert_allclose(moved[:3, 3] - T[:3, 3], error[:3], atol=1e-12)
@@ -147,16 +147,16 @@ def test_an_error_turns_the_body_about_itself() -> None:
     np.testing.assert_allclose(exp_so3(error[3:]) @ T[:3, :3], moved[:3, :3])
 
 
-def test_points_that_leave_the_millimetres_are_left_out() -> None:
+def test_points_beyond_int16_range_are_dropped() -> None:
     far = replace(scan(2), points_mm=np.array([[32760, 0, 0], [0, 0, 0]], dtype=np.int16))
     shift = replace(MODEL, position_m=(1e-9, 1e-9, 1e-9), rotation_rad=(1e-9, 1e-9, 0.5))
     for seed in range(6):
-        _, moved = NoisyPerception(Still(far), shift, seed).step(0, Inbox((), Stages()))  # type: ignore[arg-type]
+        _, moved = NoisyPerception(StaticPerception(far), shift, seed).step(0, Inbox((), Stages()))  # type: ignore[arg-type]
         assert isinstance(moved, Scan)
         assert len(moved.points_mm) == len(moved.count) == len(moved.color) in (1, 2)
 
 
-def test_live_runs_start_another_process_for_it() -> None:
+def test_live_run_starts_noisy_perception_process() -> None:
     plain = Scenario("plain", (Plane(),), Goal(1.0))
     erring = replace(plain, pose_error="orb_slam")
     for scenario, module in ((plain, "sextant.services.perception"), (erring, "sextant.deploy.runs.noisy_perception")):
@@ -167,14 +167,14 @@ def test_live_runs_start_another_process_for_it() -> None:
         assert ("pose_error=orb_slam" in command.arguments) == ("seed=7" in command.arguments) == (scenario is erring)
 
 
-def test_the_wrapped_perception_keeps_its_settings() -> None:
+def test_noisy_perception_keeps_perception_settings() -> None:
     made = make(load_profile("phantomx_mk2"), Settings(settle_s=0.1, pose_error="rgbdslam"))
     assert made.name == "perception"
     assert made.trigger is topics.DEPTH
     assert "waiting" in made.doing()
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_correlation_is_refused() -> None:
     with pytest.raises(ValueError, match="share"):
         Correlation(1.5, 1.0, 0.1)
     with pytest.raises(ValueError, match="share"):

@@ -12,7 +12,7 @@ from sextant.shared.wire import topics
 MS = 1_000_000
 
 
-def test_only_what_is_said_between_robot_and_base_crosses() -> None:
+def test_only_robot_to_base_messages_use_radio() -> None:
     radio = Radio(Link(delay_ms=20.0), 0)
     assert radio.crosses("perception", "mapper")
     assert radio.crosses("planner", "actuator")
@@ -20,7 +20,7 @@ def test_only_what_is_said_between_robot_and_base_crosses() -> None:
     assert not radio.crosses("actuator", "perception")
 
 
-def test_a_message_takes_its_delay_and_its_length() -> None:
+def test_arrival_time_includes_delay_and_message_length() -> None:
     radio = Radio(Link(delay_ms=20.0, mbit=20.0), 0)
     alone = radio.arrival_ns(topics.SCAN, "perception", 50_000, 0)
     assert alone == pytest.approx(20 * MS + 50_080 * 8 / 20e6 * 1e9, abs=1)
@@ -29,12 +29,12 @@ def test_a_message_takes_its_delay_and_its_length() -> None:
     assert command < 21.5 * MS, "it goes between the packets of the scan"
 
 
-def test_a_link_without_limits_is_only_late() -> None:
+def test_link_without_rate_limit_only_delays() -> None:
     radio = Radio(Link(delay_ms=5.0), 0)
     assert [radio.arrival_ns(topics.SCAN, "perception", 10**6, t * MS) for t in range(5)] == [(t + 5) * MS for t in range(5)]
 
 
-def test_bulk_that_finds_no_room_is_dropped() -> None:
+def test_bulk_messages_beyond_capacity_are_dropped() -> None:
     radio = Radio(Link(delay_ms=20.0, mbit=2.0), 0)
     came = [radio.arrival_ns(topics.SCAN, "perception", 50_000, k * 66 * MS) for k in range(150)]
     taken = [(k, at) for k, at in enumerate(came) if at is not None]
@@ -46,7 +46,7 @@ def test_bulk_that_finds_no_room_is_dropped() -> None:
     st.lists(st.tuples(st.booleans(), st.integers(10, 60_000), st.integers(0, 100)), min_size=1, max_size=100),
     st.floats(0.0, 0.5),
 )
-def test_a_lane_keeps_its_order_and_nothing_is_early(words: list[tuple[bool, int, int]], loss: float) -> None:
+def test_lane_preserves_order_and_minimum_delay(words: list[tuple[bool, int, int]], loss: float) -> None:
     radio, now_ns = Radio(Link(20.0, 20.0, loss), 3), 0
     newest = {True: 0, False: 0}
     for bulk, size, wait_ms in words:
@@ -58,7 +58,7 @@ def test_a_lane_keeps_its_order_and_nothing_is_early(words: list[tuple[bool, int
             newest[bulk] = at
 
 
-def test_a_lost_packet_comes_later_as_often_as_is_said() -> None:
+def test_lost_packets_are_delayed_at_given_rate() -> None:
     radio = Radio(Link(delay_ms=20.0, loss=0.05), 1)
     late = [radio.arrival_ns(topics.ODOMETRY, "actuator", 300, t * 1000 * MS) for t in range(4000)]
     took = np.array([0 if at is None else at - t * 1000 * MS for t, at in enumerate(late)])

@@ -29,30 +29,30 @@ VIEWER, OWN = "5e8de63f1c", "a1b2c3d4e5"
 ON = "Interface(lo)+CertCommonName(viewer)+Transport(Tls)"
 
 
-def logged(words: str, thread: str = "rx-0 ThreadId(08)", level: str = "TRACE", target: str = "access_control") -> str:
+def log_line(words: str, thread: str = "rx-0 ThreadId(08)", level: str = "TRACE", target: str = "access_control") -> str:
     target = f"net::routing::interceptor::{target}" if target else "net::routing::interceptor"
     return f"\x1b[2m2026-11-23T04:24:58.183770Z\x1b[0m {level}  {thread} zenoh::{target}: {words}\n"
 
 
-KEPT = logged("Msg intercepted!", target="")
+KEPT = log_line("Msg intercepted!", target="")
 
 
 @pytest.mark.parametrize(
     ("log", "kind"),
     [
         (
-            logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/operator/mode") + KEPT,
+            log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/operator/mode") + KEPT,
             "viewer may not publish operator/mode",
         ),
         (
-            logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Query (ingress) on here/camera/depth")
-            + logged(f"Using cached result: {VIEWER} is unauthorized to Declare Subscriber (ingress) on here/camera/depth")
+            log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Query (ingress) on here/camera/depth")
+            + log_line(f"Using cached result: {VIEWER} is unauthorized to Declare Subscriber (ingress) on here/camera/depth")
             + KEPT,
             "viewer may not subscribe to camera/depth",
         ),
     ],
 )
-def test_each_kind_has_a_name_and_is_counted(log: str, kind: str) -> None:
+def test_refusals_are_counted_by_kind(log: str, kind: str) -> None:
     refusals = Refusals("here")
     assert list(refusals.read(log)) == []
     assert list(refusals.read(log)) == []
@@ -61,10 +61,10 @@ def test_each_kind_has_a_name_and_is_counted(log: str, kind: str) -> None:
     assert refusals.words() == f"{kind}: 2 times"
 
 
-def test_a_flood_is_counted_and_what_comes_all_at_once_behind_a_stall_is_not() -> None:
+def test_message_flood_is_counted_and_burst_after_stall_is_not() -> None:
     too_soon = (
-        logged(f"{VIEWER} on {ON}+{VIEWER} is authorized to Put (ingress) on here/operator/stop")
-        + logged(
+        log_line(f"{VIEWER} on {ON}+{VIEWER} is authorized to Put (ingress) on here/operator/stop")
+        + log_line(
             "Message dropped by the downsampling interceptor: Push(here/operator/stop) from:south:0:client/5e8de63f:3",
             target="downsampling",
         )
@@ -82,39 +82,39 @@ def test_a_flood_is_counted_and_what_comes_all_at_once_behind_a_stall_is_not() -
     "log",
     [
         # Zenoh looks up the rules for all kinds of messages before it authorizes one.
-        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
-        + logged(f"Using cached result: {VIEWER} is authorized to Declare Subscriber (ingress) on here/actuator/state"),
+        log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
+        + log_line(f"Using cached result: {VIEWER} is authorized to Declare Subscriber (ingress) on here/actuator/state"),
         # Kept from a client that could not want it.
-        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Declare Subscriber (egress) on here/operator/mode") + KEPT,
+        log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Declare Subscriber (egress) on here/operator/mode") + KEPT,
         # Two threads at once: each line belongs to its own thread.
-        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
-        + logged("Msg intercepted!", thread="rx-1 ThreadId(09)", target=""),
+        log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
+        + log_line("Msg intercepted!", thread="rx-1 ThreadId(09)", target=""),
         # Presence of another machine's processes.
-        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/machine/presence/viewer") + KEPT,
+        log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/machine/presence/viewer") + KEPT,
     ],
 )
-def test_what_is_no_refusal_is_not_counted(log: str) -> None:
+def test_other_log_lines_are_not_counted(log: str) -> None:
     refusals = Refusals("here")
     assert list(refusals.read(log)) == []
     assert refusals.count.total() == 0
 
 
-def test_a_claim_to_be_another_role_is_a_refusal() -> None:
+def test_publishing_under_another_role_is_a_refusal() -> None:
     refusals = Refusals("here")
-    line = logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/health/robot") + KEPT
+    line = log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/health/robot") + KEPT
     assert list(refusals.read(line)) == []
     assert refusals.count.total() == 1
 
 
-def test_what_is_about_something_else_is_passed_on() -> None:
+def test_unrelated_log_lines_are_passed_on() -> None:
     refusals = Refusals("here")
     assert list(refusals.read("thread 'rx-0' panicked at\nsomewhere\n")) == ["thread 'rx-0' panicked at", "somewhere"]
 
 
-def test_who_puts_to_many_keys_is_told_of_in_one_line() -> None:
+def test_refusals_of_many_keys_are_summarized() -> None:
     refusals = Refusals("here")
     for number in range(1000):
-        line = logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/key/{number}") + KEPT
+        line = log_line(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/key/{number}") + KEPT
         assert list(refusals.read(line)) == []
     assert len(refusals.count) == 65
     assert refusals.count.total() == 1000
@@ -122,11 +122,11 @@ def test_who_puts_to_many_keys_is_told_of_in_one_line() -> None:
 
 
 @given(st.text())
-def test_no_line_is_too_strange(text: str) -> None:
-    list(Refusals("here").read(text + logged(text) + KEPT))
+def test_arbitrary_log_text_raises_no_error(text: str) -> None:
+    list(Refusals("here").read(text + log_line(text) + KEPT))
 
 
-def test_it_speaks_once_a_second_and_soon_when_there_is_news() -> None:
+def test_health_is_published_each_second_and_soon_after_refusal() -> None:
     log, said, out = [""], list[Health](), io.StringIO()
     connections = RefusedConnections()
     keeper = RouterHealthReporter(lambda: log.pop(), said.append, "router", "here", "listening", out, connections.take)
@@ -166,7 +166,7 @@ print(len(found), size < 3_000_000)
 """
 
 
-def test_what_is_written_is_taken_and_takes_no_more_and_more_room() -> None:
+def test_captured_log_is_consumed_with_bounded_size() -> None:
     root = str(Path(__file__).parents[4])
     done = subprocess.run(
         [sys.executable, "-c", CATCH.format(root=root)], capture_output=True, text=True, timeout=60, check=True
@@ -202,7 +202,7 @@ def router(keys: Path) -> Iterator[tuple[str, str]]:
     assert "viewer may not publish operator/mode" in said
 
 
-def test_whom_a_router_refuses_is_said_in_its_health(router: tuple[str, str], keys: Path) -> None:
+def test_router_health_reports_refused_clients(router: tuple[str, str], keys: Path) -> None:
     plain, secure = router
     told, words = threading.Event(), list[Health]()
 

@@ -13,13 +13,13 @@ from sextant.deploy.security.admission import HandshakeLimit, Limits, Pending, s
 LIMITS = Limits(handshakes_hz=10.0, handshakes_burst=5, pending=8, timeout_s=2.0, addresses=16)
 
 
-def test_an_ipv6_host_counts_as_its_network_and_a_mapped_address_as_ipv4() -> None:
+def test_ipv6_source_is_its_network_and_mapped_address_is_ipv4() -> None:
     assert source_of("fe80::1%eth0") == source_of("fe80::2") != source_of("fe80:0:0:1::1")
     assert source_of("::ffff:10.0.0.7") == source_of("10.0.0.7") == "10.0.0.7"
 
 
 @given(st.lists(st.floats(0.0, 0.5), min_size=1, max_size=200))
-def test_an_address_never_exceeds_its_rate_and_burst(waits_s: list[float]) -> None:
+def test_handshakes_of_address_stay_within_rate_and_burst(waits_s: list[float]) -> None:
     limit, now_s, allowed = HandshakeLimit(LIMITS), 0.0, 0
     for wait_s in waits_s:
         now_s += wait_s
@@ -27,7 +27,7 @@ def test_an_address_never_exceeds_its_rate_and_burst(waits_s: list[float]) -> No
         assert allowed <= LIMITS.handshakes_burst + LIMITS.handshakes_hz * now_s + 1e-6
 
 
-def test_addresses_are_limited_apart_and_a_verified_one_is_not() -> None:
+def test_addresses_are_limited_separately_and_verified_one_is_exempt() -> None:
     limit = HandshakeLimit(LIMITS)
     assert [limit.allows("a", 0.0) for _ in range(6)] == [True] * 5 + [False]
     assert limit.allows("b", 0.0)
@@ -36,7 +36,7 @@ def test_addresses_are_limited_apart_and_a_verified_one_is_not() -> None:
     assert all(limit.allows("a", 0.1) for _ in range(100))
 
 
-def test_invented_addresses_take_bounded_memory() -> None:
+def test_number_of_stored_addresses_is_bounded() -> None:
     limit = HandshakeLimit(LIMITS)
     for number in range(1000):
         limit.allows(f"stranger {number}", 0.0)
@@ -44,7 +44,7 @@ def test_invented_addresses_take_bounded_memory() -> None:
     assert len(limit._buckets) == len(limit._verified) == LIMITS.addresses
 
 
-def test_the_oldest_silent_connection_of_the_most_crowded_address_makes_room() -> None:
+def test_oldest_silent_connection_of_busiest_address_is_dropped() -> None:
     pending = Pending[str](LIMITS)
     for number in range(6):
         assert pending.add(f"stranger {number}", "crowded", 0.0) is None
@@ -58,7 +58,7 @@ def test_the_oldest_silent_connection_of_the_most_crowded_address_makes_room() -
     assert len(pending) == LIMITS.pending
 
 
-def test_connections_are_overdue_in_order_and_once() -> None:
+def test_overdue_connections_are_returned_once_in_order() -> None:
     pending = Pending[int](LIMITS)
     for number in range(4):
         pending.add(number, "a", float(number))
@@ -73,7 +73,7 @@ def test_connections_are_overdue_in_order_and_once() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from(["add", "speaks", "remove", "overdue"])), max_size=100))
-def test_the_number_of_pending_connections_is_bounded(steps: list[tuple[str, str]]) -> None:
+def test_number_of_pending_connections_is_bounded(steps: list[tuple[str, str]]) -> None:
     pending, known, now_s = Pending[int](LIMITS), list[int](), 0.0
     for number, (source, what) in enumerate(steps):
         now_s += 0.1

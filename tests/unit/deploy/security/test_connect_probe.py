@@ -12,7 +12,7 @@ from sextant.deploy.security.router_security import Gate
 from tests.support import gated
 
 
-def test_each_reason_is_told_once_until_it_is_let_in() -> None:
+def test_each_refusal_reason_is_logged_once_until_admitted() -> None:
     told, reasons, connected = list[str](), ["no", "no", "", "no", "other"], [False]
     knocking = ConnectProbe(lambda: reasons.pop(0), lambda: connected[0], told.append)
     for _ in range(5):
@@ -23,7 +23,7 @@ def test_each_reason_is_told_once_until_it_is_let_in() -> None:
     assert reasons == []
 
 
-def test_it_begins_at_once_and_ends() -> None:
+def test_probe_starts_immediately_and_ends() -> None:
     asked = threading.Event()
 
     def ask() -> str:
@@ -39,7 +39,7 @@ def test_it_begins_at_once_and_ends() -> None:
 @pytest.mark.parametrize(
     ("who", "words"), [("base", ""), ("foreign", "is not the expected machine"), ("console", "cannot be reached")]
 )
-def test_why_a_machine_is_not_let_in(who: str, words: str, tmp_path: Path) -> None:
+def test_probe_reports_refusal_reason(who: str, words: str, tmp_path: Path) -> None:
     keys = gated.make_keys(tmp_path)
     plain, secure, nowhere = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls", "tls"))
     here = Gate((plain, secure), gated.NAMESPACE, keys / "robot")

@@ -20,7 +20,7 @@ ROBOT = peer_handshake.presence("hexapod-7", "onboard", "0.1.0", ("actuator", "p
 BASE = peer_handshake.presence("desk-9", "offboard", "0.1.0", ("mapper", "planner"), 20.0, 0)
 
 
-def with_another(word: Presence, *keys: str) -> Presence:
+def with_other_schemas(word: Presence, *keys: str) -> Presence:
     """Return the presence of a version with different declarations of some messages."""
     return replace(
         word,
@@ -89,14 +89,14 @@ class Machine:
         self.link.frames[topics.PRESENCE_OF[role].key].append(codec.encode(claim))
 
 
-def beats(clock: list[int], seconds: float, *machines: Machine) -> None:
+def run_machines(clock: list[int], seconds: float, *machines: Machine) -> None:
     for _ in range(round(seconds * 5)):
         clock[0] += SEC // 5
         for machine in machines:
             machine.meeting.beat()
 
 
-def test_two_halves_of_one_version_fit() -> None:
+def test_machines_of_same_schema_are_compatible() -> None:
     assert objection(ROBOT, BASE, "base") is None
     assert objection(BASE, ROBOT, "robot") is None
     newer = replace(BASE, version="0.1.1")
@@ -104,8 +104,8 @@ def test_two_halves_of_one_version_fit() -> None:
 
 
 @pytest.mark.parametrize("base_up_s", [1.0, 500.0])
-def test_a_base_that_means_something_else_does_not_start_and_the_robot_does(base_up_s: float) -> None:
-    base = replace(with_another(BASE, "planner/step", "perception/scan"), up_s=base_up_s)
+def test_schema_mismatch_prevents_start_of_base_but_not_of_robot(base_up_s: float) -> None:
+    base = replace(with_other_schemas(BASE, "planner/step", "perception/scan"), up_s=base_up_s)
     at_robot, at_base = objection(ROBOT, base, "base"), objection(base, ROBOT, "robot")
     assert at_robot is not None
     assert at_base is not None
@@ -117,25 +117,25 @@ def test_a_base_that_means_something_else_does_not_start_and_the_robot_does(base
     assert "install the same version on both" in at_base.words
 
 
-def test_only_the_robot_keeps_a_base_of_another_version_from_starting() -> None:
-    found = objection(BASE, replace(with_another(ROBOT, "planner/step"), up_s=1e9), "console")
+def test_only_robot_presence_prevents_start_of_mismatched_base() -> None:
+    found = objection(BASE, replace(with_other_schemas(ROBOT, "planner/step"), up_s=1e9), "console")
     assert found is not None
     assert not found.bars_start
 
 
-def test_many_differences_are_counted() -> None:
-    found = objection(ROBOT, with_another(BASE, *BASE.keys), "base")
+def test_many_schema_differences_are_summarized() -> None:
+    found = objection(ROBOT, with_other_schemas(BASE, *BASE.keys), "base")
     assert found is not None
     assert f"and {len(BASE.keys) - 4} more" in found.words
 
 
-def test_a_topic_that_only_one_knows_is_no_difference() -> None:
+def test_topic_unknown_to_one_machine_is_no_mismatch() -> None:
     older = replace(BASE, keys=BASE.keys[:-2], schemas=BASE.schemas[:-2])
     assert objection(ROBOT, older, "base") is None
     assert objection(older, ROBOT, "robot") is None
 
 
-def test_of_two_that_start_the_same_the_later_does_not_start() -> None:
+def test_later_of_two_machines_with_same_service_does_not_start() -> None:
     late = replace(BASE, machine="laptop-3", up_s=2.0, services=("planner", "console"))
     first, second = objection(BASE, late, "base"), objection(late, BASE, "base")
     assert first is not None
@@ -161,7 +161,7 @@ def test_of_two_that_start_the_same_the_later_does_not_start() -> None:
         ("viewer", "recorder", False),
     ],
 )
-def test_a_claim_to_run_a_service_counts_only_where_the_role_may_run_it(role: str, service: str, may: bool) -> None:
+def test_service_claim_counts_only_for_permitted_role(role: str, service: str, may: bool) -> None:
     assert peer_handshake.may_run(role, service) is may
     own = replace(BASE, services=(service,), up_s=0.0)
     claim = replace(ROBOT, services=(service,), up_s=1e9)
@@ -169,86 +169,86 @@ def test_a_claim_to_run_a_service_counts_only_where_the_role_may_run_it(role: st
 
 
 @pytest.mark.parametrize("role", ["robot", "base", "console", "site"])
-def test_no_claim_ends_a_robot_that_runs(role: str) -> None:
+def test_presence_claim_never_ends_running_robot(role: str) -> None:
     """Keep a robot running for any presence that a certificate's holder may send.
 
     Here it is an earlier start of the same services, by another version.
     """
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator", "stop", "planner")
-    beats(clock, 4.0, robot)
-    claim = replace(with_another(ROBOT, "planner/step"), machine="z", up_s=1e9, services=("actuator", "stop", "planner"))
+    run_machines(clock, 4.0, robot)
+    claim = replace(with_other_schemas(ROBOT, "planner/step"), machine="z", up_s=1e9, services=("actuator", "stop", "planner"))
     for _ in range(20):
         robot.hear(role, claim)
-        beats(clock, 0.2, robot)
+        run_machines(clock, 0.2, robot)
     assert robot.said[0] == "z (onboard) has connected, running actuator, stop, planner"
     assert "z (onboard) runs Sextant 0.2.0, this machine 0.1.0" in robot.link.health[-1].doing, "the console shows it"
     assert robot.link.health[-1].stamp_ns > clock[0] - SEC, "it goes on"
     assert not hasattr(robot.meeting, "refused"), "no message can end a running process"
 
 
-def test_machines_that_are_invented_are_bounded_and_forgotten() -> None:
+def test_claimed_machines_are_bounded_and_expire() -> None:
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
     base = Machine(wire, clock, "desk-9", "offboard", "mapper")
-    beats(clock, 2.0, robot, base)
+    run_machines(clock, 2.0, robot, base)
     for number in range(2000):
         robot.hear("console", replace(BASE, machine=f"{number}" * 20, version="9" * 500, services=("x" * 1000,) * 50))
-    beats(clock, 2.0, robot, base)
+    run_machines(clock, 2.0, robot, base)
     assert len(robot.said) < 40
     assert max(map(len, robot.said)) < 5000
     assert any("more than 8 machines claim the role console" in words for words in robot.said)
     assert any(machine.presence.machine == "desk-9" for machine in robot.meeting._machines.values())
-    beats(clock, 70.0, robot, base)
+    run_machines(clock, 70.0, robot, base)
     assert [machine.presence.machine for machine in robot.meeting._machines.values()] == ["desk-9"]
 
 
 def test_a_machine_publishes_under_the_role_of_its_certificate() -> None:
     clock, wire = [0], Wire()
     desk = Machine(wire, clock, "laptop-3", "offboard", "console", certificate="console")
-    beats(clock, 2.0, desk)
+    run_machines(clock, 2.0, desk)
     assert desk.link.keys == {"machine/presence/console", "health/console"}
 
 
-def test_services_start_once_the_others_have_published_or_after_a_while() -> None:
+def test_services_start_after_peer_presence_or_timeout() -> None:
     clock, wire = [0], Wire()
     alone = Machine(wire, clock, "desk-9", "offboard", "mapper")
-    beats(clock, 2.8, alone)
+    run_machines(clock, 2.8, alone)
     assert not alone.meeting.met
-    beats(clock, 0.4, alone)
+    run_machines(clock, 0.4, alone)
     assert alone.meeting.met
     second = Machine(wire, clock, "laptop-3", "offboard", "planner")
-    beats(clock, 1.0, alone, second)
+    run_machines(clock, 1.0, alone, second)
     assert not second.meeting.met, "another may publish within a second"
-    beats(clock, 1.4, alone, second)
+    run_machines(clock, 1.4, alone, second)
     assert second.meeting.met
     assert second.meeting.start_refusal == ""
 
 
-def test_they_meet_whoever_is_first_and_say_who_comes_and_goes() -> None:
+def test_machines_connect_in_any_order_and_log_peer_changes() -> None:
     clock, wire = [0], Wire()
     base = Machine(wire, clock, "desk-9", "offboard", "mapper", "planner")
-    beats(clock, 3.0, base)
+    run_machines(clock, 3.0, base)
     assert base.said == []
     assert base.link.health[-1].doing == "no other machine yet"
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
-    beats(clock, 3.0, base, robot)
+    run_machines(clock, 3.0, base, robot)
     assert base.said == ["hexapod-7 (onboard) has connected, running actuator"]
     assert robot.said == ["desk-9 (offboard) has connected, running mapper, planner"]
     assert base.link.health[-1].doing == "connected to hexapod-7 (onboard)"
-    beats(clock, 6.0, robot)
+    run_machines(clock, 6.0, robot)
     assert robot.said[1:] == ["no message from desk-9 (offboard) for 5 s"]
     assert robot.link.health[-1].doing == "no other machine yet"
-    beats(clock, 3.0, base, robot)
+    run_machines(clock, 3.0, base, robot)
     assert robot.said[2:] == ["desk-9 (offboard) has reconnected"]
 
 
-def test_a_misfit_is_reported_once_and_keeps_the_later_from_starting() -> None:
+def test_conflict_is_reported_once_and_prevents_start_of_later() -> None:
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator", "planner", version="0.3.0")
-    beats(clock, 1.0, robot)
+    run_machines(clock, 1.0, robot)
     base = Machine(wire, clock, "desk-9", "offboard", "mapper", "planner")
-    beats(clock, 4.0, robot, base)
+    run_machines(clock, 4.0, robot, base)
     assert not robot.meeting.start_refusal
     assert "already runs planner" in base.meeting.start_refusal
     assert sum("already runs planner" in words for words in robot.said) == 1
@@ -256,10 +256,10 @@ def test_a_misfit_is_reported_once_and_keeps_the_later_from_starting() -> None:
     assert "already runs planner" in robot.link.health[-1].doing, "the console shows it"
 
 
-def test_a_machine_that_speaks_otherwise_is_named() -> None:
+def test_undecodable_presence_is_reported() -> None:
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
     robot.link.frames["machine/presence/base"] += [b"\x05\x00\x00\x00hello", of_another_version(BASE)]
-    beats(clock, 1.0, robot)
+    run_machines(clock, 1.0, robot)
     assert "different versions" in robot.said[-1]
     assert "cannot be decoded" in robot.link.health[-1].doing

@@ -63,7 +63,7 @@ def link(robot: Robot, keys: Path, role: str) -> ZenohLink:
     return ZenohLink(Endpoints((robot.secure,), namespace=NAMESPACE, keys=Keys.load(keys / role)))
 
 
-def test_a_base_plans_and_commands_and_hears_the_robot(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_base_can_publish_plans_and_commands_and_read_state(robot: Robot, keys: Path, inside: Inside) -> None:
     with link(robot, keys, "base") as base:
         put_until(inside, base, topics.STEP_PLAN, b"plan")
         put_until(inside, base, topics.MODE, b"mode")
@@ -76,7 +76,7 @@ def test_a_base_plans_and_commands_and_hears_the_robot(robot: Robot, keys: Path,
         assert heard.is_set()
 
 
-def test_a_console_commands_but_its_plans_vanish(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_console_commands_pass_and_its_plans_are_dropped(robot: Robot, keys: Path, inside: Inside) -> None:
     with link(robot, keys, "console") as console:
         put_until(inside, console, topics.MODE, b"ready")
         for number in range(N):
@@ -85,7 +85,7 @@ def test_a_console_commands_but_its_plans_vanish(robot: Robot, keys: Path, insid
     assert inside.count[topics.STEP_PLAN.key] == 0
 
 
-def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_unlisted_keys_and_wildcard_puts_are_dropped(robot: Robot, keys: Path, inside: Inside) -> None:
     """Reject a message to a key pattern, even if the pattern matches an allowed key."""
     with link(robot, keys, "base") as base, session(robot.secure, tls_of(keys / "base")) as wild:
         put_until(inside, base, topics.HEALTH_OF["base"], b"ready")
@@ -100,7 +100,7 @@ def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys:
 
 
 @pytest.mark.parametrize("role", ["base", "console", "viewer"])
-def test_health_and_presence_of_another_role_lead_nowhere(robot: Robot, keys: Path, inside: Inside, role: str) -> None:
+def test_health_and_presence_of_another_role_are_dropped(robot: Robot, keys: Path, inside: Inside, role: str) -> None:
     own = () if role == "viewer" else (topics.HEALTH_OF[role], topics.PRESENCE_OF[role])
     last = topics.STOP if role == "viewer" else topics.MODE
     with link(robot, keys, role) as client:
@@ -114,7 +114,7 @@ def test_health_and_presence_of_another_role_lead_nowhere(robot: Robot, keys: Pa
     assert came == {topic.key for topic in own}
 
 
-def test_who_may_not_read_hears_nothing(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_viewer_receives_only_permitted_topics(robot: Robot, keys: Path, inside: Inside) -> None:
     with session(robot.secure, tls_of(keys / "viewer")) as viewer:
         everything = viewer.declare_subscriber("**", zenoh.handlers.FifoChannel(10_000))
         barred = [viewer.declare_subscriber(f"{NAMESPACE}/{key}") for key in ("simulator/truth", "camera/depth")]
@@ -136,13 +136,13 @@ def test_who_may_not_read_hears_nothing(robot: Robot, keys: Path, inside: Inside
     ("who", "words"),
     [("foreign", "is not the expected machine"), ("expired", "expired 1 days ago")],
 )
-def test_a_client_of_ours_with_the_wrong_keys_is_told_why_at_once(robot: Robot, keys: Path, who: str, words: str) -> None:
+def test_client_with_invalid_keys_fails_with_reason(robot: Robot, keys: Path, who: str, words: str) -> None:
     with pytest.raises((TransportError, AccessError), match=words), link(robot, keys, who):
         pass
 
 
 @pytest.mark.parametrize("who", ["foreign", "expired", "nobody", "plain"])
-def test_a_stranger_is_not_let_in(robot: Robot, keys: Path, who: str) -> None:
+def test_unauthorized_client_is_refused(robot: Robot, keys: Path, who: str) -> None:
     """Refuse a client without this project's rules, even if it trusts the robot."""
     match who:
         case "plain":
@@ -155,7 +155,7 @@ def test_a_stranger_is_not_let_in(robot: Robot, keys: Path, who: str) -> None:
         stranger(endpoint, tls)
 
 
-def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_peer_without_certificate_is_isolated(robot: Robot, keys: Path, inside: Inside) -> None:
     """Accept nothing from a peer without a certificate.
 
     In peer mode, opening a session never fails.
@@ -173,7 +173,7 @@ def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, insi
     assert inside.count[topics.STEP_PLAN.key] == 0
 
 
-def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_clients_do_not_connect_directly_to_each_other(robot: Robot, keys: Path, inside: Inside) -> None:
     """Keep clients from connecting to each other past the router.
 
     A peer that listens is not announced to clients. Its messages are authorized by its own certificate.
@@ -195,7 +195,7 @@ def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, insid
 
 
 @pytest.mark.parametrize("role", ["base", "viewer"])
-def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: Robot, keys: Path, inside: Inside) -> None:
+def test_chained_machine_has_permissions_of_its_certificate(role: str, robot: Robot, keys: Path, inside: Inside) -> None:
     """Authorize a chained machine by its certificate.
 
     The machine's processes use its loopback without certificates; its router presents the machine's certificate.
@@ -226,7 +226,7 @@ def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: 
 
 
 @pytest.mark.parametrize("role", ["base", "console"])
-def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
+def test_site_router_enforces_role_of_each_machine(role: str, keys: Path) -> None:
     """Authorize each machine at a site's router between robot and base.
 
     Robot and base are chained to a router on a third machine. It rejects a console's unauthorized messages.
@@ -258,14 +258,14 @@ def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
         assert (inside.count[topics.STEP_PLAN.key] > 0) is (role == "base")
 
 
-def test_what_will_not_be_heard_is_said_before_it_starts(keys: Path) -> None:
+def test_services_not_permitted_by_certificate_are_reported(keys: Path) -> None:
     there = Gate(("tcp/127.0.0.1:7447",), NAMESPACE, keys / "console", upstream=("tls/robot.local:7448",))
     assert there.misplaced(["console"]) == ""
     assert there.misplaced(["mapper", "planner", "console"]).startswith("mapper, planner would be refused: this certificate")
     assert Gate(("tcp/127.0.0.1:7447", "tls/0.0.0.0:7448"), NAMESPACE, keys / "robot").misplaced(["planner"]) == ""
 
 
-def test_a_flood_is_thinned_at_the_listener_and_others_get_through(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_flooding_client_is_rate_limited_and_others_pass(robot: Robot, keys: Path, inside: Inside) -> None:
     with link(robot, keys, "console") as flooding, link(robot, keys, "base") as base:
         put_until(inside, flooding, topics.MODE, b"ready")
         before = inside.count[topics.MODE.key]
@@ -276,7 +276,7 @@ def test_a_flood_is_thinned_at_the_listener_and_others_get_through(robot: Robot,
         assert inside.count[topics.MODE.key] - before < 1500, "a thousand a second are let through"
 
 
-def test_what_is_too_large_ends_at_the_listener(robot: Robot, keys: Path, inside: Inside) -> None:
+def test_oversized_messages_are_dropped(robot: Robot, keys: Path, inside: Inside) -> None:
     with link(robot, keys, "console") as console:
         put_until(inside, console, topics.MODE, b"ready")
         before = inside.count[topics.VELOCITY.key]
@@ -300,7 +300,7 @@ def test_what_is_too_large_ends_at_the_listener(robot: Robot, keys: Path, inside
         (("tcp/127.0.0.1:7447", "up:tls/192.168.1.20:7448"), False, False, "needs certificates"),
     ],
 )
-def test_listening_to_anybody_has_to_be_asked_for(
+def test_open_listener_requires_explicit_option(
     listen: tuple[str, ...], with_keys: bool, open_: bool, hint: str, keys: Path
 ) -> None:
     upstream = tuple(endpoint[3:] for endpoint in listen if endpoint.startswith("up:"))
@@ -309,24 +309,24 @@ def test_listening_to_anybody_has_to_be_asked_for(
         Gate(own, keys=keys / "robot" if with_keys else None, open=open_, upstream=upstream)
 
 
-def test_with_keys_a_router_listens_on_loopback_for_its_own_and_to_certificates_for_the_rest(keys: Path) -> None:
+def test_secured_router_listens_on_loopback_and_tls(keys: Path) -> None:
     made = router_security.of_arguments((), str(keys / "robot"), False, NAMESPACE, "tcp/127.0.0.1:7447")
     assert made.listen == ("tcp/127.0.0.1:7447", router_security.SECURE_ENDPOINT)
     assert router_security.of_arguments((), None, False, NAMESPACE, "tcp/127.0.0.1:7447").configuration() == {}
 
 
-def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> None:
+def test_up_refuses_public_endpoint_without_keys(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["up", "all", "--scenario", "flat", "--no-page", "--listen", "tcp/0.0.0.0:17447"]) == 2
     assert "tcp/0.0.0.0:17447 would admit any client" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("role", ["console", "viewer"])
-def test_a_command_reports_its_health_under_its_own_role(keys: Path, role: str) -> None:
+def test_command_publishes_health_under_role_of_its_keys(keys: Path, role: str) -> None:
     assert Endpoints(("tls/robot.local:7448",), keys=Keys.load(keys / role)).role == role
     assert Endpoints(("tcp/127.0.0.1:7447",)).role == "robot"
 
 
-def test_where_anybody_is_let_in_the_robots_own_processes_meet_on_loopback() -> None:
+def test_open_router_gives_own_processes_separate_loopback_port() -> None:
     public = Gate(("tcp/0.0.0.0:7447",), open=True)
     own, *others = up._apart(public).listen
     assert own.startswith("tcp/127.0.0.1:")
@@ -336,9 +336,7 @@ def test_where_anybody_is_let_in_the_robots_own_processes_meet_on_loopback() -> 
     assert up._apart(alone) is alone
 
 
-def test_keys_that_can_host_no_router_are_refused_before_anything_starts(
-    keys: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_router_keys_are_refused_before_start(keys: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for change, words in (
         ("old", "these keys are of an older version; make new ones"),
         ("a;b", "has one of ; = # ? in its path"),
@@ -350,7 +348,7 @@ def test_keys_that_can_host_no_router_are_refused_before_anything_starts(
         assert words in capsys.readouterr().err
 
 
-def test_the_configuration_of_zenoh_is_printed_and_nothing_started(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_print_zenoh_prints_configuration_without_starting(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["up", "offboard", "--connect", "tls/robot.local:7448", "--keys", str(keys / "base"), "--namespace", NAMESPACE]
     assert cli.main([*words, "--print-zenoh"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -361,7 +359,7 @@ def test_the_configuration_of_zenoh_is_printed_and_nothing_started(keys: Path, c
     assert zenoh.Config.from_json5(json.dumps(printed)) is not None
 
 
-def test_new_keys_are_for_their_owner_alone_and_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_keys_are_private_and_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "keys"
     assert cli.main(["keys", "new", str(folder), "--robot-address", "hexapod.local", "--robot-address", "10.0.0.7"]) == 0
     private = [file for file in folder.rglob("*.pem") if b"PRIVATE KEY" in file.read_bytes()]

@@ -25,7 +25,7 @@ from sextant.shared.wire.transport import Router
 from tests.support.gated import NAMESPACE, Inside
 
 
-def nobody(_seconds: float) -> list[str]:
+def find_no_endpoints(_seconds: float) -> list[str]:
     return []
 
 
@@ -47,8 +47,8 @@ def by_name(checks: list[Check]) -> dict[str, Check]:
     return {check.name.removeprefix("stranger "): check for check in checks}
 
 
-def test_every_stranger_is_refused_where_certificates_are_asked_for(guarded: str, keys: Path) -> None:
-    found = by_name(security_probe.examine(guarded, keys, nobody, listen_s=0.5))
+def test_secured_router_refuses_every_probe(guarded: str, keys: Path) -> None:
+    found = by_name(security_probe.examine(guarded, keys, find_no_endpoints, listen_s=0.5))
     assert list(found) == [
         "without TLS",
         "without a certificate",
@@ -83,7 +83,7 @@ def refuse_late(listener: socket.socket, keys: Path, late_s: float) -> None:
         client.sendall(says.read())
 
 
-def test_who_refuses_late_is_not_taken_for_one_that_lets_anybody_in(keys: Path) -> None:
+def test_late_refusal_is_not_reported_as_admission(keys: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         robot = threading.Thread(target=refuse_late, args=(listener, keys, 0.5))
         robot.start()
@@ -93,13 +93,13 @@ def test_who_refuses_late_is_not_taken_for_one_that_lets_anybody_in(keys: Path) 
     assert "asks for a certificate" in found.found
 
 
-def test_what_is_not_tried_is_said(guarded: str) -> None:
-    found = by_name(security_probe.examine(guarded, None, nobody, listen_s=0.5))
+def test_skipped_probe_is_reported(guarded: str) -> None:
+    found = by_name(security_probe.examine(guarded, None, find_no_endpoints, listen_s=0.5))
     assert found["with an expired certificate"].level is Level.WARN
     assert "not tried" in found["with an expired certificate"].found
 
 
-def test_a_router_that_is_open_is_found_out_by_what_is_heard_there() -> None:
+def test_open_router_is_detected_by_received_messages() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Router((endpoint,)):
         inside = Inside(endpoint)
@@ -114,12 +114,12 @@ def test_a_router_that_is_open_is_found_out_by_what_is_heard_there() -> None:
     assert scouts.level is Level.FAIL, "it is the robot that answers"
 
 
-def test_a_certificate_that_is_taken_is_a_failure(guarded: str, keys: Path) -> None:
+def test_accepted_certificate_is_reported_as_failure(guarded: str, keys: Path) -> None:
     assert security_probe._shown(guarded, "console", keys / "console").level is Level.FAIL
     assert security_probe._scouting(guarded, lambda _: ["tcp/10.0.0.9:7447"]).level is Level.WARN
 
 
-def test_the_command_says_it(
+def test_doctor_command_reports_probe_results(
     guarded: str, keys: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(

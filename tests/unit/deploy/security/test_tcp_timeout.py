@@ -30,7 +30,7 @@ def _descriptors() -> set[str]:
     return {path.name for path in Path("/proc/self/fd").iterdir()}
 
 
-def test_connections_are_limited_that_are_opened_and_that_are_accepted_before_the_next_look(stack: ExitStack) -> None:
+def test_timeout_applies_to_opened_and_accepted_connections(stack: ExitStack) -> None:
     listener, silence = _listener(stack), TcpTimeout(1e-3 * _LIMIT_MS)
     silence.look()
     opened = stack.enter_context(socket.create_connection(listener.getsockname()))
@@ -41,7 +41,7 @@ def test_connections_are_limited_that_are_opened_and_that_are_accepted_before_th
     assert _limit_of(opened) == _LIMIT_MS
 
 
-def test_a_descriptor_that_is_another_connection_by_now_is_limited_as_well(stack: ExitStack) -> None:
+def test_timeout_applies_to_reused_descriptor(stack: ExitStack) -> None:
     listener, silence = _listener(stack), TcpTimeout(1e-3 * _LIMIT_MS)
     first = socket.create_connection(listener.getsockname())
     silence.look()
@@ -53,7 +53,7 @@ def test_a_descriptor_that_is_another_connection_by_now_is_limited_as_well(stack
     assert _limit_of(second) == _LIMIT_MS
 
 
-def test_what_is_no_tcp_is_left_alone_and_nothing_is_closed(stack: ExitStack) -> None:
+def test_non_tcp_sockets_are_unchanged_and_stay_open(stack: ExitStack) -> None:
     near, far = socket.socketpair()
     stack.enter_context(near)
     stack.enter_context(far)
@@ -66,7 +66,7 @@ def test_what_is_no_tcp_is_left_alone_and_nothing_is_closed(stack: ExitStack) ->
     assert _descriptors() == open_before
 
 
-def test_a_descriptor_that_was_closed_behind_its_back_is_no_trouble(stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_descriptor_is_ignored(stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = _listener(stack).fileno() + 100
     assert str(closed) not in _descriptors()
     monkeypatch.setattr("sextant.deploy.security.tcp_timeout._open_sockets", lambda: {str(closed): "socket:[1]"})

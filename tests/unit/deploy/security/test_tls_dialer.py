@@ -24,7 +24,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return gated.make_keys(tmp_path_factory.mktemp("keys"))
 
 
-def other_machine(keys: Path, role: str = "robot", port: int = 0) -> EchoServer:
+def remote_server(keys: Path, role: str = "robot", port: int = 0) -> EchoServer:
     return EchoServer(keys / role / AUTHORITY, keys / role / CERTIFICATE, keys / role / KEY, port)
 
 
@@ -43,7 +43,7 @@ class At:
 
 
 @contextmanager
-def dialler(keys: Path, port: int) -> Iterator["At"]:
+def running_dialer(keys: Path, port: int) -> Iterator["At"]:
     """Run the dialer of a base."""
     inner = keys / "base" / PROXY
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -59,9 +59,9 @@ def free_port() -> int:
 
 
 @pytest.mark.parametrize("role", ["robot", "site"])
-def test_the_router_meets_the_other_machine_under_that_ones_role(keys: Path, role: str) -> None:
-    far = other_machine(keys, role)
-    with dialler(keys, far.port) as at, at.connect() as link:
+def test_dialer_presents_remote_role_to_router(keys: Path, role: str) -> None:
+    far = remote_server(keys, role)
+    with running_dialer(keys, far.port) as at, at.connect() as link:
         subject = (link.getpeercert() or {})["subject"]
         assert (("commonName", role),) in subject
         assert read(link, 16).decode().strip() == "base", "this machine's certificate is that of its role"
@@ -70,23 +70,21 @@ def test_the_router_meets_the_other_machine_under_that_ones_role(keys: Path, rol
     far.close()
 
 
-def test_a_machine_that_comes_later_is_met_by_the_attempt_that_waits(keys: Path) -> None:
+def test_waiting_connection_attempt_reaches_late_machine(keys: Path) -> None:
     port = free_port()
-    with dialler(keys, port) as at, at.call() as plain:
+    with running_dialer(keys, port) as at, at.call() as plain:
         plain.settimeout(0.3)
         with pytest.raises(TimeoutError):  # the connection stays open while nothing listens at the far end
             plain.recv(1)
         plain.settimeout(PATIENCE_S)
-        far = other_machine(keys, port=port)
+        far = remote_server(keys, port=port)
         with at.context.wrap_socket(plain, server_hostname="127.0.0.1") as link:
             assert read(link, 16)
         far.close()
 
 
 @pytest.mark.parametrize("why", ["nothing listens", "it says nothing", "a foreign authority"])
-def test_the_router_is_told_by_a_closed_connection_where_the_other_cannot_be_met(
-    keys: Path, why: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreachable_machine_closes_router_connection(keys: Path, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tls_dialer, "PATIENCE_S", 0.4)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         if why == "nothing listens":
@@ -94,25 +92,25 @@ def test_the_router_is_told_by_a_closed_connection_where_the_other_cannot_be_met
         elif why == "it says nothing":
             port = silent.getsockname()[1]
         else:
-            foreign = other_machine(keys, "foreign")
+            foreign = remote_server(keys, "foreign")
             port = foreign.port
-        with dialler(keys, port) as at, pytest.raises((ConnectionResetError, ssl.SSLEOFError)):
+        with running_dialer(keys, port) as at, pytest.raises((ConnectionResetError, ssl.SSLEOFError)):
             at.connect()
 
 
-def test_a_connection_on_which_the_other_says_nothing_any_more_is_closed(keys: Path) -> None:
-    far = other_machine(keys)
+def test_connection_to_silent_machine_is_closed(keys: Path) -> None:
+    far = remote_server(keys)
     began_s = time.monotonic()
-    with dialler(keys, far.port) as at, at.connect() as link:
+    with running_dialer(keys, far.port) as at, at.connect() as link:
         read(link, 16)
         assert link.recv(1) == b""
         assert time.monotonic() - began_s > 0.5
     far.close()
 
 
-def test_a_program_of_this_machine_without_the_keys_is_not_answered_for(keys: Path) -> None:
-    far = other_machine(keys)
-    with dialler(keys, far.port) as at:
+def test_local_program_without_keys_is_refused(keys: Path) -> None:
+    far = remote_server(keys)
+    with running_dialer(keys, far.port) as at:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         with at.call() as plain, suppress(OSError), context.wrap_socket(plain) as link:

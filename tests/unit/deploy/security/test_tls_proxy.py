@@ -84,7 +84,7 @@ def at(keys: Path) -> Iterator[At]:
 
 
 @pytest.mark.parametrize("role", ["robot", "base", "console", "viewer", "site"])
-def test_a_verified_client_reaches_the_router_under_its_own_role(at: At, role: str) -> None:
+def test_verified_client_reaches_router_under_its_role(at: At, role: str) -> None:
     with at.enter(role) as link:
         assert read(link, 16).decode().strip() == role
         link.sendall(b"there and back")
@@ -92,7 +92,7 @@ def test_a_verified_client_reaches_the_router_under_its_own_role(at: At, role: s
     assert at.refused == {}
 
 
-def test_bytes_arrive_whole_and_in_order_whichever_side_is_slow(at: At) -> None:
+def test_bytes_are_complete_and_ordered_with_slow_side(at: At) -> None:
     data = bytes(range(256)) * (1 << 14)  # 4 MiB, more than all buffers on the way
     with at.enter("base") as link:
         read(link, 16)
@@ -111,7 +111,7 @@ def test_bytes_arrive_whole_and_in_order_whichever_side_is_slow(at: At) -> None:
         assert read(link, sent) == data[:sent]
 
 
-def test_where_one_side_hangs_up_the_other_is_closed(at: At) -> None:
+def test_closing_one_side_closes_other_side(at: At) -> None:
     with at.enter("base") as link:
         read(link, 16)
         at.router.hang_up()
@@ -126,14 +126,14 @@ def test_where_one_side_hangs_up_the_other_is_closed(at: At) -> None:
         (None, "asks for a certificate", "a client without a certificate"),
     ],
 )
-def test_a_refused_client_is_told_why_and_counted(at: At, who: str | None, told: str, kind: str) -> None:
+def test_refused_client_receives_alert_and_is_counted(at: At, who: str | None, told: str, kind: str) -> None:
     context = at.context(None if who is None else at.keys / who)
     for number in range(1, 21):  # the alert is never lost
         assert told in verdict(f"tls/127.0.0.1:{at.port}", context, PATIENCE_S)
         at.until(lambda number=number: at.refused == {kind: number})  # type: ignore[misc]
 
 
-def test_a_certificate_of_no_known_role_is_refused(keys: Path, tmp_path: Path) -> None:
+def test_certificate_with_unknown_role_is_refused(keys: Path, tmp_path: Path) -> None:
     authority = Authority(days=1)
     for role in ("robot", "nobody"):
         authority.issue(tmp_path / role, role)
@@ -143,7 +143,7 @@ def test_a_certificate_of_no_known_role_is_refused(keys: Path, tmp_path: Path) -
         at.until(lambda: at.refused == {"a certificate of no known role": 1})
 
 
-def test_a_stranger_that_does_not_take_the_certificate_is_counted(at: At) -> None:
+def test_client_rejecting_server_certificate_is_counted(at: At) -> None:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.load_verify_locations(at.keys / "foreign" / AUTHORITY)
     with pytest.raises(ssl.SSLCertVerificationError), socket.create_connection(("127.0.0.1", at.port)) as plain:
@@ -151,7 +151,7 @@ def test_a_stranger_that_does_not_take_the_certificate_is_counted(at: At) -> Non
     at.until(lambda: at.refused == {"a client that rejects this robot's certificate": 1})
 
 
-def test_what_is_not_tls_is_closed_at_once(at: At) -> None:
+def test_non_tls_connection_is_closed_immediately(at: At) -> None:
     for said in (b"GET / HTTP/1.1\r\n\r\n", b"\x00", b"\x16\x02\x01"):
         with socket.create_connection(("127.0.0.1", at.port), PATIENCE_S) as link:
             link.sendall(said)
@@ -164,7 +164,7 @@ def test_what_is_not_tls_is_closed_at_once(at: At) -> None:
     at.until(lambda: at.refused.total() == 6)
 
 
-def test_silent_connections_are_bounded_in_number_and_time_and_keep_no_client_out(keys: Path) -> None:
+def test_silent_connections_are_bounded_and_block_no_client(keys: Path) -> None:
     with proxy(keys, Limits(pending=100, timeout_s=0.5)) as at, ExitStack() as stack:
         for _ in range(300):
             stack.enter_context(socket.create_connection(("127.0.0.1", at.port), PATIENCE_S))
@@ -175,7 +175,7 @@ def test_silent_connections_are_bounded_in_number_and_time_and_keep_no_client_ou
     assert set(at.refused) == {tls_proxy.CROWDED, tls_proxy.TOO_SLOW}
 
 
-def test_handshakes_that_stop_halfway_are_bounded_in_time(keys: Path) -> None:
+def test_stalled_handshake_times_out(keys: Path) -> None:
     incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
     with proxy(keys, Limits(timeout_s=0.3)) as at:
         half = at.context(keys / "base").wrap_bio(incoming, outgoing, server_hostname="127.0.0.1")
@@ -186,7 +186,7 @@ def test_handshakes_that_stop_halfway_are_bounded_in_time(keys: Path) -> None:
             at.until(lambda: at.refused == {tls_proxy.TOO_SLOW: 1})
 
 
-def test_an_address_of_strangers_is_limited_and_one_of_a_verified_client_is_not(keys: Path) -> None:
+def test_handshake_limit_exempts_verified_address(keys: Path) -> None:
     with proxy(keys, Limits(handshakes_hz=1e-6, handshakes_burst=3)) as at:
         foreign = at.context(keys / "foreign")
         endpoint = f"tls/127.0.0.1:{at.port}"
@@ -201,7 +201,7 @@ def test_an_address_of_strangers_is_limited_and_one_of_a_verified_client_is_not(
                 assert read(link, 16).decode().strip() == "base"
 
 
-def test_verified_clients_of_a_role_are_bounded_and_keep_no_other_role_out(keys: Path) -> None:
+def test_verified_clients_are_bounded_per_role(keys: Path) -> None:
     with proxy(keys, Limits(verified=3)) as at, ExitStack() as stack:
         for _ in range(3):
             assert read(stack.enter_context(at.enter("viewer")), 16)
@@ -211,7 +211,7 @@ def test_verified_clients_of_a_role_are_bounded_and_keep_no_other_role_out(keys:
         assert read(stack.enter_context(at.enter("base")), 16)
 
 
-def test_verified_addresses_go_first_then_handshakes_under_way_then_the_newest(keys: Path) -> None:
+def test_client_priority_is_verified_then_handshaking_then_newest(keys: Path) -> None:
     """Rank the clients of an overloaded proxy."""
     made = TlsProxy(["tls/127.0.0.1:1"], Keys.load(keys / "robot"), 1, lambda _: None)
     made._limit.verify("base")
@@ -224,7 +224,7 @@ def test_verified_addresses_go_first_then_handshakes_under_way_then_the_newest(k
     assert [client.number for client in served] == [known.number, begun.number, new.number, old.number]
 
 
-def test_a_connection_ends_with_its_certificate(keys: Path, tmp_path: Path) -> None:
+def test_connection_ends_when_certificate_expires(keys: Path, tmp_path: Path) -> None:
     authority = Authority(days=1)
     authority.issue(tmp_path / "robot", "robot")
     authority.issue(tmp_path / "base", "base", ends=datetime.now(UTC) + timedelta(seconds=4))
@@ -233,14 +233,14 @@ def test_a_connection_ends_with_its_certificate(keys: Path, tmp_path: Path) -> N
         assert link.recv(1) == b""
 
 
-def test_a_router_that_is_not_there_is_no_trouble_once_it_is(keys: Path) -> None:
+def test_missing_router_closes_client_connection(keys: Path) -> None:
     with proxy(keys) as at:
         at.router.close()
         with at.enter("base") as link:
             assert link.recv(1) == b""
 
 
-def test_a_port_that_is_taken_is_named(keys: Path) -> None:
+def test_occupied_port_is_reported(keys: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tls/127.0.0.1:{taken.getsockname()[1]}"
         made = TlsProxy([endpoint], Keys.load(keys / "robot"), 1, lambda _: None)
@@ -248,7 +248,7 @@ def test_a_port_that_is_taken_is_named(keys: Path) -> None:
             made.__enter__()
 
 
-def test_closing_leaves_no_thread_and_no_connection(keys: Path) -> None:
+def test_close_ends_all_threads_and_connections(keys: Path) -> None:
     before = set(threading.enumerate())
     with proxy(keys) as at:
         link = at.enter("base")
@@ -262,7 +262,7 @@ def test_closing_leaves_no_thread_and_no_connection(keys: Path) -> None:
             assert one.recv(1) == b""
 
 
-def test_the_keys_of_the_proxy_are_worth_nothing_at_the_door(at: At, keys: Path, tmp_path: Path) -> None:
+def test_inner_proxy_keys_are_refused_at_outer_port(at: At, keys: Path, tmp_path: Path) -> None:
     """Reject the proxy's inner keys at its outer port.
 
     The inner keys of one machine open neither another machine nor this one under another role.

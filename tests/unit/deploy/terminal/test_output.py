@@ -35,7 +35,7 @@ def info(recording: Path, stdout: int, env: dict[str, str] | None = None, closed
     return ended.returncode, ended.stderr
 
 
-def test_a_full_device_is_said_in_one_sentence(recording: Path) -> None:
+def test_full_output_device_is_reported_in_one_sentence(recording: Path) -> None:
     with Path("/dev/full").open("w") as full:
         status, said = info(recording, full.fileno())
     assert (status, said) == (
@@ -45,7 +45,7 @@ def test_a_full_device_is_said_in_one_sentence(recording: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [("--help",), ("trials", "--help")])
-def test_help_that_cannot_be_written_is_a_failure(words: tuple[str, ...]) -> None:
+def test_unwritable_help_exits_with_failure(words: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as full:
         command = [sys.executable, "-m", "sextant.deploy.cli", *words]
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -54,18 +54,18 @@ def test_help_that_cannot_be_written_is_a_failure(words: tuple[str, ...]) -> Non
     assert ended.stderr.count("\n") == 1
 
 
-def test_a_reader_that_has_had_enough_ends_it_quietly(recording: Path) -> None:
+def test_closed_pipe_ends_command_without_message(recording: Path) -> None:
     read, write = os.pipe()
     os.close(read)
     assert info(recording, write) == (1, "")
     os.close(write)
 
 
-def test_a_closed_output_goes_nowhere(recording: Path) -> None:
+def test_closed_stdout_is_ignored(recording: Path) -> None:
     assert info(recording, subprocess.DEVNULL, closed=True) == (0, "")
 
 
-def test_characters_that_the_terminal_cannot_show_are_replaced(recording: Path, tmp_path: Path) -> None:
+def test_unsupported_characters_are_replaced(recording: Path, tmp_path: Path) -> None:
     with (tmp_path / "out").open("wb") as out:
         assert info(recording, out.fileno(), {"PYTHONIOENCODING": "latin-1"}) == (0, "")
     assert "/körper/??" in (tmp_path / "out").read_bytes().decode("latin-1")
@@ -76,7 +76,7 @@ class Full(io.StringIO):
         raise OSError(28, "No space left on device")
 
 
-def test_progress_that_cannot_be_shown_ends_no_run() -> None:
+def test_unwritable_progress_does_not_end_run() -> None:
     for progress in (Lines(Full()), Terminal(Full())):
         progress.update(View(up=True))
         progress.say("something")

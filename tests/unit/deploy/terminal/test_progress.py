@@ -57,14 +57,14 @@ class Bench:
         return self.monitor.view
 
 
-def test_nothing_heard_is_not_up() -> None:
+def test_monitor_without_messages_is_not_up() -> None:
     view = Bench().hear(S)
     assert not view.up
     assert view.to_goal == 2.5
     assert block(view) == ["waiting for the robot to start"]
 
 
-def test_time_counts_from_the_actuators_first_word_and_speed_is_the_way_over_time() -> None:
+def test_time_starts_at_first_actuator_message_and_speed_is_mean() -> None:
     bench = Bench()
     for i in range(40):
         view = bench.hear(10 * S + i * S // 4, state(10 * S + i * S // 4), pose(10 * S + i * S // 4, 0.1 * i / 4))
@@ -73,11 +73,11 @@ def test_time_counts_from_the_actuators_first_word_and_speed_is_the_way_over_tim
     assert abs(view.to_goal - (2.5 - 0.1 * 39 / 4)) < 1e-9
 
 
-def test_past_the_goal_no_way_is_left() -> None:
+def test_remaining_distance_is_zero_past_goal() -> None:
     assert Bench().hear(S, pose(S, 2.6)).to_goal == 0.0
 
 
-def test_troubles_are_told_in_words() -> None:
+def test_service_problems_become_warnings() -> None:
     status = PlannerStatus(S, "blocked", "no foothold for the left front leg", 3, 0, 0)
     spoken = state(S, Mode.FAULT, "overload", "plan from the future", ("servo 3 is hot",))
     view = Bench().hear(S, spoken, pose(S, 0.0, ok=False), status, health(S, "mapper", refused=2))
@@ -91,7 +91,7 @@ def test_troubles_are_told_in_words() -> None:
     )
 
 
-def test_a_service_that_falls_silent_is_named() -> None:
+def test_silent_service_is_named_in_warning() -> None:
     bench = Bench()
     assert bench.hear(S, health(S, "mapper"), health(S, "planner")).warnings == ()
     bench.hear(4 * S, health(4 * S, "planner"))
@@ -99,13 +99,13 @@ def test_a_service_that_falls_silent_is_named() -> None:
     assert bench.hear(6 * S, health(6 * S, "mapper")).warnings == ()
 
 
-def test_a_camera_that_sends_nothing_is_named_until_it_does() -> None:
+def test_missing_camera_warns_until_it_publishes() -> None:
     bench = Bench()
     assert bench.hear(S, CameraState(S, "openni2", False, "no device found")).warnings == ("camera: no device found",)
     assert bench.hear(S + S // 4, CameraState(S, "openni2", True, "")).warnings == ()
 
 
-def test_stage_times_are_named_by_service_and_the_slowest_reader_of_a_topic_counts() -> None:
+def test_stage_times_use_slowest_subscriber_of_topic() -> None:
     bench = Bench()
     bench.hear(
         S, health(S, "planner", planner=3.0, search=2.0, latency_scan=5.0), health(S, "mapper", mapper=1.0, latency_scan=4.0)
@@ -120,7 +120,7 @@ def test_stage_times_are_named_by_service_and_the_slowest_reader_of_a_topic_coun
     assert bench.monitor.stages_ms()["latency scan"] == (4.0, 8.0), "the newest percentiles count, not the start's"
 
 
-def test_plain_lines_come_now_and_then_and_a_warning_once() -> None:
+def test_plain_progress_is_periodic_and_warns_once() -> None:
     stream = io.StringIO()
     progress = progress_for(stream)
     assert isinstance(progress, Lines)
@@ -133,7 +133,7 @@ def test_plain_lines_come_now_and_then_and_a_warning_once() -> None:
     assert "\x1b" not in stream.getvalue()
 
 
-def rendered(text: str) -> list[str]:
+def terminal_screen(text: str) -> list[str]:
     """Return what a terminal shows, with the two control sequences in use."""
     screen: list[str] = [""]
     i = 0
@@ -155,7 +155,7 @@ def rendered(text: str) -> list[str]:
     return screen[:-1]
 
 
-def test_the_block_is_redrawn_in_place_and_what_is_said_stays_above() -> None:
+def test_progress_block_is_redrawn_below_messages() -> None:
     stream = io.StringIO()
     terminal = Terminal(stream)
     view = View(
@@ -167,7 +167,7 @@ def test_the_block_is_redrawn_in_place_and_what_is_said_stays_above() -> None:
     terminal.update(replace(view, time_s=3.0, warnings=()))
     terminal.finish()
     terminal.say("done")
-    shown = rendered(stream.getvalue())
+    shown = terminal_screen(stream.getvalue())
     assert shown[0] == "mapper ended"
     assert shown[1].strip().startswith("3.0 s")
     assert "[##########----------]" in shown[1]
@@ -181,7 +181,7 @@ class Follower(Scripted):
     max_age_s: dict[str, float] = field(default_factory=lambda: {topics.BODY_POSE.key: 0.4})
 
 
-def watched(latency_s: float, computer: SlowComputer) -> Monitor:
+def monitored_run(latency_s: float, computer: SlowComputer) -> Monitor:
     """Return a monitor after 6 s of lockstep with delayed poses."""
     monitor = Monitor(2.5, computer)
     poses = Scripted("perception", Every.hz(15), publishes=(topics.BODY_POSE,), act=lambda tick, _: [pose(tick.stamp_ns, 0.0)])
@@ -191,8 +191,8 @@ def watched(latency_s: float, computer: SlowComputer) -> Monitor:
     return monitor
 
 
-def test_inputs_that_arrive_late_are_named_with_what_to_do() -> None:
-    monitor = watched(0.9, SlowComputer())
+def test_late_inputs_warn_with_advice() -> None:
+    monitor = monitored_run(0.9, SlowComputer())
     (warning,) = monitor.view.warnings
     assert re.fullmatch(
         r"this computer is too slow: poses are (0\.9\d|1\.0) s old, 0\.4 s allowed; use --lockstep or close programs", warning
@@ -203,20 +203,20 @@ def test_inputs_that_arrive_late_are_named_with_what_to_do() -> None:
     assert (0.9 < ages.max < 1.1, ages.limit, ages.late) == (True, 0.4, 1.0)
 
 
-def test_inputs_that_arrive_in_time_are_measured_and_no_warning() -> None:
-    monitor = watched(0.05, SlowComputer())
+def test_timely_inputs_are_measured_without_warning() -> None:
+    monitor = monitored_run(0.05, SlowComputer())
     assert monitor.view.warnings == ()
     assert (monitor.lateness.late_s, monitor.lateness.words) == (0.0, "")
     assert 0.05 < monitor.lateness.ages()["planner perception/pose"].max < 0.2
 
 
-def test_lockstep_blames_no_computer() -> None:
-    monitor = watched(0.9, SlowComputer(real_time=False))
+def test_lockstep_does_not_warn_about_slow_computer() -> None:
+    monitor = monitored_run(0.9, SlowComputer(real_time=False))
     assert monitor.view.warnings == ()
     assert monitor.lateness.ages()["planner perception/pose"].late == 1.0, "it is measured all the same"
 
 
-def test_the_speed_of_simulated_time_is_shown_where_it_is_slow() -> None:
+def test_slow_simulated_time_is_shown() -> None:
     slow, real = (View(time_s=1.0, up=True, to_goal=1.0, of_real_time=share) for share in (0.4, 0.99))
     assert "at 0.40 of real time" in block(slow)[0]
     assert "of real time" not in block(real)[0]
@@ -225,7 +225,7 @@ def test_the_speed_of_simulated_time_is_shown_where_it_is_slow() -> None:
     assert "at 0.40 of real time" in stream.getvalue()
 
 
-def test_a_run_prints_a_bounded_number_of_kinds_of_warnings() -> None:
+def test_number_of_printed_warning_kinds_is_bounded() -> None:
     stream = io.StringIO()
     lines = Lines(stream)
     for k in range(1000):
@@ -234,7 +234,7 @@ def test_a_run_prints_a_bounded_number_of_kinds_of_warnings() -> None:
     assert stream.getvalue().count("is late") == 200
 
 
-def test_a_run_keeps_the_worst_of_what_was_late() -> None:
+def test_lateness_keeps_worst_input() -> None:
     monitor = Monitor(2.5)
 
     def late(at_s: float, age_s: float) -> Health:

@@ -17,7 +17,7 @@ PAGE = (DOCS / "keys.md").read_text(encoding="utf-8")
 CLIENT = (DOCS / "walk_client.py").read_text(encoding="utf-8")
 
 
-def test_the_page_is_the_one_that_the_command_makes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_page_equals_command_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["topics", "docs"]) == 0
     made = capsys.readouterr().out
     assert made == PAGE, "make it again: sextant topics docs > docs/keys.md"
@@ -31,7 +31,7 @@ def section(key: str) -> str:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
-def test_every_message_has_its_schema_and_all_its_fields_in_order(topic: messages.Message) -> None:
+def test_each_message_section_has_schema_and_ordered_fields(topic: messages.Message) -> None:
     kind = topic.type  # type: ignore[attr-defined]
     said = section(OF_TYPE[kind].key)
     assert f"`{codec.schema_id(kind)}`" in said
@@ -51,11 +51,11 @@ def test_every_message_has_its_schema_and_all_its_fields_in_order(topic: message
         ("operator/mode", "| `mode` | text |  |  |  | one of `off`, `stop`, `ready`, `stand`, `walk`, `sit` |"),
     ],
 )
-def test_the_words_are_those_of_the_declarations(key: str, row: str) -> None:
+def test_field_descriptions_match_declarations(key: str, row: str) -> None:
     assert row in section(key)
 
 
-def test_who_writes_and_reads_is_what_the_services_say() -> None:
+def test_publishers_and_subscribers_match_services() -> None:
     cells = [row.split("|") for row in PAGE.splitlines()]
     rows = {row[1].strip(" `"): row[7:9] for row in cells if len(row) == 11}
     assert [text.strip() for text in rows["operator/mode"]] == [
@@ -74,7 +74,7 @@ def test_who_writes_and_reads_is_what_the_services_say() -> None:
     assert all(f"| `{mode.value}` |" in PAGE for mode in Mode)
 
 
-def test_the_frame_that_is_shown_is_one() -> None:
+def test_example_frame_decodes() -> None:
     block = re.search(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     assert block is not None
     frame = bytes.fromhex("".join(line[:47] for line in block[1].splitlines()))
@@ -82,7 +82,7 @@ def test_the_frame_that_is_shown_is_one() -> None:
     assert (command.velocity.tolist(), command.body_height, command.gait) == ([0.06, 0.0], 0.11, "tripod")
 
 
-def test_a_field_is_described_by_the_comments_above_and_behind_it() -> None:
+def test_field_description_joins_comments_above_and_behind() -> None:
     said = keys_page.comments(
         '''
 class A:
@@ -110,7 +110,7 @@ class A:
     }
 
 
-def test_the_client_is_short_knows_nothing_of_sextant_and_is_on_the_page() -> None:
+def test_example_client_is_short_and_independent_of_sextant() -> None:
     assert len(CLIENT.splitlines()) <= 30
     imported = {name.name for node in ast.walk(ast.parse(CLIENT)) if isinstance(node, ast.Import) for name in node.names}
     assert imported == {"struct", "sys", "time", "msgpack", "zenoh"}

@@ -50,7 +50,7 @@ def terrain() -> TerrainMap:
 # --------------------------------------------------------------------------------------------------------- which topics
 
 
-def test_without_a_key_all_are_meant_but_what_is_made_or_sent_for_who_asks_alone() -> None:
+def test_default_topics_exclude_on_demand_topics() -> None:
     assert {*topics_named([])} == {*TOPICS} - {*ONLY_BY_NAME}
     assert topics_named(["camera/color", "imu", "imu"]) == (topics.COLOR, topics.IMU)
 
@@ -59,7 +59,7 @@ def test_without_a_key_all_are_meant_but_what_is_made_or_sent_for_who_asks_alone
     ("key", "near"),
     [("actuator/odo", "actuator/odometry"), ("mapper/terain", "mapper/terrain"), ("helth/robot", "health/robot")],
 )
-def test_a_key_that_is_none_is_refused_with_the_nearest(key: str, near: str) -> None:
+def test_unknown_key_is_refused_with_nearest_match(key: str, near: str) -> None:
     with pytest.raises(ValueError, match=f"did you mean '{near}'"):
         topics_named(["imu", key])
 
@@ -69,7 +69,7 @@ def test_a_key_that_is_none_is_refused_with_the_nearest(key: str, near: str) -> 
 
 @given(st.lists(st.sampled_from((topics.ODOMETRY, topics.TERRAIN, topics.MODE)), max_size=600))
 @settings(max_examples=30, deadline=None)
-def test_of_states_the_newest_waits_of_events_all_there_is_room_for_and_every_frame_is_accounted_for(sent: list[Any]) -> None:
+def test_mailbox_keeps_newest_state_all_events_and_counts_frames(sent: list[Any]) -> None:
     mailbox = Mailbox()
     for n, topic in enumerate(sent):
         mailbox.take(topic, b"%d" % n, n)
@@ -97,14 +97,14 @@ def test_of_states_the_newest_waits_of_events_all_there_is_room_for_and_every_fr
         (7 * S, 0, None),
     ],
 )
-def test_an_age_is_told_by_the_same_clock_alone(stamp: int, sent: int, age: int | None) -> None:
+def test_age_is_known_only_for_same_clock(stamp: int, sent: int, age: int | None) -> None:
     found = codec.label(codec.encode(replace(ODOMETRY, stamp_ns=stamp), Timing(0, sent)))
     assert found.schema_id == codec.schema_id(Odometry)
     assert age_ns(found, NOW) == age
 
 
 @given(st.binary(max_size=64))
-def test_a_label_of_wild_bytes_is_one_or_a_refusal(data: bytes) -> None:
+def test_random_bytes_are_counted_as_undecodable(data: bytes) -> None:
     counted = topic_stats.Rates((topics.IMU,))
     counted.take(topics.IMU, data, NOW)
     (row,) = counted.rows(1.0)
@@ -117,7 +117,7 @@ def test_a_label_of_wild_bytes_is_one_or_a_refusal(data: bytes) -> None:
 # ---------------------------------------------------------------------------------------------------------------- shown
 
 
-def test_a_small_array_is_shown_in_full_and_a_large_one_by_what_lies_in_it() -> None:
+def test_small_array_is_printed_and_large_array_is_summarized() -> None:
     words = message_format.in_words(ReceivedMessage(topics.TERRAIN, frame_of(terrain()), NOW, 3))
     assert "mapper/terrain  TerrainMap" in words
     assert "3 skipped" in words
@@ -130,7 +130,7 @@ def test_a_small_array_is_shown_in_full_and_a_large_one_by_what_lies_in_it() -> 
     assert "skipped" not in odometry
 
 
-def test_for_scripts_it_is_json_without_nan() -> None:
+def test_script_output_is_json_without_nan() -> None:
     found = message_format.for_scripts(ReceivedMessage(topics.TERRAIN, frame_of(terrain()), NOW, 0))
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert found["message"]["elevation"] == {
@@ -148,7 +148,7 @@ def test_for_scripts_it_is_json_without_nan() -> None:
 # ---------------------------------------------------------------------------------------------------------------- rates
 
 
-def test_rates_sizes_gaps_and_ages_are_those_of_the_frames() -> None:
+def test_rates_sizes_gaps_and_ages_match_frames() -> None:
     wanted = (topics.ODOMETRY, topics.TERRAIN, topics.IMU)
     counted = topic_stats.Rates(wanted)
     frame, large = frame_of(ODOMETRY, NOW), frame_of(terrain(), NOW)
@@ -174,7 +174,7 @@ def test_rates_sizes_gaps_and_ages_are_those_of_the_frames() -> None:
     assert json.loads(json.dumps(table)) == table
 
 
-def test_what_cannot_be_decoded_is_counted_and_named() -> None:
+def test_undecodable_frames_are_counted_and_reported() -> None:
     counted = topic_stats.Rates((topics.VELOCITY,))
     command = VelocityCommand(NOW, np.zeros(2), 0.0, 0.1, 0.04)
     for frame in (codec.encode(command), of_another_version(command), b"\1", bytes(3000)):
@@ -184,7 +184,7 @@ def test_what_cannot_be_decoded_is_counted_and_named() -> None:
     assert f"operator/velocity: 3 of 4 cannot be decoded: {row.refusal}" in topic_stats.in_words([row])
 
 
-def test_every_topic_has_a_side() -> None:
+def test_each_topic_has_a_side() -> None:
     found = {topic.key: topic_stats.side(topic) for topic in TOPICS}
     assert {*found.values()} == {"onboard", "offboard", "operators", "simulation", "all"}
     assert (found["imu"], found["planner/step"], found["operator/mode"]) == ("onboard", "offboard", "operators")
@@ -216,7 +216,7 @@ def robot() -> Iterator[list[str]]:
         speaking.join()
 
 
-def test_echo_prints_as_many_messages_as_are_asked_for(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_echo_prints_requested_number_of_messages(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["topics", "echo", "actuator/odometry", "--count", "2", *robot]) == 0
     assert capsys.readouterr().out.count("actuator/odometry  Odometry") == 2
     assert cli.main(["topics", "echo", "--count", "3", "--json", *robot]) == 0
@@ -227,7 +227,7 @@ def test_echo_prints_as_many_messages_as_are_asked_for(robot: list[str], capsys:
     assert "not subscribed: camera/depth" in printed.err
 
 
-def test_echo_names_what_it_cannot_decode_and_goes_on(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_echo_reports_undecodable_messages_and_continues(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     words = ["topics", "echo", "operator/velocity", "camera/state", "--count", "2", *robot]
     said = ""
     for _ in range(20):  # either may arrive first
@@ -241,7 +241,7 @@ def test_echo_names_what_it_cannot_decode_and_goes_on(robot: list[str], capsys: 
     assert "restart the older program" in said
 
 
-def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
+def test_slow_terminal_skips_states_and_counts_them(
     robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sextant.deploy.commands import topics as commands
@@ -265,7 +265,7 @@ def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
     assert stamps == sorted(stamps)
 
 
-def test_echo_ends_at_ctrl_c(robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_echo_ends_on_ctrl_c(robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.deploy.terminal.interrupts import Interrupts
 
     looks = iter([False] * 3)
@@ -287,7 +287,7 @@ def test_hz_measures_and_prints_totals(robot: list[str], capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize("command", [["echo", "--within", "0.2"], ["hz", "--seconds", "0.2"]], ids=lambda words: words[0])
-def test_who_hears_nothing_is_told_so_and_what_to_do(
+def test_no_received_message_is_reported_with_advice(
     command: list[str], robot: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, *words = command
@@ -300,7 +300,7 @@ def test_who_hears_nothing_is_told_so_and_what_to_do(
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "soon", "1e9"])
-def test_a_time_that_is_none_is_refused(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_seconds_are_refused(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.parse(["topics", "hz", "--seconds", seconds])
     assert "up to 86400 expected" in capsys.readouterr().err
