@@ -11,7 +11,7 @@ from sextant.services.mapper.config import Settings
         ({"passage_cells": 10**6}, "at most 123241 passage_cells, which a message of mapper/passage has room for, expected"),
     ],
 )
-def test_a_map_that_no_message_has_room_for_is_refused(settings: dict[str, int], words: str) -> None:
+def test_map_too_large_for_its_message_is_refused(settings: dict[str, int], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Settings(**settings)
 

@@ -80,7 +80,7 @@ GARBAGE = {
 
 
 @pytest.mark.parametrize("name", GARBAGE)
-def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> None:
+def test_invalid_scan_is_reported_and_map_stays_unchanged(name: str) -> None:
     rig, (garbage, words) = Rig(), GARBAGE[name]
     before = rig.map(scan(ground()))
     assert before is not None
@@ -103,7 +103,7 @@ def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> 
         ),
     ],
 )
-def test_a_pose_that_is_none_is_said_and_leaves_the_map_as_it_was(changes: dict[str, Array], words: str) -> None:
+def test_invalid_pose_is_reported_and_map_stays_unchanged(changes: dict[str, Array], words: str) -> None:
     rig = Rig()
     before = rig.map(scan(ground()))
     assert before is not None
@@ -118,7 +118,7 @@ def test_a_pose_that_is_none_is_said_and_leaves_the_map_as_it_was(changes: dict[
     np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-4)
 
 
-def test_a_scan_that_is_refused_does_not_move_the_map() -> None:
+def test_refused_scan_does_not_move_map() -> None:
     rig = Rig()
     before = rig.map(scan(ground()))
     away, camera = np.array([30.0, 0.0, 0.0]), np.array(CAMERA)
@@ -132,17 +132,17 @@ def test_a_scan_that_is_refused_does_not_move_the_map() -> None:
     np.testing.assert_array_equal(after.elevation, before.elevation)
 
 
-def test_a_mistake_of_our_own_is_no_bad_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mistaken(*_: object) -> None:
+def test_internal_error_is_not_reported_as_invalid_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    def raise_value_error(*_: object) -> None:
         raise ValueError("operands could not be broadcast together")
 
     rig = Rig()
-    monkeypatch.setattr(ElevationGrid, "fuse", mistaken)
+    monkeypatch.setattr(ElevationGrid, "fuse", raise_value_error)
     with pytest.raises(ValueError, match="broadcast"):
         rig.map(scan(ground()))
 
 
-def test_nothing_seen_adds_nothing() -> None:
+def test_empty_scan_changes_nothing() -> None:
     rig = Rig()
     before = rig.map(scan(ground()))
     after = rig.map(scan(EMPTY))
@@ -155,7 +155,7 @@ def test_nothing_seen_adds_nothing() -> None:
     assert np.isnan(alone.score).all()
 
 
-def test_one_scan_for_five_seconds_is_mapped_once() -> None:
+def test_stale_scans_after_first_are_not_mapped() -> None:
     rig = Rig()
     assert rig.map(scan(ground())) is not None
     for k in range(1, 16):
@@ -164,7 +164,7 @@ def test_one_scan_for_five_seconds_is_mapped_once() -> None:
     assert rig.map(scan(ground())) is not None
 
 
-def test_a_gap_changes_nothing() -> None:
+def test_map_is_unchanged_after_scan_gap() -> None:
     rig = Rig()
     before = rig.map(scan(ground()))
     rig.now_ns += 200_000_000
@@ -174,7 +174,7 @@ def test_a_gap_changes_nothing() -> None:
     np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-6)
 
 
-def test_noise_is_no_ground() -> None:
+def test_noise_scans_give_no_footholds_and_ground_recovers() -> None:
     rig, rng = Rig(), np.random.default_rng(0)
     points = ground()
     for _ in range(5):
@@ -197,7 +197,7 @@ def test_noise_is_no_ground() -> None:
     st.floats(-codec.MAX_NUMBER, codec.MAX_NUMBER),
     st.tuples(*[st.floats(-codec.MAX_NUMBER, codec.MAX_NUMBER)] * 3),
 )
-def test_whatever_the_scan_it_keeps_running(
+def test_mapper_recovers_from_any_scan(
     n: int, seed: int, origin: float, variance: float, body: tuple[float, float, float]
 ) -> None:
     rig, rng = Rig(), np.random.default_rng(seed)

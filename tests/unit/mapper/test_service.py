@@ -86,7 +86,7 @@ def at(x: float = 0.0, yaw: float = 0.0, pitch: float = 0.0) -> Array:
     return from_xyz_rpy((x, 0.0, HEIGHT), (0.0, pitch, yaw))
 
 
-def test_the_start_is_the_plane_of_the_feet_and_said_to_be_assumed() -> None:
+def test_start_ground_is_foot_plane_marked_assumed() -> None:
     rig = Rig()
     rig.stand(at())
     (map_,) = rig.scan()
@@ -100,7 +100,7 @@ def test_the_start_is_the_plane_of_the_feet_and_said_to_be_assumed() -> None:
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.0, 0.1), (1.0, 0.0), (-2.0, -0.08)])
-def test_the_plane_is_that_of_the_feet_however_the_body_stands(yaw: float, pitch: float) -> None:
+def test_assumed_plane_follows_feet_at_any_body_orientation(yaw: float, pitch: float) -> None:
     rig, T = Rig(), at(yaw=yaw, pitch=pitch)
     rig.stand(T)
     (map_,) = rig.scan(x=(2.0, 2.01))
@@ -111,7 +111,7 @@ def test_the_plane_is_that_of_the_feet_however_the_body_stands(yaw: float, pitch
     np.testing.assert_allclose(ground.heights(cells), slope[0] + cells @ slope[1:], atol=1e-5)
 
 
-def test_what_is_measured_replaces_what_was_assumed() -> None:
+def test_measured_ground_replaces_assumed_ground() -> None:
     rig = Rig()
     rig.stand(at())
     (before,) = rig.scan(x=(0.8, 1.0))
@@ -124,7 +124,7 @@ def test_what_is_measured_replaces_what_was_assumed() -> None:
     assert after.elevation[k, m] == pytest.approx(0.02, abs=1e-3)
 
 
-def test_the_plane_is_assumed_once() -> None:
+def test_foot_plane_is_assumed_only_once() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan(x=(0.8, 1.0))
@@ -133,7 +133,7 @@ def test_the_plane_is_assumed_once() -> None:
     assert np.isnan(Terrain(later).heights(np.array([[0.75, 0.38], [1.1, 0.0]]))).all()
 
 
-def test_without_a_pose_and_legs_nothing_is_assumed() -> None:
+def test_no_ground_is_assumed_without_pose_and_leg_state() -> None:
     rig = Rig()
     (map_,) = rig.scan()
     assert not map_.assumed.any()
@@ -151,7 +151,7 @@ def test_without_a_pose_and_legs_nothing_is_assumed() -> None:
         legs(feet=PROFILE.rest_feet(HEIGHT) + np.array([0.0, 0.0, 1e30])),
     ],
 )
-def test_legs_that_do_not_stand_show_no_ground(limp: ActuatorState) -> None:
+def test_no_ground_is_assumed_from_legs_that_do_not_stand(limp: ActuatorState) -> None:
     rig = Rig()
     rig.stand(at())
     rig.hear(replace(limp, stamp_ns=rig.now_ns))
@@ -162,7 +162,7 @@ def test_legs_that_do_not_stand_show_no_ground(limp: ActuatorState) -> None:
     assert then.assumed.any()
 
 
-def test_feet_in_the_air_are_no_ground() -> None:
+def test_swing_feet_are_excluded_from_assumed_plane() -> None:
     """Start the mapper in the middle of a step."""
     rig, swing = Rig(), np.arange(6) % 2 == 0
     lifted = PROFILE.rest_feet(HEIGHT) + np.where(swing[:, None], [0.0, 0.0, 0.05], 0.0)
@@ -171,7 +171,7 @@ def test_feet_in_the_air_are_no_ground() -> None:
     np.testing.assert_allclose(Terrain(map_).heights(np.array([[0.0, 0.0], [0.2, 0.1]])), 0.0, atol=1e-6)
 
 
-def test_where_a_link_lets_few_scans_pass_each_of_them_makes_a_map() -> None:
+def test_each_scan_makes_map_when_scans_are_rare() -> None:
     rig = Rig(replace(SETTINGS, publish_every=2))
     rig.stand(at())
     maps = [len(rig.scan()) for _ in range(4)]
@@ -181,7 +181,7 @@ def test_where_a_link_lets_few_scans_pass_each_of_them_makes_a_map() -> None:
     assert maps == [0, 1, 0, 1, 1, 1, 1, 1]
 
 
-def test_every_scan_is_said_to_have_come_before_it_is_mapped() -> None:
+def test_scan_receipt_is_sent_before_mapping() -> None:
     rig = Rig()
     rig.stand(at())
     scan = ground_scan(rig.now_ns, 0.0)
@@ -189,7 +189,7 @@ def test_every_scan_is_said_to_have_come_before_it_is_mapped() -> None:
 
 
 @pytest.mark.parametrize("every", [1, 2, 4])
-def test_every_so_many_scans_make_a_map_with_the_stamp_of_the_newest(every: int) -> None:
+def test_map_is_published_every_n_scans_with_newest_stamp(every: int) -> None:
     rig = Rig(replace(SETTINGS, publish_every=every))
     rig.stand(at())
     for k in range(1, 9):
@@ -199,7 +199,7 @@ def test_every_so_many_scans_make_a_map_with_the_stamp_of_the_newest(every: int)
     assert "8 scans" in rig.mapper.doing()
 
 
-def test_the_map_moves_along_and_keeps_what_it_knows() -> None:
+def test_map_follows_robot_and_keeps_known_ground() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan(0.01)
@@ -238,7 +238,7 @@ def surveyed(
     return told
 
 
-def test_a_passage_is_told_of_while_somebody_asks_and_only_then() -> None:
+def test_passage_map_is_published_only_while_requested() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan()
@@ -255,7 +255,7 @@ def test_a_passage_is_told_of_while_somebody_asks_and_only_then() -> None:
     assert "mapping a gap" not in rig.mapper.doing()
 
 
-def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
+def test_passage_map_distinguishes_measured_assumed_and_unseen_cells() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan(0.02)
@@ -280,7 +280,7 @@ def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
     assert (told.evaluation[beyond] == 127).all()
 
 
-def test_a_survey_has_the_cells_of_the_map() -> None:
+def test_passage_map_has_resolution_of_terrain_map() -> None:
     rig = Rig(Settings(cells=128, resolution=0.02, publish_every=1))
     rig.stand(at())
     rig.scan(0.02)
@@ -293,7 +293,7 @@ def test_a_survey_has_the_cells_of_the_map() -> None:
     assert (told.normals[measured][:, 2] > 32000).all()
 
 
-def test_no_look_is_proposed_while_feet_are_in_the_air() -> None:
+def test_no_view_is_proposed_while_legs_swing() -> None:
     rig = Rig()
     swing = np.array([True, False, False, False, False, False])
     rig.stand(at(), legs(swing))
@@ -304,7 +304,7 @@ def test_no_look_is_proposed_while_feet_are_in_the_air() -> None:
     np.testing.assert_array_equal(told.T_world_look, at())
 
 
-def test_what_was_measured_before_the_request_is_told_too() -> None:
+def test_passage_map_includes_ground_measured_before_request() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan(0.03, x=(0.8, 0.95))
@@ -314,7 +314,7 @@ def test_what_was_measured_before_the_request_is_told_too() -> None:
     assert place == pytest.approx(0.03, abs=1e-3)
 
 
-def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
+def test_moved_strip_keeps_overlapping_cells() -> None:
     rig = Rig()
     rig.stand(at())
     (before,) = surveyed(rig, STRIP)
@@ -334,7 +334,7 @@ def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
         ((0.0, 0.0), 0.0, 0.01, 1.0, "at least 3 cells"),
     ],
 )
-def test_a_strip_that_cannot_be_is_refused_in_words(
+def test_invalid_strip_is_refused_with_reason(
     origin: tuple[float, float], heading: float, length: float, width: float, words: str
 ) -> None:
     rig = Rig()
@@ -369,14 +369,14 @@ def nearest_to_the_step(map_: TerrainMap, good: Flags) -> float:
     return float(0.75 - x[good[:, j] & (x < 0.75)].max())
 
 
-def test_both_layers_are_published_and_agree_about_a_step() -> None:
+def test_both_foothold_layers_agree_near_step() -> None:
     map_ = step_ahead(Rig(), np.eye(6) * 1e-6)
     for good in (map_.score <= 1, map_.evaluation < 0):
         assert 0.015 <= nearest_to_the_step(map_, good) <= 0.035
     assert (map_.evaluation[np.isnan(map_.elevation)] == 127).all()
 
 
-def test_a_doubtful_pose_widens_the_margin_of_both_layers() -> None:
+def test_uncertain_pose_widens_margin_of_both_layers() -> None:
     doubtful = np.eye(6) * 1e-6
     doubtful[:2, :2] = [[0.015**2, 0.0], [0.0, 0.001**2]]  # along x only: a foot may be off to either side of the step
     sure, unsure = step_ahead(Rig(), np.eye(6) * 1e-6), step_ahead(Rig(), doubtful)
@@ -397,7 +397,7 @@ def test_ground_far_below_the_body_is_not_accessible() -> None:
 
 
 @pytest.mark.parametrize(("cells", "cells_y", "resolution"), [(100, 300, 0.02), (512, 0, 0.01), (300, 200, 0.005)])
-def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y: int, resolution: float) -> None:
+def test_map_of_any_size_and_resolution_is_scored(cells: int, cells_y: int, resolution: float) -> None:
     rig = Rig(Settings(cells, cells_y, resolution, publish_every=1))
     rig.stand(at())
     maps = [m for _ in range(4) for m in rig.scan(0.01)]
@@ -410,7 +410,7 @@ def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y
         assert maps[-1].score[i, j] <= 1.0
 
 
-def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the_newest_pose() -> None:
+def test_map_is_consistent_with_newest_pose_after_height_drift() -> None:
     """Let the pose rise by 0.8 mm per scan while the camera moves over level ground."""
     rig = Rig(replace(SETTINGS, publish_every=1))
     rig.stand(at())
@@ -425,7 +425,7 @@ def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the
 
 
 @pytest.mark.parametrize("lifted", [-50.0, 50.0])
-def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None:
+def test_contacts_far_from_mapped_height_are_ignored(lifted: float) -> None:
     """Check a single wrong pose that moves the feet by metres.
 
     Their contacts are not mapped as ground.
@@ -446,7 +446,7 @@ def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None
     np.testing.assert_array_equal(confidence[2], confidence[1])
 
 
-def stand_on_what_was_seen(rig: Rig, depth: float, on_pillars: int, scans: int = 25) -> TerrainMap:
+def stand_on_seen_ground(rig: Rig, depth: float, on_pillars: int, scans: int = 25) -> TerrainMap:
     """Let a robot stand where ground was seen at a depth [m]; return the last map.
 
     Under some of its feet the ground was seen at the height of their soles.
@@ -466,9 +466,9 @@ def stand_on_what_was_seen(rig: Rig, depth: float, on_pillars: int, scans: int =
     return maps[-1]
 
 
-def test_a_map_without_ground_under_the_feet_that_stand_is_begun_again() -> None:
+def test_map_restarts_without_ground_under_standing_feet() -> None:
     rig = Rig()
-    made = Terrain(stand_on_what_was_seen(rig, 0.75, on_pillars=0))
+    made = Terrain(stand_on_seen_ground(rig, 0.75, on_pillars=0))
     np.testing.assert_allclose(made.heights(PROFILE.rest_feet(HEIGHT)[:, :2]), 0.0, atol=0.02)
     assert np.isnan(made.heights(np.array([[-0.45, 0.0]]))).all(), "what it knew elsewhere is forgotten"
     assert "restarted 1 times because the feet stood where the map had no ground" in rig.mapper.doing()
@@ -479,13 +479,13 @@ def test_a_map_without_ground_under_the_feet_that_stand_is_begun_again() -> None
     [(0.06, 0, 25), (0.75, 3, 25), (0.75, 0, 12)],
     ids=["a little off", "three feet on pillars", "for a moment"],
 )
-def test_it_is_kept_where_feet_may_stand_on_what_it_shows(depth: float, on_pillars: int, scans: int) -> None:
+def test_map_is_kept_if_feet_may_stand_on_it(depth: float, on_pillars: int, scans: int) -> None:
     rig = Rig()
-    stand_on_what_was_seen(rig, depth, on_pillars, scans)
+    stand_on_seen_ground(rig, depth, on_pillars, scans)
     assert "restarted" not in rig.mapper.doing()
 
 
-def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> None:
+def test_scan_color_is_ignored_for_robot_without_color_camera() -> None:
     rig = Rig()
     rig.hear(legs(np.zeros(6, dtype=np.bool_)))
     seen = ground_scan(rig.now_ns, 0.0, x=(-0.4, 0.4))
@@ -496,7 +496,7 @@ def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> No
     assert made.color.size == 0
 
 
-def test_no_foothold_of_a_passage_is_in_a_puddle() -> None:
+def test_passage_map_has_no_foothold_in_puddle() -> None:
     rig = Rig()
     rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
     rig.inbox = Inbox([rig.mapper.trigger, *rig.mapper.subscribes], rig.mapper.stages)
@@ -520,7 +520,7 @@ def test_no_foothold_of_a_passage_is_in_a_puddle() -> None:
 
 
 @pytest.mark.parametrize(("bear", "step", "assumed"), [(6, 0, True), (5, 0, True), (4, 0, False), (4, 3, True)])
-def test_where_feet_hang_before_the_first_step_no_plane_is_assumed(bear: int, step: int, assumed: bool) -> None:
+def test_no_plane_is_assumed_with_unloaded_feet_before_first_step(bear: int, step: int, assumed: bool) -> None:
     rig = Rig()
     rig.stand(at(), replace(legs(), contact=np.arange(6) < bear, step=step))
     (map_,) = rig.scan(x=(0.8, 1.0))

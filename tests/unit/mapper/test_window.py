@@ -8,7 +8,7 @@ from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from tests.support.grid_scans import centres, scan
 
 
-def test_cells_lie_where_the_snapshot_says() -> None:
+def test_snapshot_cells_match_their_coordinates() -> None:
     grid = ElevationGrid(size=32)
     grid.move_to((-3.217, 12.34))
     xy = centres(grid)
@@ -28,7 +28,7 @@ waypoints = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=8)
 
 @given(waypoints, st.integers(0, 2**32 - 1))
 @settings(deadline=None)
-def test_only_cells_that_left_the_window_are_forgotten(path: list[tuple[float, float]], seed: int) -> None:
+def test_only_cells_outside_moved_window_are_cleared(path: list[tuple[float, float]], seed: int) -> None:
     rng = np.random.default_rng(seed)
     grid = ElevationGrid(size=12, resolution=0.05)
     expected: dict[tuple[int, int], float] = {}
@@ -53,7 +53,7 @@ def test_only_cells_that_left_the_window_are_forgotten(path: list[tuple[float, f
     st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-30.0, 30.0)), min_size=1, max_size=4),
 )
 @settings(deadline=None)
-def test_a_map_of_any_shape_and_resolution_has_its_cells_where_it_says(
+def test_cells_match_coordinates_at_any_shape_and_resolution(
     shape: tuple[int, int], resolution: float, path: list[tuple[float, float]]
 ) -> None:
     grid = ElevationGrid(shape, resolution)
@@ -71,7 +71,7 @@ def test_a_map_of_any_shape_and_resolution_has_its_cells_where_it_says(
 
 @given(st.tuples(coordinate, coordinate), st.lists(st.floats(0.0, 1.0), max_size=6))
 @settings(deadline=None)
-def test_any_number_of_stops_on_the_way_is_moving_directly(target: tuple[float, float], fractions: list[float]) -> None:
+def test_move_in_several_steps_equals_direct_move(target: tuple[float, float], fractions: list[float]) -> None:
     snapshots = []
     for stops in ([], sorted(fractions)):
         grid = ElevationGrid(size=16, resolution=0.05)
@@ -85,7 +85,7 @@ def test_any_number_of_stops_on_the_way_is_moving_directly(target: tuple[float, 
     np.testing.assert_array_equal(snapshots[0].origin, snapshots[1].origin)
 
 
-def test_a_cell_that_comes_back_starts_anew() -> None:
+def test_cell_that_reenters_window_is_empty() -> None:
     grid = ElevationGrid(size=16)
     xy = centres(grid)
     for _ in range(10):
@@ -101,7 +101,7 @@ def test_a_cell_that_comes_back_starts_anew() -> None:
     np.testing.assert_allclose(grid.heights(xy), 0.1, atol=1e-6)
 
 
-def test_a_snapshot_is_detached() -> None:
+def test_snapshot_is_independent_of_grid() -> None:
     grid = ElevationGrid(size=16)
     scan(grid, centres(grid), 0.0)
     snapshot = grid.snapshot()

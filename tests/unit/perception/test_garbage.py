@@ -87,7 +87,7 @@ def scan_of(messages: list[Message]) -> Scan | None:
 
 
 @pytest.mark.parametrize("name", GARBAGE)
-def test_in_the_middle_of_a_walk(world, name: str) -> None:  # type: ignore[no-untyped-def]
+def test_invalid_frames_during_walk_are_reported_and_give_no_ground(world, name: str) -> None:  # type: ignore[no-untyped-def]
     rig, (garbage, words) = Rig(world), GARBAGE[name]
     for _ in range(3):
         assert pose_of(rig.see()).ok
@@ -108,7 +108,7 @@ def test_in_the_middle_of_a_walk(world, name: str) -> None:  # type: ignore[no-u
 
 
 @pytest.mark.parametrize("name", GARBAGE)
-def test_from_the_first_frame_on(world, name: str) -> None:  # type: ignore[no-untyped-def]
+def test_invalid_first_frames_start_no_map(world, name: str) -> None:  # type: ignore[no-untyped-def]
     rig, (garbage, words) = Rig(world), GARBAGE[name]
     for _ in range(4):
         messages = rig.see(garbage())
@@ -120,7 +120,7 @@ def test_from_the_first_frame_on(world, name: str) -> None:  # type: ignore[no-u
     assert scan_of(messages) is not None
 
 
-def test_one_frame_for_five_seconds(world) -> None:  # type: ignore[no-untyped-def]
+def test_frozen_frame_for_5_s_is_reported_and_tracking_recovers(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.see()
     stuck = rig.good()
@@ -137,7 +137,7 @@ def test_one_frame_for_five_seconds(world) -> None:  # type: ignore[no-untyped-d
     np.testing.assert_allclose(pose_of(messages).T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=4e-3)
 
 
-def test_a_gap_changes_nothing(world) -> None:  # type: ignore[no-untyped-def]
+def test_tracking_continues_after_frame_gap(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.see()
     rig.now_ns += 200_000_000
@@ -146,7 +146,7 @@ def test_a_gap_changes_nothing(world) -> None:  # type: ignore[no-untyped-def]
     np.testing.assert_allclose(pose.T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=4e-3)
 
 
-def test_frames_that_were_overtaken_are_passed_over_and_said(world) -> None:  # type: ignore[no-untyped-def]
+def test_out_of_order_frames_are_skipped_and_reported(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.see()
     assert rig.see(late_ns=2 * FRAME_NS) == []
@@ -155,7 +155,7 @@ def test_frames_that_were_overtaken_are_passed_over_and_said(world) -> None:  # 
     assert pose_of(rig.see()).ok
 
 
-def test_after_a_stamp_from_the_future_it_goes_on(world) -> None:  # type: ignore[no-untyped-def]
+def test_perception_recovers_from_future_stamp(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.see()
     rig.see(late_ns=-60_000_000_000)
@@ -164,7 +164,7 @@ def test_after_a_stamp_from_the_future_it_goes_on(world) -> None:  # type: ignor
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(arrays(np.uint16, (30, 40), elements=st.integers(0, 65535), fill=st.sampled_from([0, 700, 65535])))
-def test_whatever_the_pixels_it_keeps_running(world, small: NDArray[np.uint16]) -> None:  # type: ignore[no-untyped-def]
+def test_perception_keeps_running_for_any_pixels(world, small: NDArray[np.uint16]) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     picture = np.repeat(np.repeat(small, 8, axis=0), 8, axis=1)
     rig.see(picture)

@@ -22,7 +22,7 @@ def at(x: float, y: float = 0.0, yaw: float = 0.0) -> np.ndarray:
     return np.asarray(camera_pose(x, y, yaw, z=0.6))
 
 
-def carry(poses: Sequence[np.ndarray], boxes: Boxes) -> list[RegistrationResult]:
+def register_frames(poses: Sequence[np.ndarray], boxes: Boxes) -> list[RegistrationResult]:
     """Register the frames of a hand-held camera without odometry."""
     rng, prior = np.random.default_rng(1000), VelocityPrior(0.15)
     registration = Registration(CAMERA, SENSOR, HAND_HELD, blocks_across=160)
@@ -49,20 +49,20 @@ def errors(found: Sequence[RegistrationResult], poses: Sequence[np.ndarray]) -> 
         pytest.param(lambda s: at(0.5, yaw=np.radians(80.0) * s - 0.2), id="80 deg/s"),
     ],
 )
-def test_a_camera_that_moves_from_the_first_picture_on_is_followed(move: Callable[[float], np.ndarray]) -> None:
+def test_camera_moving_from_first_frame_is_tracked(move: Callable[[float], np.ndarray]) -> None:
     poses = [move(n / RATE_HZ) for n in range(8)]
     boxes = room()
-    found = carry(poses, lambda _: boxes)
+    found = register_frames(poses, lambda _: boxes)
     assert all(r.ok for r in found)
     assert errors(found, poses).max() < 0.015
 
 
-def test_a_camera_that_is_carried_off_and_back_is_lost_meanwhile_and_found_again() -> None:
+def test_camera_moved_away_is_lost_and_relocalized_on_return() -> None:
     """Check a jump of 3 m to unseen ground, and a return near the previous place."""
     boxes = room()
     away = range(12, 24)
     poses = [at(0.2 * n / RATE_HZ + 3.0 * (n in away), 0.15 * (n >= 24), 0.1 * (n >= 24)) for n in range(34)]
-    found = carry(poses, lambda _: boxes)
+    found = register_frames(poses, lambda _: boxes)
     assert not any(found[n].ok for n in away)
     rest = found[23].T_world_camera[:3, 3] - found[11].T_world_camera[:3, 3]
     assert np.linalg.norm(rest) < 0.05, "where it is not seen to move it is expected to rest"
@@ -90,16 +90,16 @@ def walking_legs(n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("body", [trolley, approaching, walking_legs])
 @pytest.mark.parametrize("things", [NO_BOXES, room()[:12]], ids=["bare floor", "a few things"])
-def test_a_body_that_moves_does_not_drag_a_camera_that_rests(body: Boxes, things: np.ndarray) -> None:
+def test_moving_body_does_not_shift_resting_camera(body: Boxes, things: np.ndarray) -> None:
     poses = [at(0.0)] * 45
-    found = carry(poses, lambda n: np.vstack([things, body(n)]))
+    found = register_frames(poses, lambda n: np.vstack([things, body(n)]))
     assert errors(found, poses).max() < 0.006
     yaw = [np.arctan2(r.T_world_camera[1, 2], r.T_world_camera[0, 2]) for r in found]
     assert np.abs(yaw).max() < np.radians(0.5)
 
 
 @pytest.mark.parametrize("body", [trolley, approaching, walking_legs])
-def test_a_body_does_not_drag_a_robot_that_stands(body: Boxes) -> None:
+def test_moving_body_does_not_shift_standing_robot(body: Boxes) -> None:
     """Check legs that report a standing robot with some uncertainty."""
     rng, T = np.random.default_rng(1001), at(0.0)
     registration = Registration(CAMERA, SENSOR, Acceptance())
@@ -111,10 +111,10 @@ def test_a_body_does_not_drag_a_robot_that_stands(body: Boxes) -> None:
     assert np.linalg.norm(expected[:3, 3] - T[:3, 3]) < 0.006
 
 
-def test_a_camera_that_sets_out_among_several_things_is_not_held_back() -> None:
+def test_camera_starting_to_move_among_static_objects_is_tracked() -> None:
     speeds = np.concatenate([np.zeros(10), np.linspace(0.0, 0.5, 20)])
     poses = [at(x) for x in np.cumsum(speeds) / RATE_HZ]
     boxes = room()
-    found = carry(poses, lambda _: boxes)
+    found = register_frames(poses, lambda _: boxes)
     assert all(r.ok for r in found)
     assert errors(found, poses).max() < 0.015

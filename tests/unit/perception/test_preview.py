@@ -14,7 +14,7 @@ SENSOR = DepthSensor()
 
 @pytest.mark.parametrize("size", [(480, 640), (1, 1), (1, 640), (640, 1), (720, 1280), (3, 5)])
 @pytest.mark.parametrize("colored", [True, False])
-def test_a_frame_of_any_size_is_a_picture(size: tuple[int, int], colored: bool) -> None:
+def test_frame_of_any_size_gives_preview(size: tuple[int, int], colored: bool) -> None:
     rng = np.random.default_rng(0)
     depth = rng.integers(0, 65536, size, dtype=np.uint16)
     rgb = rng.integers(0, 256, (*size, 3), dtype=np.uint8) if colored else None
@@ -26,13 +26,13 @@ def test_a_frame_of_any_size_is_a_picture(size: tuple[int, int], colored: bool) 
     assert made.color_jpeg.size <= MAX_PREVIEW
 
 
-def test_colour_that_is_empty_is_none() -> None:
+def test_empty_color_image_gives_no_color_preview() -> None:
     made = preview(0, np.ones((4, 4), dtype=np.uint16), SENSOR, np.zeros((0, 0, 3), dtype=np.uint8))
     assert made.color_jpeg.size == 0
 
 
 @pytest.mark.parametrize("shape", [(424, 512), (639, 639), (480, 639), (1440, 1440), (1, 4096)])
-def test_whatever_the_camera_sees_its_picture_fits(shape: tuple[int, int]) -> None:
+def test_preview_of_any_image_fits_message_size(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(0)
     depth = np.where(rng.random(shape) < 0.6, 0, rng.integers(300, 4000, shape)).astype(np.uint16)
     shown = preview(1, depth, DepthSensor(), rng.integers(0, 256, (*shape, 3)).astype(np.uint8))

@@ -46,7 +46,7 @@ class Link:
                     self.arrive.append((self.free_ns + 2 * self.delay_ns, self.now_ns))
 
 
-def test_a_wide_link_carries_everything() -> None:
+def test_fast_link_carries_all_scans() -> None:
     link = Link(20e6 / 8)
     link.run(20.0)
     assert link.sent == 300
@@ -55,7 +55,7 @@ def test_a_wide_link_carries_everything() -> None:
 
 
 @pytest.mark.parametrize("mbit", [0.8, 1.0, 2.0, 4.0])
-def test_a_narrow_link_is_filled_and_not_flooded(mbit: float) -> None:
+def test_slow_link_is_used_without_queueing_delay(mbit: float) -> None:
     link = Link(mbit * 1e6 / 8)
     link.run(10.0)
     link.run(30.0)
@@ -66,7 +66,7 @@ def test_a_narrow_link_is_filled_and_not_flooded(mbit: float) -> None:
     assert 0.4 < used < 1.5
 
 
-def test_it_takes_what_it_can_once_there_is_more() -> None:
+def test_rate_rises_when_link_capacity_grows() -> None:
     link = Link(1e6 / 8)
     link.run(20.0)
     assert link.care.share < 0.3
@@ -75,7 +75,7 @@ def test_it_takes_what_it_can_once_there_is_more() -> None:
     assert link.care.share == 1.0
 
 
-def test_a_cut_says_nothing_of_what_the_link_carries() -> None:
+def test_link_outage_does_not_reduce_rate_afterwards() -> None:
     link = Link(20e6 / 8)
     link.run(5.0)
     link.cut = True
@@ -87,7 +87,7 @@ def test_a_cut_says_nothing_of_what_the_link_carries() -> None:
     assert link.care.share == 1.0
 
 
-def test_a_mapper_that_is_busy_for_a_moment_is_no_narrow_link() -> None:
+def test_occasional_mapper_delay_does_not_reduce_rate() -> None:
     care, now_ns = RateControl(), 0
     for k in range(300):
         now_ns += FRAME_NS
@@ -97,7 +97,7 @@ def test_a_mapper_that_is_busy_for_a_moment_is_no_narrow_link() -> None:
     assert care.share == 1.0
 
 
-def test_without_anybody_who_answers_all_is_sent() -> None:
+def test_full_rate_is_sent_without_receipts() -> None:
     care = RateControl()
     for k in range(200):
         care.check_overdue(k * FRAME_NS)
@@ -108,7 +108,7 @@ def test_without_anybody_who_answers_all_is_sent() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 2000)), max_size=200))
-def test_whatever_comes_it_sends_between_a_fresh_map_and_all(words: list[tuple[bool, int]]) -> None:
+def test_budget_stays_within_limits_for_any_receipts(words: list[tuple[bool, int]]) -> None:
     care, now_ns = RateControl(), 0
     for answered, wait_ms in words:
         now_ns += wait_ms * MS

@@ -83,20 +83,20 @@ def pose_of(messages: list[Message]) -> BodyPose:
     return next(m for m in messages if isinstance(m, BodyPose))
 
 
-def test_it_waits_for_odometry_and_says_so(world) -> None:  # type: ignore[no-untyped-def]
+def test_perception_waits_for_odometry_and_reports_it(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     assert rig.see(body_at(0.0)) == []
     assert "waiting for odometry" in rig.perception.doing()
     assert rig.frame(body_at(0.0))
 
 
-def test_the_world_is_the_odometry_of_the_first_frame(world) -> None:  # type: ignore[no-untyped-def]
+def test_world_frame_equals_odometry_frame_of_first_image(world) -> None:  # type: ignore[no-untyped-def]
     pose = pose_of(Rig(world).frame(body_at(0.2)))
     np.testing.assert_allclose(pose.T_world_body, body_at(0.2), atol=1e-9)
     np.testing.assert_allclose(pose.T_world_odom, np.eye(4), atol=1e-9)
 
 
-def test_the_world_is_laid_only_once_the_robot_stands_still(world) -> None:  # type: ignore[no-untyped-def]
+def test_world_frame_is_set_only_once_robot_stands_still(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, settle_s=0.3)
     first = -1
     for k in range(30):  # the robot sinks for 0.3 s, then stands
@@ -108,7 +108,7 @@ def test_the_world_is_laid_only_once_the_robot_stands_still(world) -> None:  # t
     assert 0.2 < (first - 9) * FRAME * 1e-9 <= 0.34
 
 
-def test_an_odometry_that_began_anew_before_the_first_frame_changes_nothing(world) -> None:  # type: ignore[no-untyped-def]
+def test_odometry_restart_before_first_frame_has_no_effect(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.travelled = 0.4
     rig.odometry(body_at(0.9))
@@ -121,7 +121,7 @@ def test_an_odometry_that_began_anew_before_the_first_frame_changes_nothing(worl
     np.testing.assert_allclose(pose.T_world_body, body_at(0.0), atol=1e-9)
 
 
-def test_it_follows_the_true_motion_with_the_odometry_as_prior(world) -> None:  # type: ignore[no-untyped-def]
+def test_true_motion_is_tracked_with_odometry_prior(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(8):
         truth = body_at(0.01 * k, 0.002 * k, 0.004 * k)
@@ -137,7 +137,7 @@ def test_it_follows_the_true_motion_with_the_odometry_as_prior(world) -> None:  
     assert "overlap" in rig.perception.doing()
 
 
-def test_what_level_ground_leaves_to_the_legs_is_said(world) -> None:  # type: ignore[no-untyped-def]
+def test_unobservable_directions_on_level_ground_are_reported(world) -> None:  # type: ignore[no-untyped-def]
     poses = []
     for scene in ("flat", "pillars"):
         rig = Rig(world, scene)
@@ -150,7 +150,7 @@ def test_what_level_ground_leaves_to_the_legs_is_said(world) -> None:  # type: i
     assert rough.degenerate.shape == (0, 6)
 
 
-def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) -> None:  # type: ignore[no-untyped-def]
+def test_odometry_restart_keeps_body_pose(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(4):
         before = pose_of(rig.frame(body_at(0.01 * k)))
@@ -163,7 +163,7 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
     assert pose_of(rig.frame(body_at(0.04), moved)).T_world_body[0, 3] == pytest.approx(0.04, abs=4e-3)
 
 
-def test_a_pose_on_its_side_is_given_up_where_the_legs_carry_the_body_upright(world) -> None:  # type: ignore[no-untyped-def]
+def test_tipped_pose_is_discarded_when_legs_report_upright_body(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     blank = np.zeros_like(rig.picture(body_at(0.0)))
@@ -180,7 +180,7 @@ def test_a_pose_on_its_side_is_given_up_where_the_legs_carry_the_body_upright(wo
     assert after.T_world_body[2, 3] == pytest.approx(HEIGHT, abs=0.01)
 
 
-def test_odometry_that_is_nearly_rigid_yields_rigid_poses(world) -> None:  # type: ignore[no-untyped-def]
+def test_nearly_rigid_odometry_gives_rigid_poses(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(12):
         scaled = body_at(0.001 * k)
@@ -190,7 +190,7 @@ def test_odometry_that_is_nearly_rigid_yields_rigid_poses(world) -> None:  # typ
     assert is_rigid(pose.T_world_body, 1e-9)
 
 
-def test_a_frame_of_the_wrong_size_is_named_and_skipped(world) -> None:  # type: ignore[no-untyped-def]
+def test_frame_of_wrong_size_is_reported_and_skipped(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     (pose,) = rig.frame(body_at(0.0), depth=np.zeros((120, 160), dtype=np.uint16))
@@ -202,7 +202,7 @@ def test_a_frame_of_the_wrong_size_is_named_and_skipped(world) -> None:  # type:
     assert pose_of(rig.frame(body_at(0.005))).ok
 
 
-def test_an_empty_frame_leaves_the_odometry_and_says_why(world) -> None:  # type: ignore[no-untyped-def]
+def test_empty_frame_falls_back_to_odometry_with_reason(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     pose = pose_of(rig.frame(body_at(0.02), depth=np.zeros((240, 320), dtype=np.uint16)))
@@ -212,7 +212,7 @@ def test_an_empty_frame_leaves_the_odometry_and_says_why(world) -> None:  # type
     np.testing.assert_allclose(pose.T_world_body, body_at(0.02), atol=1e-9)
 
 
-def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-untyped-def]
+def test_covariance_grows_on_odometry_alone(world) -> None:  # type: ignore[no-untyped-def]
     rig, dark = Rig(world), np.zeros((240, 320), dtype=np.uint16)
     rig.frame(body_at(0.0))
     spreads = [pose_of(rig.frame(body_at(0.01 * k), depth=dark)).covariance[0, 0] for k in range(1, 6)]
@@ -220,7 +220,7 @@ def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-un
 
 
 @pytest.mark.parametrize("travelled", [1e3, 1e12, -1e12])
-def test_however_far_the_legs_claim_to_have_come_the_next_frame_is_registered(world, travelled: float) -> None:  # type: ignore[no-untyped-def]
+def test_frame_is_registered_after_any_travelled_distance(world, travelled: float) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     rig.travelled += travelled
@@ -229,7 +229,7 @@ def test_however_far_the_legs_claim_to_have_come_the_next_frame_is_registered(wo
     np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.01)[:3, 3], atol=0.02)
 
 
-def test_a_camera_that_shows_nothing_clears_no_ground(world) -> None:  # type: ignore[no-untyped-def]
+def test_blind_camera_sends_no_free_space_rays(world) -> None:  # type: ignore[no-untyped-def]
     rig, dark = Rig(world, "flat"), np.zeros((240, 320), dtype=np.uint16)
     for _ in range(5):
         rig.frame(body_at(0.0))
@@ -238,7 +238,7 @@ def test_a_camera_that_shows_nothing_clears_no_ground(world) -> None:  # type: i
     assert all(len(scan.sights_mm) == 0 for scan in scans)
 
 
-def test_silent_odometry_is_no_standing_robot_where_the_ground_does_not_tell(world) -> None:  # type: ignore[no-untyped-def]
+def test_missing_odometry_is_a_fault_only_on_unobservable_ground(world) -> None:  # type: ignore[no-untyped-def]
     for scene, told in (("flat", False), ("pillars", True)):
         rig = Rig(world, scene)
         for _ in range(5):
@@ -255,7 +255,7 @@ def test_silent_odometry_is_no_standing_robot_where_the_ground_does_not_tell(wor
             assert "no odometry" in rig.perception.doing()
 
 
-def test_a_picture_that_froze_before_the_legs_were_heard_is_named(world) -> None:  # type: ignore[no-untyped-def]
+def test_image_frozen_before_first_odometry_is_reported(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     frozen = rig.picture(body_at(0.0))
     for _ in range(3):
@@ -267,7 +267,7 @@ def test_a_picture_that_froze_before_the_legs_were_heard_is_named(world) -> None
     assert "frozen" in poses[-1].reason
 
 
-def test_legs_that_nobody_vouches_for_are_believed_less(world) -> None:  # type: ignore[no-untyped-def]
+def test_unreliable_odometry_has_larger_covariance(world) -> None:  # type: ignore[no-untyped-def]
     dark, spreads = np.zeros((240, 320), dtype=np.uint16), []
     for reliable in (True, False):
         rig = Rig(world)
@@ -279,21 +279,21 @@ def test_legs_that_nobody_vouches_for_are_believed_less(world) -> None:  # type:
 
 
 @pytest.mark.parametrize("every", [1, 3])
-def test_every_so_many_frames_become_a_scan(world, every: int) -> None:  # type: ignore[no-untyped-def]
+def test_scan_is_published_every_n_frames(world, every: int) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, settings=Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz / every))
     scans = [any(isinstance(m, Scan) for m in rig.frame(body_at(0.0))) for _ in range(7)]
     assert scans == [(k + 1) % every == 0 for k in range(7)]
 
 
 @pytest.mark.parametrize("scene", ["flat", "steps", "pillars"])
-def test_a_scan_of_a_whole_frame_is_no_larger_than_60_kb(world, scene: str) -> None:  # type: ignore[no-untyped-def]
+def test_scan_of_full_frame_is_at_most_60_kb(world, scene: str) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, scene, profile=PHANTOM)
     scan = next(m for m in rig.frame(body_at(0.0)) if isinstance(m, Scan))
     assert len(scan.points_mm) > 1000
     assert len(codec.encode(scan)) <= SCAN_BYTES
 
 
-def test_nor_is_one_of_as_many_points_on_the_roughest_ground() -> None:
+def test_scan_of_max_points_on_roughest_ground_is_at_most_60_kb() -> None:
     n, rng = Settings().scan_points, np.random.default_rng(0)
     row, column = np.divmod(np.arange(n), 150)
     points = np.column_stack([10 * row, 10 * column, np.zeros(n)]) + rng.integers(0, [10, 10, 150], (n, 3))
@@ -304,7 +304,7 @@ def test_nor_is_one_of_as_many_points_on_the_roughest_ground() -> None:
     assert len(codec.encode(scan)) <= SCAN_BYTES
 
 
-def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:  # type: ignore[no-untyped-def]
+def test_scan_lies_on_ground_and_has_covariance_of_camera_pose(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, "flat", Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz))
     messages = rig.frame(body_at(0.0))
     scan, pose = next(m for m in messages if isinstance(m, Scan)), pose_of(messages)
@@ -321,7 +321,7 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
 
 
 @pytest.mark.parametrize("raw", [0, 100])  # no return, and nearer than the range
-def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world, raw: int) -> None:  # type: ignore[no-untyped-def]
+def test_scans_of_blind_camera_stop_after_a_while(world, raw: int) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     scans = []
@@ -335,7 +335,7 @@ def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world, raw: int
 
 
 @pytest.mark.parametrize("moving", [True, False])
-def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool) -> None:  # type: ignore[no-untyped-def]
+def test_frozen_image_is_reported_once_legs_have_moved(world, moving: bool) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(3):
         rig.frame(body_at(0.01 * k))
@@ -354,12 +354,12 @@ def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool)
     ("name", "bad"),
     [("odometry_floor", 0.0), ("odometry_drift", np.nan), ("tilt_s", 0.0), ("scan_range", 40.0), ("settle_s", 2.0)],
 )
-def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
+def test_invalid_settings_are_refused(name: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{name} from .* expected, found {bad:g}"):
         Settings(**{name: bad})
 
 
-def test_a_picture_for_people_comes_five_times_a_second_and_only_where_it_is_wanted(world) -> None:  # type: ignore[no-untyped-def]
+def test_preview_is_published_at_5_hz_only_with_subscribers(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     made = [m for _ in range(30) for m in rig.frame(body_at(0.0)) if isinstance(m, Preview)]
     assert made == []
@@ -380,7 +380,7 @@ def test_a_picture_for_people_comes_five_times_a_second_and_only_where_it_is_wan
     assert (red - blue)[(depth > 0) & (depth < near + (far - near) / 6)].mean() > 60.0, "near is red"
 
 
-def test_pictures_for_people_go_on_where_the_clock_of_the_camera_begins_again(world) -> None:  # type: ignore[no-untyped-def]
+def test_previews_continue_after_camera_clock_reset(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.wanted = {topics.PREVIEW}
     rig.now_ns = 1_000_000 * MS

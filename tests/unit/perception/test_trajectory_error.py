@@ -12,7 +12,7 @@ def poses(n=20, seed=0):
     return from_xyz_rpy(rng.normal(size=(n, 3)), rng.normal(size=(n, 3)))
 
 
-def test_a_rigidly_moved_trajectory_has_no_error():
+def test_aligned_error_of_rigidly_moved_trajectory_is_zero():
     truth = poses()
     T = from_xyz_rpy([1.0, -2.0, 3.0], [0.3, -1.0, 2.0])
     error = trajectory_error(T @ truth, truth)
@@ -21,7 +21,7 @@ def test_a_rigidly_moved_trajectory_has_no_error():
     np.testing.assert_allclose(error.T_truth_estimate @ T, np.eye(4), atol=1e-12)
 
 
-def test_without_alignment_an_offset_is_the_error():
+def test_unaligned_error_is_position_offset():
     truth = poses()
     moved = truth.copy()
     moved[:, 0, 3] += 0.3
@@ -32,12 +32,12 @@ def test_without_alignment_an_offset_is_the_error():
     assert error.rms == pytest.approx(np.sqrt((19 * 0.09 + 0.25) / 20))
 
 
-def test_alignment_never_makes_it_worse():
+def test_alignment_never_increases_error():
     truth, estimate = poses(seed=1), poses(seed=2)
     assert trajectory_error(estimate, truth).rms <= trajectory_error(estimate, truth, align=False).rms
 
 
-def test_mistakes_are_named():
+def test_invalid_trajectories_are_refused():
     with pytest.raises(ValueError, match="trajectories expected"):
         trajectory_error(poses(5), poses(6))
     with pytest.raises(ValueError, match="n >= 3"):

@@ -40,7 +40,7 @@ def recorded(tmp_path):
     return tmp_path / "run", stamps, images, poses
 
 
-def test_round_trip(recorded):
+def test_recording_round_trip(recorded):
     folder, stamps, images, poses = recorded
     recording = read_recording(folder)
     assert recording.camera.intrinsics == CAMERA.intrinsics
@@ -53,7 +53,7 @@ def test_round_trip(recorded):
         np.testing.assert_allclose(recording.truth.at(stamp), T, atol=1e-7)
 
 
-def test_a_recording_may_lack_its_truth(tmp_path):
+def test_recording_without_ground_truth_is_read(tmp_path):
     with RecordingWriter(tmp_path, CAMERA) as writer:
         writer.add(0, np.zeros((24, 32), np.uint16))
     recording = read_recording(tmp_path)
@@ -63,7 +63,7 @@ def test_a_recording_may_lack_its_truth(tmp_path):
 
 @settings(max_examples=60, deadline=None)
 @given(name=st.sampled_from(["depth.txt", "groundtruth.txt", "camera.toml"]), garbage=st.binary(max_size=80))
-def test_garbage_is_refused_with_the_name_of_its_file(tmp_path_factory, name, garbage):
+def test_invalid_file_is_refused_by_name(tmp_path_factory, name, garbage):
     folder = tmp_path_factory.mktemp("garbage")
     with RecordingWriter(folder, CAMERA) as writer:
         writer.add(0, np.zeros((24, 32), np.uint16), np.eye(4))
@@ -72,7 +72,7 @@ def test_garbage_is_refused_with_the_name_of_its_file(tmp_path_factory, name, ga
         read_recording(folder)
 
 
-def test_truth_is_interpolated_and_never_invented():
+def test_ground_truth_is_interpolated_but_not_extrapolated():
     poses = random_poses(3, 2)
     truth = Trajectory(np.array([0, 50_000_000, 900_000_000]), poses)
     np.testing.assert_allclose(truth.at(25_000_000)[:3, 3], poses[:2, :3, 3].mean(axis=0))
@@ -81,7 +81,7 @@ def test_truth_is_interpolated_and_never_invented():
     assert truth.at(500_000_000) is None  # in a gap
 
 
-def test_trajectories_survive_the_round_trip(tmp_path):
+def test_trajectory_round_trip(tmp_path):
     trajectory = Trajectory(np.array([0, 1_000, 33_333_000]), random_poses(3, 3))
     write_trajectory(tmp_path / "t.txt", trajectory)
     again = read_trajectory(tmp_path / "t.txt")
@@ -90,13 +90,13 @@ def test_trajectories_survive_the_round_trip(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["depth.txt", "camera.toml"])
-def test_a_missing_file_is_named(recorded, name):
+def test_missing_file_is_reported(recorded, name):
     (recorded[0] / name).unlink()
     with pytest.raises(FileError, match=name):
         read_recording(recorded[0])
 
 
-def test_a_missing_folder_and_image_are_named(recorded, tmp_path):
+def test_missing_folder_or_image_is_reported(recorded, tmp_path):
     with pytest.raises(FileError, match="nowhere"):
         read_recording(tmp_path / "nowhere")
     recording = read_recording(recorded[0])
@@ -121,13 +121,13 @@ def test_a_missing_folder_and_image_are_named(recorded, tmp_path):
         ("camera.toml", "width = 6.5\nheight = 4\n", "width: a whole number expected, found 6.5"),
     ],
 )
-def test_a_malformed_line_is_named(recorded, name, text, message):
+def test_malformed_line_is_reported(recorded, name, text, message):
     (recorded[0] / name).write_text(text)
     with pytest.raises(ValueError, match=message):
         read_recording(recorded[0])
 
 
-def test_gravity_is_a_unit_vector(recorded):
+def test_gravity_must_be_unit_vector(recorded):
     path = recorded[0] / "camera.toml"
     path.write_text(path.read_text().replace("[0.0, 0.0, -1.0]", "[0.0, 0.0, -9.81]"))
     with pytest.raises(ValueError, match="unit vector"):
@@ -143,7 +143,7 @@ def test_gravity_is_a_unit_vector(recorded):
         ("cells = 4", "cells: unknown key"),
     ],
 )
-def test_camera_toml_is_strict(recorded, line, message):
+def test_invalid_camera_toml_is_refused(recorded, line, message):
     path = recorded[0] / "camera.toml"
     text = path.read_text()
     kept = [old for old in text.splitlines() if old.split(" =")[0] != line.split(" =")[0]]
@@ -154,7 +154,7 @@ def test_camera_toml_is_strict(recorded, line, message):
     assert len(read_recording(recorded[0])) == 4
 
 
-def test_the_range_is_settable_and_kept(tmp_path):
+def test_sensor_range_is_written_and_read(tmp_path):
     camera = replace(CAMERA, min_range=0.15, max_range=1.5)
     with RecordingWriter(tmp_path, camera) as writer:
         writer.add(0, np.zeros((24, 32), np.uint16))
@@ -162,14 +162,14 @@ def test_the_range_is_settable_and_kept(tmp_path):
     assert (sensor.min_range, sensor.max_range, sensor.depth_scale) == (0.15, 1.5, 1000.0)
 
 
-def test_an_image_of_another_kind_is_refused(recorded):
+def test_non_png_image_is_refused(recorded):
     recording = read_recording(recorded[0])
     (recorded[0] / recording.files[0]).write_bytes(b"no picture")
     with pytest.raises(ValueError, match="a PNG picture expected, found something else"):
         recording.depth(0)
 
 
-def test_the_writer_refuses_what_it_could_not_read_back(recorded, tmp_path):
+def test_writer_refuses_invalid_frames_and_existing_folder(recorded, tmp_path):
     with pytest.raises(FileExistsError, match="another folder"):
         RecordingWriter(recorded[0], CAMERA)
     with RecordingWriter(tmp_path / "other", CAMERA) as writer:
@@ -182,7 +182,7 @@ def test_the_writer_refuses_what_it_could_not_read_back(recorded, tmp_path):
     assert len(read_recording(tmp_path / "other")) == 1
 
 
-def test_a_frame_that_cannot_be_written_leaves_the_recording_as_it_was(tmp_path):
+def test_failed_frame_write_leaves_recording_unchanged(tmp_path):
     with RecordingWriter(tmp_path / "run", CAMERA) as writer:
         shape = (CAMERA.intrinsics.height, CAMERA.intrinsics.width)
         writer.add(10**9, np.full(shape, 700, dtype=np.uint16), np.eye(4))

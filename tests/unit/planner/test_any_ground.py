@@ -83,7 +83,7 @@ def any_strip(rng: np.random.Generator, request: PassageRequest, resolution: flo
 
 @settings(max_examples=200, deadline=None)
 @given(seeds)
-def test_a_gap_ahead_lies_on_the_way_and_on_the_map(seed: int) -> None:
+def test_detected_gap_lies_between_robot_and_target(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = Terrain(any_map(rng))
     xy, target = rng.uniform(-1.5, 1.5, (2, 2))
@@ -96,7 +96,7 @@ def test_a_gap_ahead_lies_on_the_way_and_on_the_map(seed: int) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(seeds)
-def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed: int) -> None:
+def test_path_on_any_map_starts_at_robot_or_has_reason(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ground, terrain = LocalGroundMap(), Terrain(any_map(rng))
     place = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(-np.pi, np.pi)])
@@ -116,7 +116,7 @@ def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed
 
 @settings(max_examples=100, deadline=None)
 @given(seeds)
-def test_the_goal_of_a_section_lies_ahead_of_the_body_up_to_the_target(seed: int) -> None:
+def test_section_goal_on_any_strip_is_ahead_up_to_target(seed: int) -> None:
     rng = np.random.default_rng(seed)
     request = PassageRequest(0, rng.uniform(-1.0, 1.0, 2), float(rng.uniform(-3.0, 3.0)), *STRIP)
     field = StripMap.of(any_strip(rng, request))
@@ -130,7 +130,7 @@ def test_the_goal_of_a_section_lies_ahead_of_the_body_up_to_the_target(seed: int
 
 @settings(max_examples=15, deadline=None)
 @given(seeds)
-def test_the_planner_steps_or_says_why_not_on_any_map_and_strip(seed: int) -> None:
+def test_planner_steps_or_reports_reason_on_any_map_and_strip(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rig = Rig()
     rig.command, rig.terrain = None, any_map(rng)

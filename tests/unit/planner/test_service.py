@@ -38,7 +38,7 @@ HEIGHT = 0.11
 MS = 1_000_000
 REST = PROFILE.rest_feet(HEIGHT)
 FLAT = flat_terrain(0, np.zeros(2), 0.0, half_size=2.0).map
-NOBODY = np.zeros(6, dtype=bool)
+NO_SWING = np.zeros(6, dtype=bool)
 Maker = Callable[..., Terrain]
 
 
@@ -99,11 +99,11 @@ class Rig:
         feet = apply(inverse(plan.body_goal), plan.touchdown)
         body = inverse(plan.T_world_odom) @ plan.body_goal
         self.state = replace(
-            self.state, mode=Mode.HOLD, phase=1.0, swing=NOBODY, feet=feet, body_ref=body, T_odom_body=body, step=plan.step
+            self.state, mode=Mode.HOLD, phase=1.0, swing=NO_SWING, feet=feet, body_ref=body, T_odom_body=body, step=plan.step
         )
 
 
-def test_with_everything_there_it_steps() -> None:
+def test_planner_steps_with_all_inputs() -> None:
     rig = Rig()
     (plan,) = rig.plans()
     assert plan.step == 1
@@ -115,7 +115,7 @@ def test_with_everything_there_it_steps() -> None:
     assert rig.planner.doing().startswith("stepping")
 
 
-def test_servos_that_tire_are_walked_more_slowly() -> None:
+def test_reduced_servo_pace_shortens_step() -> None:
     rig = Rig()
     rig.state = replace(rig.state, pace=0.5)
     (plan,) = rig.plans()
@@ -127,7 +127,7 @@ def test_servos_that_tire_are_walked_more_slowly() -> None:
     [("terrain", "no fresh terrain map"), ("pose", "no fresh pose"), ("command", "no fresh velocity command")],
 )
 @pytest.mark.parametrize("ever", [True, False])
-def test_without_a_fresh_input_it_waits_and_says_for_what(missing: str, words: str, ever: bool) -> None:
+def test_missing_or_stale_input_is_waited_for_and_named(missing: str, words: str, ever: bool) -> None:
     rig = Rig()
     if ever:
         rig.plans()
@@ -143,7 +143,7 @@ def test_without_a_fresh_input_it_waits_and_says_for_what(missing: str, words: s
 
 
 @pytest.mark.parametrize("missing", ["terrain", "pose"])
-def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(missing: str) -> None:
+def test_camera_fault_is_named_when_map_or_pose_is_missing(missing: str) -> None:
     rig = Rig()
     setattr(rig, missing, None)
     rig.plans(60)
@@ -155,7 +155,7 @@ def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(m
     assert "camera" not in rig.status().reason, "no message for a second"
 
 
-def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
+def unusable_maps(map_: TerrainMap) -> dict[str, TerrainMap]:
     """Return maps that are well formed but not usable."""
     shape, cells = map_.elevation.shape, ("elevation", "variance", "score", "assumed", "evaluation")
     unknown, rng = np.full(shape, np.nan, np.float32), np.random.default_rng(0)
@@ -172,10 +172,10 @@ def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
     }
 
 
-@pytest.mark.parametrize("words", garbled(FLAT))
-def test_a_map_that_is_none_is_not_walked_on_and_the_next_one_is(words: str) -> None:
+@pytest.mark.parametrize("words", unusable_maps(FLAT))
+def test_unusable_map_is_refused_and_next_valid_map_is_used(words: str) -> None:
     rig = Rig()
-    rig.terrain, kept = garbled(FLAT)[words], rig.terrain
+    rig.terrain, kept = unusable_maps(FLAT)[words], rig.terrain
     assert rig.plans(30) == []
     assert words in rig.status().reason
     rig.terrain = kept
@@ -183,7 +183,7 @@ def test_a_map_that_is_none_is_not_walked_on_and_the_next_one_is(words: str) -> 
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.STAND, Mode.FAULT])
-def test_it_waits_for_legs_that_may_walk(mode: Mode) -> None:
+def test_planner_waits_for_walkable_actuator_mode(mode: Mode) -> None:
     rig = Rig()
     rig.state = replace(rig.state, mode=mode, reason="a servo reports overload")
     assert rig.plans(10) == []
@@ -191,7 +191,7 @@ def test_it_waits_for_legs_that_may_walk(mode: Mode) -> None:
     assert "a servo reports overload" in rig.status().reason
 
 
-def test_no_velocity_no_step() -> None:
+def test_zero_velocity_gives_no_step() -> None:
     rig = Rig()
     rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
     assert rig.plans(20) == []
@@ -200,7 +200,7 @@ def test_no_velocity_no_step() -> None:
     assert rig.plans(20)
 
 
-def test_it_never_walks_blind_and_goes_on_when_the_map_comes(make_terrain: Maker) -> None:
+def test_planner_is_blocked_on_unseen_ground_until_map_arrives(make_terrain: Maker) -> None:
     rig = Rig()
     rig.terrain = make_terrain(lambda x, y: np.full_like(x, np.nan), lambda x, y: np.full_like(x, np.nan)).map
     assert rig.plans(30) == []
@@ -214,14 +214,14 @@ def test_it_never_walks_blind_and_goes_on_when_the_map_comes(make_terrain: Maker
     assert rig.status().blocked_leg == -1
 
 
-def test_blind_it_reads_no_map_and_steps_at_the_height_of_its_feet() -> None:
+def test_blind_mode_steps_at_foot_height_without_map() -> None:
     rig = Rig(Settings(blind=True))
     rig.terrain = None
     (plan,) = rig.plans()
     np.testing.assert_allclose(plan.touchdown[plan.swing, 2], PROFILE.foot.radius, atol=1e-6)
 
 
-def test_a_walk_alternates_and_advances() -> None:
+def test_walk_alternates_tripods_and_advances() -> None:
     rig, sets, reached = Rig(), [], []
     for number in range(1, 6):
         plan = rig.plans(10)[-1]
@@ -236,7 +236,7 @@ def test_a_walk_alternates_and_advances() -> None:
     np.testing.assert_allclose(np.diff(reached), 0.06 * PROFILE.stance.step_s, atol=1e-6)
 
 
-def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
+def test_next_step_starts_from_end_of_running_step() -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -248,7 +248,7 @@ def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
     assert second.body_goal[0, 3] - first.body_goal[0, 3] == pytest.approx(first.body_goal[0, 3], abs=1e-6)
 
 
-def test_the_running_step_is_sent_again_so_that_the_robot_walks_on() -> None:
+def test_plan_of_running_step_is_republished() -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -272,7 +272,7 @@ def test_the_running_step_is_sent_again_so_that_the_robot_walks_on() -> None:
     assert rig.plans(60) == []  # a step that has ended is not renewed
 
 
-def test_revisions_count_up_and_stamps_with_them() -> None:
+def test_plan_revisions_and_stamps_increase() -> None:
     rig = Rig()
     plans = rig.plans(40)
     assert len(plans) > 2
@@ -282,7 +282,7 @@ def test_revisions_count_up_and_stamps_with_them() -> None:
     assert (gaps >= round(rig.planner._settings.revise_s * 1e9)).all()
 
 
-def test_a_newer_map_moves_the_touchdowns_of_the_running_step(make_terrain: Maker) -> None:
+def test_newer_map_retargets_touchdowns_of_running_step(make_terrain: Maker) -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -298,7 +298,7 @@ def test_a_newer_map_moves_the_touchdowns_of_the_running_step(make_terrain: Make
     assert rig.plans(3, phase=0.3) == []  # sent once
 
 
-def test_a_revision_after_a_correction_leads_where_the_legs_will_go(make_terrain: Maker) -> None:
+def test_revision_after_pose_correction_matches_actuator_goal(make_terrain: Maker) -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -316,7 +316,7 @@ def test_a_revision_after_a_correction_leads_where_the_legs_will_go(make_terrain
     np.testing.assert_allclose(revised.touchdown[standing_still], apply(T, first.touchdown)[standing_still], atol=1e-9)
 
 
-def test_commands_beyond_the_robot_are_refused_by_name() -> None:
+def test_infeasible_command_is_refused_with_reason() -> None:
     rig = Rig()
     assert rig.command is not None
     rig.command = replace(rig.command, body_height=0.25)
@@ -328,12 +328,12 @@ def test_commands_beyond_the_robot_are_refused_by_name() -> None:
     ("name", "bad"),
     [("touch_stride", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan), ("uneven", 0.0), ("retarget_from_m", -1.0)],
 )
-def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
+def test_invalid_settings_are_refused(name: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{name}.* expected, found {bad}"):
         Settings(**{name: bad})
 
 
-def test_a_step_nearly_done_is_not_revised(make_terrain: Maker) -> None:
+def test_nearly_complete_step_is_not_revised(make_terrain: Maker) -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -343,7 +343,7 @@ def test_a_step_nearly_done_is_not_revised(make_terrain: Maker) -> None:
     assert rig.plans(5, phase=between) == []
 
 
-def test_a_planner_that_comes_new_into_a_step_waits_for_its_end() -> None:
+def test_restarted_planner_waits_for_end_of_unknown_step() -> None:
     old = Rig()
     first = old.plans(10)[-1]
     new = Rig()
@@ -355,19 +355,19 @@ def test_a_planner_that_comes_new_into_a_step_waits_for_its_end() -> None:
     assert {p.step for p in new.plans(10)} == {8}
 
 
-def test_an_actuator_that_begins_anew_is_followed() -> None:
+def test_actuator_restart_resets_step_number() -> None:
     rig = Rig()
     for _ in range(3):
         plan = rig.plans(10)[-1]
         rig.begin(plan)
         rig.plans(1, phase=0.1)
         rig.finish(plan)
-    rig.state = replace(rig.state, step=0, phase=1.0, swing=NOBODY, plan_ns=-1)
+    rig.state = replace(rig.state, step=0, phase=1.0, swing=NO_SWING, plan_ns=-1)
     plans = rig.plans(10)
     assert {p.step for p in plans} == {1}
 
 
-def test_a_pose_correction_during_a_step_moves_the_plan_with_it() -> None:
+def test_pose_correction_during_step_keeps_plan_fixed_in_odom() -> None:
     """Check that a plan stays fixed in {odom} when the world slides under it."""
     rig = Rig()
     first = rig.plans(10)[-1]
@@ -380,7 +380,7 @@ def test_a_pose_correction_during_a_step_moves_the_plan_with_it() -> None:
     np.testing.assert_allclose(there, first.touchdown[first.swing], atol=1e-9)
 
 
-def test_while_it_is_blocked_it_does_not_think_all_the_time(make_terrain: Maker) -> None:
+def test_blocked_planner_limits_its_search_rate(make_terrain: Maker) -> None:
     rig = Rig()
     rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 9.0)).map
     rig.plans(50)
@@ -402,7 +402,7 @@ def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000)
     return plans
 
 
-def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
+def test_refused_step_is_shortened_then_tried_with_other_legs() -> None:
     """Check the order of attempts: newer estimates, shorter steps, then other legs.
 
     At the end the planner reports that no step is accepted.
@@ -421,7 +421,7 @@ def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
     assert rig.status().reason == "the actuator refuses every feasible step: out of reach"
 
 
-def test_a_robot_that_was_refused_everything_tries_again_now_and_then_and_says_blocked_meanwhile() -> None:
+def test_planner_retries_occasionally_after_all_steps_were_refused() -> None:
     rig = Rig()
     assert len(refused(rig, 100)) <= 2 * len(SHARES) + 1
     plan = next(p for _ in range(110) for p in rig.plans())
@@ -433,7 +433,7 @@ def test_a_robot_that_was_refused_everything_tries_again_now_and_then_and_says_b
     assert rig.status().state == "stepping"
 
 
-def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_terrain: Maker) -> None:
+def test_other_legs_are_tried_when_shorter_steps_have_no_foothold(make_terrain: Maker) -> None:
     rig = Rig()
     (first,) = rig.plans()
     near = first.touchdown[first.swing, :2]
@@ -449,7 +449,7 @@ def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_te
     assert any((p.swing != first.swing).any() for p in plans)
 
 
-def test_a_robot_that_stands_blocked_gathers_its_feet_and_then_goes_on() -> None:
+def test_blocked_robot_gathers_its_feet_and_then_walks_on() -> None:
     rig = Rig()
     rig.command = VelocityCommand(0, np.array([0.11, 0.0]), 0.0, HEIGHT, 0.04)
     behind = 1e-3 * np.array([[-47, 16], [-66, 0], [11, 1], [-38, 2], [12, 1], [-41, -1]])
@@ -468,7 +468,7 @@ def test_a_robot_that_stands_blocked_gathers_its_feet_and_then_goes_on() -> None
     assert rig.status().state == "stepping"
 
 
-def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refused_step_towards_goal_is_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check two commands, the first of which the ground forbids.
 
     All ways are tried with the second, though the planner considers both each time.
@@ -501,7 +501,7 @@ def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_agai
         {"lift": 0.06},
     ],
 )
-def test_another_command_is_tried_at_once_whatever_was_refused_before(change: dict[str, Any]) -> None:
+def test_changed_command_is_tried_immediately_after_refusals(change: dict[str, Any]) -> None:
     rig = Rig()
     refused(rig, 100)
     assert rig.status().state == "blocked"
@@ -512,7 +512,7 @@ def test_another_command_is_tried_at_once_whatever_was_refused_before(change: di
     assert rig.status().state == "stepping"
 
 
-def test_a_rest_ends_the_caution() -> None:
+def test_zero_command_resets_refusals() -> None:
     rig = Rig()
     refused(rig, 100)
     asked, rig.command = rig.command, VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
@@ -522,14 +522,14 @@ def test_a_rest_ends_the_caution() -> None:
     assert rig.status().state == "stepping"
 
 
-def test_an_untimely_plan_is_sent_again_as_it_was() -> None:
+def test_plan_refused_for_mode_is_repeated_unchanged() -> None:
     rig = Rig()
     plans = rig.plans(100, refused="plan of step 1 refused: the mode is hold, not ordered to walk")
     assert len(plans) > 5
     np.testing.assert_array_equal(plans[-1].body_goal, plans[0].body_goal)
 
 
-def test_an_accepted_step_ends_the_caution() -> None:
+def test_accepted_step_resets_refusals() -> None:
     rig = Rig()
     plan = refused(rig, 100, until=4)[-1]
     rig.begin(plan)
@@ -538,7 +538,7 @@ def test_an_accepted_step_ends_the_caution() -> None:
     assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s, abs=1e-6)
 
 
-def test_a_refused_revision_is_not_taken_for_what_is_walked() -> None:
+def test_refused_revision_does_not_replace_running_plan() -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -555,7 +555,7 @@ def test_a_refused_revision_is_not_taken_for_what_is_walked() -> None:
     assert rig.planner._refusals.count == 0  # the accepted plan was waiting
 
 
-def test_the_same_map_is_searched_once_for_better_footholds(make_terrain: Maker) -> None:
+def test_running_step_is_retargeted_once_per_map(make_terrain: Maker) -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
@@ -577,7 +577,7 @@ def towards(*waypoints: tuple[float, float]) -> Goal:
     return Goal(0, np.array(waypoints), 0.03, 0.10, HEIGHT, 0.04)
 
 
-def led(*waypoints: tuple[float, float]) -> Rig:
+def rig_with_goal(*waypoints: tuple[float, float]) -> Rig:
     """Return a rig with a goal and no velocity command."""
     rig = Rig()
     rig.command, rig.goal = None, towards(*waypoints)
@@ -586,8 +586,8 @@ def led(*waypoints: tuple[float, float]) -> Rig:
 
 @pytest.mark.parametrize(("ago_ms", "words"), [(2_001, "2.0 s old"), (60_000, "60.0 s old"), (-2_001, "stamped 2.0 s ahead")])
 @pytest.mark.parametrize("what", ["velocity command", "goal"])
-def test_what_was_asked_at_another_time_counts_for_nothing_and_it_says_so(what: str, ago_ms: int, words: str) -> None:
-    rig = led((1.0, 0.0)) if what == "goal" else Rig()
+def test_command_or_goal_with_stale_or_future_stamp_is_refused(what: str, ago_ms: int, words: str) -> None:
+    rig = rig_with_goal((1.0, 0.0)) if what == "goal" else Rig()
     rig.now_ns += 100_000 * MS
     rig.asked_ago_ns = ago_ms * MS
     assert rig.plans(20) == []
@@ -612,8 +612,8 @@ def take_steps(rig: Rig, most: int) -> list[Array]:
     return reached
 
 
-def test_a_goal_is_walked_to_by_its_waypoints_and_then_it_has_arrived() -> None:
-    rig = led((0.4, 0.2), (0.6, 0.0))
+def test_goal_is_reached_through_its_waypoints() -> None:
+    rig = rig_with_goal((0.4, 0.2), (0.6, 0.0))
     reached = take_steps(rig, 60)
     assert min(np.linalg.norm(p[:2] - (0.4, 0.2)) for p in reached) < 0.10
     assert np.linalg.norm(reached[-1][:2] - (0.6, 0.0)) <= 0.03
@@ -623,8 +623,8 @@ def test_a_goal_is_walked_to_by_its_waypoints_and_then_it_has_arrived() -> None:
     assert rig.plans(50) == []
 
 
-def test_the_status_carries_the_way_that_is_walked() -> None:
-    rig = led((0.6, 0.0))
+def test_status_contains_current_path() -> None:
+    rig = rig_with_goal((0.6, 0.0))
     rig.plans(3)
     status = rig.status()
     assert status.state == "stepping"
@@ -632,8 +632,8 @@ def test_the_status_carries_the_way_that_is_walked() -> None:
     np.testing.assert_allclose(status.path[[0, -1]], [[0.0, 0.0], [0.6, 0.0]], atol=1e-9)
 
 
-def test_a_fresh_velocity_comes_before_a_goal_and_the_goal_after_it() -> None:
-    rig = led((0.6, 0.0))
+def test_velocity_command_has_priority_over_goal() -> None:
+    rig = rig_with_goal((0.6, 0.0))
     rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
     assert rig.plans(20) == []
     assert rig.status().reason == "the commanded velocity is zero"
@@ -657,7 +657,7 @@ def by_touch() -> Rig:
     return rig
 
 
-def test_by_touch_it_goes_on_without_pose_and_map_slowly_and_with_high_feet() -> None:
+def test_blind_walking_without_pose_and_map_is_slow_with_high_lift() -> None:
     rig = by_touch()
     (plan,) = rig.plans(10)[:1]
     settings = Settings()
@@ -672,7 +672,7 @@ def test_by_touch_it_goes_on_without_pose_and_map_slowly_and_with_high_feet() ->
     assert "by touch" in rig.status().reason
 
 
-def test_without_the_request_it_stays() -> None:
+def test_no_blind_walking_without_operator_request() -> None:
     rig = by_touch()
     assert rig.command is not None
     rig.command = replace(rig.command, by_touch=False)
@@ -681,7 +681,7 @@ def test_without_the_request_it_stays() -> None:
     assert "no fresh pose" in rig.status().reason
 
 
-def test_by_touch_the_next_step_waits_until_all_feet_stand() -> None:
+def test_blind_walking_waits_until_all_feet_stand() -> None:
     rig = by_touch()
     plan = rig.plans(10)[0]
     rig.begin(plan)
@@ -693,7 +693,7 @@ def test_by_touch_the_next_step_waits_until_all_feet_stand() -> None:
     np.testing.assert_array_equal(following.swing, ~plan.swing)
 
 
-def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
+def test_blind_walking_assumes_ground_is_foot_plane() -> None:
     """Check that on a slope the feet are sent along it."""
     rig = by_touch()
     slope = np.tan(np.radians(6.0))
@@ -708,7 +708,7 @@ def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
     assert 0.0 < nose_up < np.radians(6.0), "the body follows the ground, a part of the way in each step"
 
 
-def test_by_touch_without_any_pose_ever_it_does_not_move() -> None:
+def test_blind_walking_needs_at_least_one_pose() -> None:
     rig = Rig()
     rig.pose = rig.terrain = None
     assert rig.command is not None
@@ -717,7 +717,7 @@ def test_by_touch_without_any_pose_ever_it_does_not_move() -> None:
     assert "no pose from perception yet" in rig.status().reason
 
 
-def test_by_touch_it_rests_when_nothing_is_commanded() -> None:
+def test_blind_walking_rests_at_zero_velocity() -> None:
     rig = by_touch()
     assert rig.command is not None
     rig.command = replace(rig.command, velocity=np.zeros(2))
@@ -726,7 +726,7 @@ def test_by_touch_it_rests_when_nothing_is_commanded() -> None:
 
 
 @pytest.mark.parametrize(("velocity", "side"), [((0.0, 0.06), "left"), ((0.0, -0.06), "right"), ((-0.06, -0.01), "right")])
-def test_into_ground_that_was_never_in_view_it_does_not_walk_and_says_to_look_first(
+def test_step_into_unseen_ground_is_blocked_with_advice_to_turn(
     velocity: tuple[float, float], side: str, make_terrain: Maker
 ) -> None:
     rig = Rig()
@@ -746,7 +746,7 @@ def test_into_ground_that_was_never_in_view_it_does_not_walk_and_says_to_look_fi
     assert "to see it" not in rig.status().reason, "it is in view"
 
 
-def test_on_mapped_ground_it_turns_on_the_spot() -> None:
+def test_robot_turns_on_the_spot_on_mapped_ground() -> None:
     rig = Rig()
     rig.command = VelocityCommand(0, np.zeros(2), 0.2, HEIGHT, 0.04)
     reached = take_steps(rig, 40)
@@ -757,7 +757,7 @@ def test_on_mapped_ground_it_turns_on_the_spot() -> None:
     assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * a_step + np.pi) % (2 * np.pi) - np.pi)
 
 
-def stands_before_a_goal(hold_up: Callable[["Rig", int], None]) -> str:
+def reason_before_goal(hold_up: Callable[["Rig", int], None]) -> str:
     """Return the last reason of a planner whose robot never moves.
 
     It has a goal on level ground. `hold_up` delays each cycle.
@@ -776,25 +776,25 @@ DATA = {"terrain": FLAT, "pose": Rig().pose}
 
 
 @pytest.mark.parametrize("name", DATA)
-def test_ground_is_not_closed_for_data_that_come_late(name: str) -> None:
+def test_late_data_do_not_count_as_stall(name: str) -> None:
     def hold_up(rig: Rig, cycle: int) -> None:
         setattr(rig, name, DATA[name] if cycle % 100 < 30 else None)  # no data for 1.4 s out of 2 s
 
-    assert "stuck" not in stands_before_a_goal(hold_up)
+    assert "stuck" not in reason_before_goal(hold_up)
 
 
-def test_ground_is_not_closed_for_plans_that_come_too_late_for_the_legs() -> None:
-    assert "stuck" not in stands_before_a_goal(lambda *_: None), "they neither walk a plan nor refuse it"
+def test_late_plans_do_not_count_as_stall() -> None:
+    assert "stuck" not in reason_before_goal(lambda *_: None), "they neither walk a plan nor refuse it"
 
 
-def test_ground_is_not_closed_for_a_planner_that_is_held_up() -> None:
+def test_planner_delay_does_not_count_as_stall() -> None:
     def hold_up(rig: Rig, cycle: int) -> None:
         rig.now_ns += 2_000 * MS * (cycle % 25 == 0)
 
-    assert "stuck" not in stands_before_a_goal(hold_up)
+    assert "stuck" not in reason_before_goal(hold_up)
 
 
-def test_ground_that_the_legs_refuse_is_closed() -> None:
+def test_repeated_refusals_by_actuator_count_as_stall() -> None:
     def refuse(rig: Rig, _: int) -> None:
         newest = max((m.stamp_ns for m in sent), default=-1)
         rig.state = replace(rig.state, refused_ns=newest, refused="the foot would be out of reach")
@@ -807,7 +807,7 @@ def test_ground_that_the_legs_refuse_is_closed() -> None:
     assert "stuck" in rig.planner.doing()
 
 
-def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() -> None:
+def test_view_pose_is_robot_pose_at_map_stamp() -> None:
     rig, seen = Rig(), list[tuple[int, float]]()
     rig.command, rig.goal = None, GOAL
 
@@ -832,7 +832,7 @@ def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() 
     assert x == pytest.approx(0.01 * ((now_ns - begun_ns) // (20 * MS) - 10)), "0.2 s are ten cycles"
 
 
-def blind_near(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> TerrainMap:
+def partly_unseen_map(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> TerrainMap:
     """Return level ground that is unknown except where it is seen."""
 
     def height(x: Array, y: Array) -> Array:
@@ -841,9 +841,9 @@ def blind_near(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> TerrainMap:
     return terrain_of(height, height, half=2.0).map
 
 
-def test_out_of_where_it_was_put_down_it_walks_by_touch_onto_ground_that_is_seen() -> None:
+def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig = Rig()
-    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
     by_touch, legs_seen = 0, 0
     for _ in range(40):
         plan = rig.plans(40)[-1]
@@ -868,31 +868,31 @@ def test_out_of_where_it_was_put_down_it_walks_by_touch_onto_ground_that_is_seen
 @pytest.mark.parametrize(
     "seen", [lambda x, y: x < -9.0 + 0.0 * y, lambda x, y: x < -0.5 + 0.0 * y], ids=["nothing", "what lies behind"]
 )
-def test_without_ground_ahead_that_is_seen_it_does_not_set_out_by_touch(
+def test_blind_start_is_refused_without_seen_ground_ahead(
     seen: Callable[[Array, Array], NDArray[np.bool_]],
 ) -> None:
     rig = Rig()
-    rig.terrain = blind_near(seen)
+    rig.terrain = partly_unseen_map(seen)
     assert rig.plans(40) == []
     assert rig.status().state == "blocked"
     assert "not seen" in rig.status().reason
 
 
-def test_a_planner_that_began_in_mid_course_does_not_set_out_by_touch() -> None:
+def test_planner_started_after_first_step_does_not_start_blind() -> None:
     rig = Rig()
-    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
     rig.state = replace(rig.state, step=7)
     assert rig.plans(40) == []
     assert "not seen" in rig.status().reason
 
 
-def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
+def test_other_legs_step_first_after_reversed_step() -> None:
     rig = Rig()
     first = rig.plans(10)[-1]
     rig.begin(first)
     rig.plans(5, phase=0.4)
     rig.plans(30, phase=0.5, plan_ns=-1, reason="an obstacle blocks the left front foot; the step is reversed")
-    rig.state = replace(rig.state, mode=Mode.HOLD, phase=1.0, swing=NOBODY)
+    rig.state = replace(rig.state, mode=Mode.HOLD, phase=1.0, swing=NO_SWING)
     again = rig.plans(10)[-1]
     assert again.step == first.step + 1
     np.testing.assert_array_equal(again.swing, ~first.swing)
@@ -902,10 +902,10 @@ def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
     np.testing.assert_array_equal(rig.plans(10)[-1].swing, first.swing)
 
 
-def test_where_no_other_step_goes_on_from_one_by_touch_it_goes_on_by_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blind_walking_continues_when_no_other_step_is_possible(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check feet that found ground by touch, where no other step can follow."""
     rig = Rig()
-    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
     for _ in range(3):
         plan = rig.plans(40)[-1]
         rig.begin(plan)

@@ -24,7 +24,7 @@ def compiled() -> int:
     return sum(len(f.signatures) for f in found.values())
 
 
-def as_told(field: StripMap) -> StripMap:
+def received_strip(field: StripMap) -> StripMap:
     """Return the same ground as the planner receives it, from a message."""
     shape, origin = field.elevation.shape, np.array(field.corner)
     nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
@@ -34,20 +34,20 @@ def as_told(field: StripMap) -> StripMap:
     return StripMap.of(codec.decode(codec.encode(told), PassageMap)[0])
 
 
-def test_a_passage_is_planned_without_compiling_anything() -> None:
+def test_gap_crossing_planning_compiles_nothing_after_warmup() -> None:
     compile_functions(PROFILE, Settings())
     before = compiled()
     assert before > 0
-    field = as_told(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
+    field = received_strip(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
     roadmap = Roadmap(PROFILE, PassageSettings(body_height=0.105))
     roadmap.begin(field, stance_at(PROFILE, START, 0.105), NEAR + 0.8 + BEYOND, seed=1)
     assert roadmap.grow(30_000) is not None
     assert compiled() == before
 
 
-def test_what_is_told_is_the_same_ground() -> None:
+def test_received_strip_equals_sent_ground() -> None:
     field = field_of(heights(thesis_blocks(2, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
-    told = as_told(field)
+    told = received_strip(field)
     np.testing.assert_array_equal(told.elevation, field.elevation)
     np.testing.assert_array_equal(told.evaluation, field.evaluation)
     np.testing.assert_allclose(told.T_world_strip, field.T_world_strip, atol=1e-12)

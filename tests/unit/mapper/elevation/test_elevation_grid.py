@@ -17,7 +17,7 @@ from sextant.shared.robot.camera import DepthSensor
 from tests.support.grid_scans import CAMERA, centres, scan, scan_of
 
 
-def test_bad_settings_are_refused() -> None:
+def test_invalid_settings_are_refused() -> None:
     grid = ElevationGrid(size=16)
     with pytest.raises(ValueError, match="coordinates"):
         grid.move_to((0.0, math.nan))
@@ -37,7 +37,7 @@ def test_bad_settings_are_refused() -> None:
         grid.seed_plane([[0, 0], [1, 1], [0, 1]], (0, 0))
 
 
-def test_seeded_plane_fills_the_unseen_inside_only_and_yields_to_measurement() -> None:
+def test_seeded_plane_fills_unseen_cells_and_is_replaced_by_measurement() -> None:
     grid = ElevationGrid(size=64)
     grid.move_to((0.2, 0.0))
     scan(grid, np.array([[0.055, 0.005]]), 0.02)
@@ -55,7 +55,7 @@ def test_seeded_plane_fills_the_unseen_inside_only_and_yields_to_measurement() -
     assert grid.seed_plane(square, (0.5, 0.0, 0.0)) == 0
 
 
-def test_seeding_takes_any_simple_polygon_and_clips_it_to_the_window() -> None:
+def test_seed_polygon_is_clipped_to_map_window() -> None:
     grid = ElevationGrid(size=40)
     assert grid.seed_plane([[5, 5], [6, 5], [6, 6]], (0, 0, 0)) == 0
     triangle = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1]])
@@ -117,7 +117,7 @@ def block_scan(
     return mean, count, np.sqrt(np.maximum(square - mean[:, 2] ** 2, 0.0))
 
 
-def test_low_blocks_come_out_crisp_with_true_poses() -> None:
+def test_low_blocks_are_mapped_accurately_with_true_poses() -> None:
     rng = np.random.default_rng(11)
     grid = ElevationGrid(size=256)
     for k in range(60):
@@ -149,7 +149,7 @@ def test_low_blocks_come_out_crisp_with_true_poses() -> None:
 
 @given(st.sampled_from([0.02, 0.03, 0.05]), st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=20)
-def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(resolution: float, seed: int) -> None:
+def test_coarse_map_holds_mean_height_with_matching_variance(resolution: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     grid = ElevationGrid((20, 30), resolution)
     low, high = grid.origin - resolution / 2, grid.origin + (np.array(grid.shape) - 0.5) * resolution
@@ -169,7 +169,7 @@ def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(
 
 
 @pytest.mark.parametrize("step", [0.05, 0.10])
-def test_a_coarser_map_keeps_the_upper_side_of_an_edge(step: float) -> None:
+def test_coarse_map_keeps_upper_side_of_edge(step: float) -> None:
     grid = ElevationGrid(20, 0.03)
     grid.fuse(
         scan_of(np.array([[0.005, 0.0, 0.0], [0.015, 0.0, step], [0.025, 0.0, step]]), np.full(3, 8), np.zeros(3), CAMERA)
@@ -177,7 +177,7 @@ def test_a_coarser_map_keeps_the_upper_side_of_an_edge(step: float) -> None:
     assert grid.heights([0.015, 0.005]) == pytest.approx(step, abs=1e-6)
 
 
-def test_a_finer_map_than_the_scan_has_holes_and_no_guesses() -> None:
+def test_map_finer_than_scan_leaves_gaps_unknown() -> None:
     grid = ElevationGrid((64, 64), 0.005)
     xy = np.stack(np.mgrid[-10:10, -10:10], axis=-1).reshape(-1, 2) * 0.01 + 0.0051
     scan(grid, xy, 0.03)
@@ -185,7 +185,7 @@ def test_a_finer_map_than_the_scan_has_holes_and_no_guesses() -> None:
 
 
 @pytest.mark.parametrize("seen", [0.0, 0.02, -0.03])
-def test_what_a_foot_finds_outweighs_what_was_seen_there_and_nowhere_else(seen: float) -> None:
+def test_foot_contact_overrides_seen_height_only_at_the_foot(seen: float) -> None:
     grid = ElevationGrid(32, 0.01)
     xy = centres(grid).reshape(-1, 2)
     for _ in range(10):
@@ -200,7 +200,7 @@ def test_what_a_foot_finds_outweighs_what_was_seen_there_and_nowhere_else(seen: 
     np.testing.assert_array_equal(after[far], before[far])
 
 
-def test_ground_that_nobody_saw_is_known_by_the_foot_that_stands_there() -> None:
+def test_foot_contact_sets_height_of_unseen_ground() -> None:
     grid = ElevationGrid(32, 0.01)
     grid.touch((0.055, 0.055, 0.03), 0.005, 0.01)
     assert float(grid.heights((0.055, 0.055))) == pytest.approx(0.03)
@@ -208,6 +208,6 @@ def test_ground_that_nobody_saw_is_known_by_the_foot_that_stands_there() -> None
     assert grid.touch((5.0, 0.0, 0.0), 0.005, 0.01) == 0
 
 
-def test_a_touch_that_is_no_place_is_refused() -> None:
+def test_non_finite_foot_contact_is_refused() -> None:
     with pytest.raises(ValueError, match="a finite point"):
         ElevationGrid(32, 0.01).touch((0.0, 0.0, np.nan), 0.005, 0.01)

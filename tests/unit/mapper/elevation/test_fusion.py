@@ -14,7 +14,7 @@ from sextant.shared.robot.camera import DepthSensor
 from tests.support.grid_scans import CAMERA, centres, scan, scan_of
 
 
-def test_equal_measurements_converge_and_the_variance_falls_to_the_floor_never_below() -> None:
+def test_equal_measurements_converge_and_variance_falls_to_its_floor() -> None:
     grid = ElevationGrid(size=16)
     xy = np.array([[0.031, -0.022]])
     model = grid.model
@@ -30,7 +30,7 @@ def test_equal_measurements_converge_and_the_variance_falls_to_the_floor_never_b
     assert grid.heights(xy)[0] == pytest.approx(0.07, abs=1e-6)
 
 
-def test_first_measurement_is_taken_as_it_is() -> None:
+def test_first_measurement_is_stored_unchanged() -> None:
     grid = ElevationGrid(size=16)
     xy = np.array([[0.031, -0.022]])
     scan(grid, xy, -0.123)
@@ -41,7 +41,7 @@ def test_first_measurement_is_taken_as_it_is() -> None:
 
 
 @given(st.permutations(list(range(6))))
-def test_order_of_consistent_measurements_does_not_matter(order: list[int]) -> None:
+def test_fusion_is_independent_of_measurement_order(order: list[int]) -> None:
     model = FusionModel(floor_sigma=1e-7, quantisation_sigma=0.0, gate=100.0)  # a floor that is never reached
     heights = np.random.default_rng(7).normal(0.02, 1e-3, 6)
     counts = [1, 2, 5, 8, 3, 1]
@@ -55,7 +55,7 @@ def test_order_of_consistent_measurements_does_not_matter(order: list[int]) -> N
     assert results[0] == pytest.approx(results[1], rel=1e-3)
 
 
-def test_more_pixels_and_a_nearer_camera_weigh_more_but_never_beat_the_floor() -> None:
+def test_variance_falls_with_pixels_and_proximity_but_not_below_floor() -> None:
     model = FusionModel()
     near, far = np.array([[0.5, 0.0, 0.0]]), np.array([[1.5, 0.0, 0.0]])
     one, many, spread = np.ones(1), np.full(1, 1000.0), np.zeros(1)
@@ -83,7 +83,7 @@ def random_covariance(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.27, 0.0), (-0.2, 0.4)])
-def test_the_variance_by_the_pose_is_that_of_many_wrong_poses(slope: tuple[float, float]) -> None:
+def test_pose_variance_matches_monte_carlo(slope: tuple[float, float]) -> None:
     rng = np.random.default_rng(2)
     model = FusionModel(depth_sigma=0.0, quantisation_sigma=0.0, floor_sigma=1e-9)
     S = random_covariance(rng)
@@ -97,7 +97,7 @@ def test_the_variance_by_the_pose_is_that_of_many_wrong_poses(slope: tuple[float
     np.testing.assert_allclose(error.var(axis=0), predicted, rtol=0.05)
 
 
-def test_an_unknown_slope_counts_with_its_spread() -> None:
+def test_unknown_slope_adds_mean_variance_over_headings() -> None:
     rng = np.random.default_rng(3)
     model = FusionModel(depth_sigma=0.0, quantisation_sigma=0.0, floor_sigma=1e-9, terrain_slope=0.3)
     S = random_covariance(rng)
@@ -110,7 +110,7 @@ def test_an_unknown_slope_counts_with_its_spread() -> None:
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1)])
-def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradient: tuple[float, float]) -> None:
+def test_claimed_variance_matches_squared_error(gradient: tuple[float, float]) -> None:
     """Check that squared error over claimed variance is 1 on average.
 
     The average is over many maps of a plane after a second scan.
@@ -141,7 +141,7 @@ def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradi
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
-def test_model_of_a_sensor_has_its_depth_noise() -> None:
+def test_model_of_sensor_matches_its_depth_noise() -> None:
     sensor = DepthSensor()
     model = FusionModel.of_sensor(sensor, fx=525.0)
     at_one_metre = math.hypot(model.depth_sigma, model.quantisation_sigma)
@@ -163,7 +163,7 @@ def test_noisy_plane_stays_unbiased(sigma: float) -> None:
 
 
 @pytest.mark.parametrize("step", [0.02, -0.02, 0.2, -0.2])
-def test_what_came_or_went_is_taken_over_within_the_patience(step: float) -> None:
+def test_changed_ground_is_replaced_within_patience(step: float) -> None:
     rng = np.random.default_rng(5)
     grid = ElevationGrid(size=32)
     xy = centres(grid)
@@ -184,7 +184,7 @@ def test_what_came_or_went_is_taken_over_within_the_patience(step: float) -> Non
     assert report.disputed == 0
 
 
-def test_a_passing_disturbance_leaves_an_established_height_alone() -> None:
+def test_intermittent_outliers_do_not_change_established_height() -> None:
     grid = ElevationGrid(size=16)
     xy = centres(grid)
     for _ in range(20):
@@ -194,7 +194,7 @@ def test_a_passing_disturbance_leaves_an_established_height_alone() -> None:
     np.testing.assert_allclose(grid.heights(xy), 0.0, atol=1e-6)
 
 
-def test_a_single_false_first_sighting_is_replaced_by_two_that_agree() -> None:
+def test_false_first_measurement_is_replaced_by_two_that_agree() -> None:
     grid = ElevationGrid(size=16)
     xy = np.array([[0.0, 0.0]])
     scan(grid, xy, 0.15)
@@ -204,7 +204,7 @@ def test_a_single_false_first_sighting_is_replaced_by_two_that_agree() -> None:
     assert abs(grid.heights(xy)[0]) < 0.001
 
 
-def test_within_one_scan_the_upper_side_of_an_edge_stands_and_equal_points_merge() -> None:
+def test_one_scan_keeps_upper_side_of_edge_and_merges_close_points() -> None:
     points = np.array([[0.002, 0.002, 0.0], [0.004, 0.004, 0.03], [0.006, 0.006, 0.0]])
     for order in ([0, 1, 2], [1, 0, 2], [0, 2, 1]):
         grid = ElevationGrid(size=16)

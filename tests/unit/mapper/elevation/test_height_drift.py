@@ -38,7 +38,7 @@ def drifting_walk(
 
 
 @pytest.mark.parametrize("rate", [1e-3, -1e-3, 3e-4])
-def test_a_drift_in_height_is_taken_out_and_the_map_stays(rate: float) -> None:
+def test_height_drift_is_compensated_and_map_stays_accurate(rate: float) -> None:
     grid, error = drifting_walk(rate)
     assert abs(150 * rate) > 0.04
     assert grid.height_drift == pytest.approx(150 * rate, abs=0.006)
@@ -46,19 +46,19 @@ def test_a_drift_in_height_is_taken_out_and_the_map_stays(rate: float) -> None:
     assert abs(np.median(error)) < 0.006
 
 
-def test_without_drift_nothing_is_compensated() -> None:
+def test_no_compensation_without_drift() -> None:
     grid, error = drifting_walk(0.0)
     assert grid.height_drift == 0.0
     assert abs(error.mean()) < 2e-4
 
 
-def test_a_leap_of_the_pose_is_no_drift() -> None:
+def test_pose_jump_is_not_taken_as_drift() -> None:
     grid, error = drifting_walk(0.0, scans=80, jump_at=50)
     assert grid.height_drift == 0.0
     assert np.median(error[error > 0.006]) == pytest.approx(0.012, abs=1e-3)  # ground in view is at the height of the new pose
 
 
-def test_a_box_that_comes_is_no_drift() -> None:
+def test_new_box_is_not_taken_as_drift() -> None:
     grid = ElevationGrid(size=300)
     i, j = np.mgrid[0:80, 0:60]
     xy = np.column_stack([0.505 + 0.01 * i.ravel(), 0.01 * j.ravel() - 0.295])

@@ -48,11 +48,11 @@ def clear_along_rays(
 
 BOX = np.array([[0.9, -0.15, 1.1, 0.15, 0.10]])
 
-WHERE_THE_BOX_WAS = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(-0.145, 0.15, 0.01), indexing="ij"), axis=-1)
+BOX_FOOTPRINT_XY = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(-0.145, 0.15, 0.01), indexing="ij"), axis=-1)
 
 
 @pytest.mark.parametrize("measured", [1.0, 0.3, 0.0])
-def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured(measured: float) -> None:
+def test_removed_box_is_cleared_despite_sparse_measurements(measured: float) -> None:
     """Check a box that is removed while the camera stands still.
 
     Only a share of the cells at its place returns a measurement, as on a dark floor or at a grazing angle.
@@ -61,7 +61,7 @@ def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     for _ in range(20):
         take(grid, clear_along_rays(BOX, camera, rng=rng), camera)
-    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    assert np.nanmin(grid.heights(BOX_FOOTPRINT_XY)[3:-3, 3:-3]) > 0.09
     dark = rng.random((400, 400)) >= measured
     cleared = 0
     for _ in range(60):
@@ -70,7 +70,7 @@ def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured
         i, j = np.floor(points[:, :2] / 0.01).astype(int).T
         cleared += take(grid, points[~(on_spot & dark[i % 400, j % 400])], camera).cleared
     # Without returns from the place, no ray to the ground behind it passes well below the box's front.
-    after = grid.heights(WHERE_THE_BOX_WAS)[4 if measured == 0.0 else 0 :]
+    after = grid.heights(BOX_FOOTPRINT_XY)[4 if measured == 0.0 else 0 :]
     assert not (after > 0.02).any()
     known = np.isfinite(after)
     assert known.mean() <= measured + 0.05
@@ -78,21 +78,21 @@ def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured
     assert np.abs(after[known]).max(initial=0.0) < 0.01
 
 
-def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_the_camera_measures() -> None:
+def test_free_space_rays_clear_box_over_abyss_but_not_below_min_range() -> None:
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
     near = np.array([[0.42, -0.05, 0.52, 0.05, 0.10]])
     for k in range(20):
         above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is hit
         take(grid, clear_along_rays(np.concatenate([BOX, near]), above, ground=-9.0), above)
-    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    assert np.nanmin(grid.heights(BOX_FOOTPRINT_XY)[3:-3, 3:-3]) > 0.09
     beyond = clear_along_rays(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # ends of rays below, where pictures show nothing
     for _ in range(60):
         take(grid, np.empty((0, 3)), camera, sights=beyond, nearest=0.6)
-    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    assert not (grid.heights(BOX_FOOTPRINT_XY) > 0.02).any()
     assert (grid.heights([[0.46, 0.0], [0.48, 0.02]]) > 0.09).all()
 
 
-def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> None:
+def test_clearing_result_is_independent_of_camera_distance() -> None:
     """Check that clearing ends, with the same result, at any distance of the camera.
 
     Of 90 million cells on the way from the further camera, the window has 400.
@@ -108,14 +108,14 @@ def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> 
         for _ in range(60):
             take(grid, np.empty((0, 3)), np.array([-away, 0.0, 0.05]), sights=level)
         left.append(grid.snapshot().elevation)
-        assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+        assert np.isnan(grid.heights(BOX_FOOTPRINT_XY)[3:-3, 3:-3]).all()
         beside = np.array([0.0, 1e5, 0.0])
         assert take(grid, np.empty((0, 3)), np.array([-away, 1e5, 0.05]), sights=level + beside).cleared == 0
     np.testing.assert_array_equal(*left)
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> None:
+def test_thin_post_on_cleared_place_survives_grazing_rays(dark: bool) -> None:
     """Check a post where a box was cleared by floor measurements or, if dark, by rays."""
     rng = np.random.default_rng(6)
     grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
@@ -126,7 +126,7 @@ def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> No
     on_spot = (np.abs(floor[:, 0] - 1.0) < 0.12) & (np.abs(floor[:, 1]) < 0.17)
     for k in range(200):
         take(grid, floor[~on_spot] if dark and k < 40 else floor, camera)
-    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    assert not (grid.heights(BOX_FOOTPRINT_XY) > 0.02).any()
     post, foot = np.array([[0.995, 0.005, 0.15]]), np.array([1.0, 0.0])
     for _ in range(20):
         take(grid, post, camera)
@@ -136,7 +136,7 @@ def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> No
     np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
 
 
-STILL = np.array(  # pillars of 5 cm and 2 cm, a wall of one cell, boxes seen along their faces, and a stair
+STATIC_SCENE = np.array(  # pillars of 5 cm and 2 cm, a wall of one cell, boxes seen along their faces, and a stair
     [
         [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],
         [0.95, -0.2, 1.1, -0.05, 0.05], [1.3, -0.6, 2.2, 0.6, 0.06], [1.5, -0.6, 2.2, 0.6, 0.12],
@@ -144,7 +144,7 @@ STILL = np.array(  # pillars of 5 cm and 2 cm, a wall of one cell, boxes seen al
 )  # fmt: skip
 
 
-def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
+def test_static_scene_loses_few_cells_to_ray_clearing_on_noisy_walk() -> None:
     """Check grazing rays over edges, along faces and past pillars, with a noisy pose.
 
     The pose errs by millimetres and tenths of a degree. Only single cells are lost: an object fills them in part, and more
@@ -155,7 +155,7 @@ def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk()
     cleared = 0
     for k in range(50):
         camera = np.array([0.018 * k, 0.05 * math.sin(0.2 * k), 0.30 + 0.01 * math.sin(0.9 * k)])
-        points = clear_along_rays(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
+        points = clear_along_rays(STATIC_SCENE, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
         w, v = rng.normal(0.0, 2e-3, 3), rng.normal(0.0, 1.5e-3, 3)
         report = take(
             grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
@@ -172,7 +172,7 @@ def legs_at(y: float) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("above", [5e-324, 1e-300, 1e-12])
-def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
+def test_ray_clearing_terminates_for_nearly_level_rays(above: float) -> None:
     """Check rays that would leave the window's heights only after 1e320 cells.
 
     An integer cannot hold that number.
@@ -185,10 +185,10 @@ def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
     level = np.column_stack([np.full(len(y), 1.9), y, np.zeros(len(y))])
     for _ in range(60):
         take(grid, np.empty((0, 3)), np.array([0.0, 0.0, above]), sights=level)
-    assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+    assert np.isnan(grid.heights(BOX_FOOTPRINT_XY)[3:-3, 3:-3]).all()
 
 
-def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_hardly_seen() -> None:
+def test_crossing_person_leaves_no_obstacle_on_partly_hidden_ground() -> None:
     """Check a person who crosses in front of the camera within 2 s.
 
     Two low blocks hide the ground behind them.

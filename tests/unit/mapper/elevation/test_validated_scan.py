@@ -13,7 +13,7 @@ from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from tests.support.grid_scans import CAMERA, scan, scan_of
 
 
-def test_points_outside_are_counted_and_change_nothing() -> None:
+def test_points_outside_window_are_counted_and_ignored() -> None:
     grid = ElevationGrid(size=16)
     report = scan(grid, np.array([[0.0, 0.0], [0.5, 0.0], [0.0, -0.081], [900.0, 900.0]]), 0.01)
     assert report.outside == 3
@@ -21,7 +21,7 @@ def test_points_outside_are_counted_and_change_nothing() -> None:
     assert np.isnan(grid.heights([[0.5, 0.0], [np.nan, 0.0], [np.inf, 0.0], [1e300, 0.0]])).all()
 
 
-def test_an_empty_scan_is_nothing() -> None:
+def test_empty_scan_changes_nothing() -> None:
     grid = ElevationGrid(size=16)
     assert grid.fuse(scan_of(np.empty((0, 3)), np.empty(0), np.empty(0), CAMERA)) == FusionCount(0, 0, 0, 0)
 
@@ -36,7 +36,7 @@ def test_an_empty_scan_is_nothing() -> None:
     st.floats(0.0, 1.0),
 )
 @settings(deadline=None)
-def test_no_finite_scan_breaks_the_map(rows: list[tuple[float, float, float, int, float]], pose: float) -> None:
+def test_any_finite_scan_keeps_map_consistent(rows: list[tuple[float, float, float, int, float]], pose: float) -> None:
     grid = ElevationGrid(size=16)
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     for _ in range(8):
@@ -72,7 +72,7 @@ GOOD = (np.zeros((2, 3)), np.ones(2), np.zeros(2), np.zeros(3))
         (3, np.zeros(2)),
     ],
 )
-def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDArray[np.float64]) -> None:
+def test_invalid_scan_is_refused_and_map_stays_unchanged(index: int, bad: NDArray[np.float64]) -> None:
     grid = ElevationGrid(size=16)
     arguments = list(GOOD)
     arguments[index] = bad
@@ -81,7 +81,7 @@ def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDAr
     assert np.isnan(grid.snapshot().elevation).all()
 
 
-def test_a_pose_covariance_that_is_none_is_refused() -> None:
+def test_invalid_pose_covariance_is_refused() -> None:
     grid = ElevationGrid(size=16)
     with pytest.raises(ValueError, match="negative eigenvalue"):
         grid.fuse(scan_of(*GOOD, pose_covariance=-np.eye(6)))
@@ -106,14 +106,14 @@ WIRE = (np.zeros(3), np.zeros((2, 3), np.int16), np.ones(2, np.uint8), np.zeros(
         (4, np.array([0.0, 1e300, 0.0])),
     ],
 )
-def test_bad_scans_of_the_wire_are_refused(index: int, bad: NDArray[Any]) -> None:
+def test_invalid_millimetre_scan_is_refused(index: int, bad: NDArray[Any]) -> None:
     arguments: list[Any] = list(WIRE)
     arguments[index] = bad
     with pytest.raises(ValueError, match="expected"):
         ValidatedScan.of_millimetres(*arguments)
 
 
-def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
+def test_millimetre_scan_gives_same_map_as_metre_scan() -> None:
     rng = np.random.default_rng(4)
     metres, wire = ElevationGrid(64), ElevationGrid(64)
     origin, camera = np.array([0.02, -0.01, 0.3]), np.array([-0.2, 0.0, 0.5])

@@ -49,7 +49,7 @@ def wall_of(grid: ElevationGrid) -> Array:
     feet=st.integers(0, 20),
     assumed=st.booleans(),
 )
-def test_a_wall_is_never_lower_than_what_has_been_seen_of_it(tops: list[float], feet: int, assumed: bool) -> None:
+def test_wall_keeps_its_highest_measured_top(tops: list[float], feet: int, assumed: bool) -> None:
     grid = ElevationGrid(size=256)
     if assumed:
         grid.seed_plane([[0.3, -0.5], [1.2, -0.5], [1.2, 0.5], [0.3, 0.5]], [0.0, 0.0, 0.0])
@@ -65,7 +65,7 @@ def test_a_wall_is_never_lower_than_what_has_been_seen_of_it(tops: list[float], 
     assert np.abs(grid.heights(np.column_stack([BEFORE, np.zeros(len(BEFORE))]))).max() < 0.001
 
 
-def test_a_wall_that_is_gone_is_cleared_once_the_ground_around_is_seen() -> None:
+def test_removed_wall_is_cleared_once_ground_around_is_seen() -> None:
     grid = ElevationGrid(size=256)
     for _ in range(30):
         see(grid, ground(BEFORE), face(0.15))
@@ -75,7 +75,7 @@ def test_a_wall_that_is_gone_is_cleared_once_the_ground_around_is_seen() -> None
 
 
 @pytest.mark.parametrize("looks", [1, 30])
-def test_a_wall_that_comes_is_taken_over_within_the_patience(looks: int) -> None:
+def test_new_wall_is_mapped_within_patience(looks: int) -> None:
     grid = ElevationGrid(size=256)
     for _ in range(looks):
         see(grid, ground(np.concatenate([BEFORE, [WALL_X], BEYOND])))
@@ -84,7 +84,7 @@ def test_a_wall_that_comes_is_taken_over_within_the_patience(looks: int) -> None
     np.testing.assert_allclose(wall_of(grid), 0.146, atol=0.002)
 
 
-def test_the_rim_of_a_block_whose_top_is_known_stays_as_high_as_its_top() -> None:
+def test_block_rim_stays_at_known_top_height() -> None:
     grid = ElevationGrid(size=256)
     top = ground(np.append(WALL_X, BEYOND))
     top[:, 2] = 0.10
@@ -95,7 +95,7 @@ def test_the_rim_of_a_block_whose_top_is_known_stays_as_high_as_its_top() -> Non
     np.testing.assert_allclose(wall_of(grid), 0.10, atol=0.001)
 
 
-def test_a_riser_that_legs_climb_is_no_face_and_a_pose_that_is_far_off_makes_none() -> None:
+def test_low_riser_or_uncertain_pose_gives_no_vertical_surface() -> None:
     for spread, sigma in ((0.05, 0.0), (0.15, 0.10)):
         grid = ElevationGrid(size=256)
         covariance = np.diag([sigma**2] * 3 + [0.0] * 3)
@@ -114,7 +114,7 @@ def post(x: float, top: float) -> Array:
 
 
 @pytest.mark.parametrize("apart", [0.015, 0.03, 0.05])
-def test_what_is_gone_is_cleared_by_rows_that_skip_cells(apart: float) -> None:
+def test_removed_post_is_cleared_by_scan_rows_that_skip_cells(apart: float) -> None:
     grid = ElevationGrid(size=256)
     for _ in range(8):
         see(grid, ground(BEFORE), post(WALL_X, 0.3))
@@ -126,7 +126,7 @@ def test_what_is_gone_is_cleared_by_rows_that_skip_cells(apart: float) -> None:
     assert np.nanmax(grid.heights(around)) < 0.005
 
 
-def test_a_thin_wall_that_is_seen_from_both_sides_stays() -> None:
+def test_thin_wall_seen_from_both_sides_stays() -> None:
     grid = ElevationGrid(size=256)
     for _ in range(4):
         for side, x in ((BEFORE, 0.0), (BEYOND, 2.0 * WALL_X)):
@@ -137,7 +137,7 @@ def test_a_thin_wall_that_is_seen_from_both_sides_stays() -> None:
     assert wall_of(grid).min() > 0.12
 
 
-def test_a_post_hides_the_ground_behind_it_and_stays_when_its_foot_alone_is_seen() -> None:
+def test_post_that_occludes_ground_stays_when_only_its_foot_is_seen() -> None:
     grid = ElevationGrid(size=256)
     see(grid, ground(BEFORE), post(WALL_X, 0.3))
     near = ground(np.concatenate([BEFORE, [WALL_X], BEYOND]))
@@ -162,7 +162,7 @@ def window_edges() -> tuple[ElevationGrid, Array, Array]:
     return grid, first, last
 
 
-def test_ground_at_the_other_side_of_the_window_is_not_beside_a_wall() -> None:
+def test_wall_at_window_edge_ignores_high_ground_at_opposite_edge() -> None:
     grid, first, last = window_edges()
     shelf = np.vstack([first, first + np.array([0.01, 0.0]), first + np.array([0.02, 0.0])])
     high = np.column_stack([shelf, np.full((len(shelf), 1), 0.2), np.zeros((len(shelf), 1))])
@@ -176,7 +176,7 @@ def test_ground_at_the_other_side_of_the_window_is_not_beside_a_wall() -> None:
     assert grid.heights(last).min() > 0.14
 
 
-def test_what_is_seen_at_the_other_side_of_the_window_clears_no_wall() -> None:
+def test_low_ground_at_opposite_window_edge_clears_no_wall() -> None:
     grid, first, last = window_edges()
     wall = np.column_stack([last, np.full((32, 1), 0.146), np.full((32, 1), 0.15)])
     low = np.vstack([np.column_stack([p, np.zeros((32, 2))]) for p in (first, last - [0.01, 0.0], last)])

@@ -29,7 +29,7 @@ def walk(watch: FirstStanceDetector, steps: int, **changes: object) -> list[list
     return found
 
 
-def test_each_stance_is_judged_once_and_only_after_a_swing() -> None:
+def test_each_stance_gives_one_result_after_its_swing() -> None:
     found = walk(FirstStanceDetector(PROFILE.foot.radius), 5)
     assert [len(touches) for touches in found] == [0, 3, 3, 3, 3]
     feet = T[:3, :3] @ PROFILE.rest_feet(0.1).T + T[:3, 3:]
@@ -38,14 +38,14 @@ def test_each_stance_is_judged_once_and_only_after_a_swing() -> None:
         np.testing.assert_allclose([t.p_world for t in touches], feet.T[swung] - [0, 0, PROFILE.foot.radius], atol=1e-12)
 
 
-def test_a_foot_that_carries_nothing_says_so() -> None:
+def test_unloaded_foot_is_reported_as_not_carrying() -> None:
     contact = np.ones(6, dtype=bool)
     contact[0] = False
     touches = walk(FirstStanceDetector(PROFILE.foot.radius), 2, contact=contact)[1]
     assert [touch.carries for touch in touches] == [False, True, True]
 
 
-def test_a_robot_that_stands_says_nothing() -> None:
+def test_standing_robot_gives_no_stance_result() -> None:
     watch = FirstStanceDetector(PROFILE.foot.radius)
     for phase in np.linspace(0, 1, 11):
         assert watch.update(replace(legs(), phase=float(phase)), POSE) == []

@@ -52,20 +52,20 @@ def brute_force(mask: Mask, bound: int, reach: int) -> NDArray[np.int64]:
 
 @given(masks(), st.integers(1, 30), st.integers(1, 30))
 @settings(deadline=None, max_examples=60)
-def test_the_distance_is_that_of_every_pair(mask: Mask, bound: int, reach: int) -> None:
+def test_signed_distance_matches_brute_force(mask: Mask, bound: int, reach: int) -> None:
     np.testing.assert_array_equal(signed_manhattan(mask, bound, reach), brute_force(mask, bound, reach))
 
 
 @given(masks())
 @settings(deadline=None, max_examples=30)
-def test_it_is_opencv_s_distance_transform(mask: Mask) -> None:
+def test_signed_distance_matches_opencv_inside_ground(mask: Mask) -> None:
     inside = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L1, 3)[1:-1, 1:-1]
     np.testing.assert_array_equal(np.minimum(signed_manhattan(mask, 126, 126), 0), -inside)
 
 
 @given(masks())
 @settings(deadline=None, max_examples=40)
-def test_signs_and_steps(mask: Mask) -> None:
+def test_signed_distance_sign_and_neighbour_difference(mask: Mask) -> None:
     F = signed_manhattan(mask, 126, 126).astype(int)
     np.testing.assert_array_equal(F < 0, mask == 1)
     assert (F != 0).all()
@@ -78,21 +78,21 @@ def test_signs_and_steps(mask: Mask) -> None:
 
 @given(masks(), st.integers(0, 2**32))
 @settings(deadline=None, max_examples=40)
-def test_more_ground_is_never_worse(mask: Mask, seed: int) -> None:
+def test_added_ground_never_raises_signed_distance(mask: Mask, seed: int) -> None:
     more = mask | (np.random.default_rng(seed).random(mask.shape) < 0.1)
     assert (signed_manhattan(more.astype(np.uint8), 5, 15) <= signed_manhattan(mask, 5, 15)).all()
 
 
 @given(masks(), st.integers(1, 9))
 @settings(deadline=None, max_examples=30)
-def test_the_threshold_only_cuts_off(mask: Mask, bound: int) -> None:
+def test_bound_only_clips_signed_distance(mask: Mask, bound: int) -> None:
     np.testing.assert_array_equal(signed_manhattan(mask, bound, 126), np.maximum(signed_manhattan(mask, 126, 126), -bound))
 
 
 # ---- closing
 
 
-def definition(mask: Mask, half: int) -> Mask:
+def closing_by_definition(mask: Mask, half: int) -> Mask:
     """Compute (4.5)-(4.7) by unions and intersections of translated masks.
 
     The plane is empty outside the map.
@@ -107,9 +107,9 @@ def definition(mask: Mask, half: int) -> Mask:
 
 @given(masks(), st.integers(1, 3), st.integers(0, 2**32))
 @settings(deadline=None, max_examples=40)
-def test_the_closing_is_that_of_the_equations_and_keeps_its_laws(mask: Mask, half: int, seed: int) -> None:
+def test_closing_matches_definition_and_is_idempotent_and_monotonic(mask: Mask, half: int, seed: int) -> None:
     once = closed(mask, half)
-    np.testing.assert_array_equal(once, definition(mask, half))
+    np.testing.assert_array_equal(once, closing_by_definition(mask, half))
     assert (once >= mask).all()  # it only adds cells
     np.testing.assert_array_equal(closed(once, half), once)  # it is idempotent
     more = mask | (np.random.default_rng(seed).random(mask.shape) < 0.1)
@@ -117,7 +117,7 @@ def test_the_closing_is_that_of_the_equations_and_keeps_its_laws(mask: Mask, hal
 
 
 @pytest.mark.parametrize(("gap", "bridged"), [(1, True), (4, True), (5, False), (8, False)])
-def test_gaps_below_five_centimetres_are_bridged(gap: int, bridged: bool) -> None:
+def test_closing_bridges_gaps_below_5_cm(gap: int, bridged: bool) -> None:
     mask = np.ones((30, 30), dtype=np.uint8)
     mask[10 : 10 + gap] = 0
     assert closed(mask, 2)[12, 15] == bridged or gap < 3
@@ -137,7 +137,7 @@ def evaluate(accessible: Mask, refused: Mask | None = None, known: Mask | None =
 
 @given(masks(), masks())
 @settings(deadline=None, max_examples=60)
-def test_neither_unknown_nor_refused_cells_are_footholds(a: Mask, b: Mask) -> None:
+def test_unknown_and_refused_cells_are_not_footholds(a: Mask, b: Mask) -> None:
     n, m = min(len(a), len(b)), min(a.shape[1], b.shape[1])
     known, refused = a[:n, :m], b[:n, :m] & a[:n, :m]
     F = evaluate(known & ~refused & 1, refused, known)
@@ -145,7 +145,7 @@ def test_neither_unknown_nor_refused_cells_are_footholds(a: Mask, b: Mask) -> No
     assert (F[refused == 1] > 0).all()
 
 
-def test_with_nothing_refused_or_vacant_it_is_the_thesis_s() -> None:
+def test_evaluation_matches_thesis_without_refused_or_vacant_cells() -> None:
     rules = FootholdRules(unknown_clearance=0.0)
     mask = np.zeros((40, 40), dtype=np.uint8)
     mask[5:20, 5:30] = 1
@@ -156,7 +156,7 @@ def test_with_nothing_refused_or_vacant_it_is_the_thesis_s() -> None:
 
 
 @pytest.mark.parametrize("width", [1, 2, 4])
-def test_a_crack_between_two_blocks_is_no_ground_where_the_thesis_s_closing_bridges_it(width: int) -> None:
+def test_crack_between_blocks_is_not_bridged_unlike_in_thesis(width: int) -> None:
     known = np.zeros((40, 40), dtype=np.uint8)
     known[5:35, 10:30] = 1
     known[20 : 20 + width] = 0
@@ -171,7 +171,7 @@ def test_a_crack_between_two_blocks_is_no_ground_where_the_thesis_s_closing_brid
 
 @given(masks(), st.integers(1, 4))
 @settings(deadline=None, max_examples=60)
-def test_a_hole_is_small_and_surrounded(mask: Mask, widest: int) -> None:
+def test_hole_is_narrow_and_enclosed_by_ground(mask: Mask, widest: int) -> None:
     found = holes(mask, widest)
     assert not (found & mask).any()
     padded = np.pad(mask | found, 1)
@@ -184,7 +184,7 @@ def test_a_hole_is_small_and_surrounded(mask: Mask, widest: int) -> None:
         assert max(lengths, default=0) <= widest
 
 
-def test_an_edge_stays_refused_where_the_thesis_s_closing_brings_it_back() -> None:
+def test_refused_edge_is_not_restored_by_closing_unlike_in_thesis() -> None:
     refused = np.zeros((40, 40), dtype=np.uint8)
     refused[20:22] = 1  # both sides of a step
     mask = np.asarray(1 - refused, dtype=np.uint8)
@@ -192,7 +192,7 @@ def test_an_edge_stays_refused_where_the_thesis_s_closing_brings_it_back() -> No
     assert (evaluate(mask, refused)[20:22, 10] == 1).all()
 
 
-def test_a_vacant_cell_takes_nothing_from_its_neighbours_and_a_vacant_region_keeps_them_away() -> None:
+def test_vacant_region_needs_clearance_but_single_vacant_cell_does_not() -> None:
     known = np.ones((40, 40), dtype=np.uint8)
     known[10, 10] = 0
     known[20:30, 20:30] = 0
@@ -205,7 +205,7 @@ def test_a_vacant_cell_takes_nothing_from_its_neighbours_and_a_vacant_region_kee
     np.testing.assert_array_equal((F > 0)[2:-2, 2:-2], ((away <= 2) | region)[2:-2, 2:-2])
 
 
-def test_the_numbers_of_the_thesis_are_lengths() -> None:
+def test_thesis_parameters_scale_with_resolution() -> None:
     """Check that the thesis's numbers scale with the resolution.
 
     The bound of -5 cm is -5 cells of 1 cm and -10 cells of 5 mm. The square of the closing scales in the same way.
@@ -223,7 +223,7 @@ def test_the_numbers_of_the_thesis_are_lengths() -> None:
 
 @given(masks(), st.integers(1, 3))
 @settings(deadline=None, max_examples=30)
-def test_a_margin_keeps_a_disc_of_ground_around_every_foothold(mask: Mask, cells: int) -> None:
+def test_margin_requires_disc_of_ground_around_each_foothold(mask: Mask, cells: int) -> None:
     rules = FootholdRules(unknown_clearance=0.0, closing=0.0)
     level = np.full(mask.shape, cells, dtype=np.uint8)
     known = np.ones_like(mask)
@@ -237,7 +237,7 @@ def offsets(radius: int) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in np.argwhere(disc(radius, least=0)) - radius]
 
 
-def test_bad_rules_are_refused() -> None:
+def test_invalid_rules_are_refused() -> None:
     with pytest.raises(ValueError, match="bound"):
         FootholdRules(bound=0.0)
     with pytest.raises(ValueError, match="slope_limit"):

@@ -6,7 +6,7 @@ import pytest
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 
 
-def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched() -> None:
+def test_small_holes_on_plane_are_filled_exactly() -> None:
     i, j = np.mgrid[:30, :40]
     plane = (0.0027 * i - 0.001 * j + 0.5).astype(np.float32)  # 15 deg and more
     holed = plane.copy()
@@ -21,7 +21,7 @@ def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched(
     assert np.isnan(holed[5, 5])
 
 
-def test_holes_across_an_edge_and_the_frontier_stay_unknown() -> None:
+def test_holes_at_edge_and_frontier_stay_unknown() -> None:
     step = np.zeros((12, 12), dtype=np.float32)
     step[6:] = 0.04
     step[5, 5] = np.nan
@@ -34,7 +34,7 @@ def test_holes_across_an_edge_and_the_frontier_stay_unknown() -> None:
 
 
 @pytest.mark.parametrize("second", [0.023, 0.029])
-def test_a_trench_between_blocks_of_about_one_height_is_no_hole(second: float) -> None:
+def test_trench_between_blocks_is_not_filled(second: float) -> None:
     blocks = np.full((12, 12), 0.029, dtype=np.float32)
     blocks[6:] = second
     blocks[6] = np.nan  # in the shadow of the near block

@@ -39,7 +39,7 @@ def of(z: NDArray[np.floating], sigma: float = 0.0, body: float = math.inf, **op
 
 @given(st.integers(0, 2**32), st.integers(3, 12))
 @settings(deadline=None, max_examples=25)
-def test_a_map_that_grows_and_moves_has_the_layers_of_one_made_anew(seed: int, rounds: int) -> None:
+def test_incremental_layers_equal_full_recomputation(seed: int, rounds: int) -> None:
     rng = np.random.default_rng(seed)
     world = np.full((4 * N, 4 * N), np.nan, dtype=np.float32)
     variance = np.full_like(world, 1e-6)
@@ -62,7 +62,7 @@ def test_a_map_that_grows_and_moves_has_the_layers_of_one_made_anew(seed: int, r
 
 @pytest.mark.parametrize("resolution", [0.001, 0.004, 0.01, 0.02, 0.05, 1.0])
 @pytest.mark.parametrize("shape", [(40, 90), (90, 40)])
-def test_any_size_and_resolution(shape: tuple[int, int], resolution: float) -> None:
+def test_wall_is_refused_and_level_ground_accepted_at_any_resolution(shape: tuple[int, int], resolution: float) -> None:
     """Check that a wall is refused and level ground accepted at any cell size."""
     z = np.zeros(shape, dtype=np.float32)
     z[:, shape[1] // 2 :] = 0.5
@@ -76,7 +76,7 @@ def test_any_size_and_resolution(shape: tuple[int, int], resolution: float) -> N
         assert level.size == 0 or (level < 0).all()
 
 
-def test_what_did_not_change_is_not_made_again() -> None:
+def test_only_changed_cells_are_rescored() -> None:
     rng = np.random.default_rng(0)
     z = rng.normal(0.0, 0.001, (N, N)).astype(np.float32)
     kept, variance = layers(), np.full_like(z, 1e-6)
@@ -86,7 +86,7 @@ def test_what_did_not_change_is_not_made_again() -> None:
     assert kept.update(z, variance, ORIGIN).rescored == pytest.approx((4 + 6) * (6 + 6) / N**2)
 
 
-def test_later_calls_do_not_disturb_earlier_results() -> None:
+def test_later_update_does_not_modify_earlier_result() -> None:
     z = np.zeros((N, N), dtype=np.float32)
     kept = layers()
     before = kept.update(z, z, ORIGIN)
@@ -100,7 +100,7 @@ def test_later_calls_do_not_disturb_earlier_results() -> None:
 # ---- foothold map
 
 
-def test_level_ground_is_accessible_up_to_the_clearance_from_what_is_unknown() -> None:
+def test_level_ground_is_accessible_up_to_unknown_clearance() -> None:
     F = of(np.zeros((N, N))).evaluation
     assert (F[2:-2, 2:-2] < 0).all()
     assert (F[[0, 1, -2, -1]] > 0).all()
@@ -109,7 +109,7 @@ def test_level_ground_is_accessible_up_to_the_clearance_from_what_is_unknown() -
 
 
 @pytest.mark.parametrize("height", [0.01, 0.04, 0.3, -0.02])
-def test_both_sides_of_an_edge_are_removed_by_both_layers(height: float) -> None:
+def test_both_layers_refuse_both_sides_of_edge(height: float) -> None:
     z = np.zeros((N, N))
     z[N // 2 :] = height
     made = of(z)
@@ -128,7 +128,7 @@ def test_normals_up_to_45_degrees_are_accessible(degrees: float, accessible: boo
     assert ((F[5:-5, 5:-5] < 0) == accessible).all()
 
 
-def test_the_depth_limit_counts_from_the_body() -> None:
+def test_depth_limit_is_relative_to_body_height() -> None:
     z = np.zeros((N, N))
     z[:, 24:] = -0.2
     for body, deep in ((0.04, False), (0.06, True), (0.10, True)):
@@ -137,7 +137,7 @@ def test_the_depth_limit_counts_from_the_body() -> None:
         assert ((F[5:-5, 35] > 0) == deep).all()
 
 
-def test_unknown_cells_are_footholds_by_no_layer() -> None:
+def test_unknown_cells_are_footholds_in_neither_layer() -> None:
     rng = np.random.default_rng(5)
     z = rng.normal(0.0, 0.0005, (N, N))
     z[rng.random(z.shape) < 0.03] = np.nan
@@ -161,7 +161,7 @@ def edge_distance(layer: NDArray[np.bool_]) -> float:
 
 @pytest.mark.parametrize("foot", [0.005, 0.01, 0.02, 0.035])
 @pytest.mark.parametrize("sigma", [0.0, 0.002, 0.005, 0.01])
-def test_footholds_keep_the_margin_from_edges_in_both_layers(foot: float, sigma: float) -> None:
+def test_footholds_keep_margin_from_edges_in_both_layers(foot: float, sigma: float) -> None:
     z = np.zeros((N, N))
     z[N // 2 :] = 0.03
     made = of(z, sigma, foot_radius=foot)
@@ -171,7 +171,7 @@ def test_footholds_keep_the_margin_from_edges_in_both_layers(foot: float, sigma:
         assert kept <= max(0.025, foot + 2 * sigma + 0.011)  # and the margin is not larger than necessary
 
 
-def test_uncertain_ground_widens_the_margin_where_it_is() -> None:
+def test_uncertain_ground_widens_margin_locally() -> None:
     z = np.zeros((N, N), dtype=np.float32)
     z[N // 2 :] = 0.03
     variance = np.full_like(z, 1e-6)
@@ -183,7 +183,7 @@ def test_uncertain_ground_widens_the_margin_where_it_is() -> None:
     assert made.score[10, 36] <= 1  # far from edges nothing is lost
 
 
-def test_small_doubt_changes_nothing() -> None:
+def test_small_pose_uncertainty_changes_nothing() -> None:
     z = np.random.default_rng(3).normal(0.0, 0.001, (N, N))
     z[20:30, 20:30] += 0.03
     sure, doubtful = of(z), of(z, sigma=0.003)
@@ -191,7 +191,7 @@ def test_small_doubt_changes_nothing() -> None:
     np.testing.assert_array_equal(sure.evaluation, doubtful.evaluation)
 
 
-def test_more_doubt_never_makes_a_foothold() -> None:
+def test_more_pose_uncertainty_never_adds_foothold() -> None:
     rng = np.random.default_rng(8)
     z = np.kron(rng.choice([0.0, 0.03], (6, 6)), np.ones((8, 8)))
     made = [of(z, sigma=s) for s in (0.0, 0.008, 0.012, 0.02, 0.2)]
@@ -204,7 +204,7 @@ def test_more_doubt_never_makes_a_foothold() -> None:
 
 
 @pytest.mark.parametrize("resolution", [0.005, 0.01, 0.02])
-def test_a_place_known_too_badly_is_a_foothold_by_no_layer(resolution: float) -> None:
+def test_large_pose_uncertainty_leaves_no_foothold_in_either_layer(resolution: float) -> None:
     z = np.zeros((N, N), dtype=np.float32)
     maker = FootholdLayers((N, N), resolution, None, WEIGHTS)
     made = maker.update(z, np.full_like(z, 1e-6), ORIGIN, math.inf, 0.5)
@@ -215,7 +215,7 @@ def test_a_place_known_too_badly_is_a_foothold_by_no_layer(resolution: float) ->
     assert (sure.evaluation < 0).any()
 
 
-def test_doubt_widens_the_margin_on_ground_that_only_one_layer_takes() -> None:
+def test_pose_uncertainty_widens_margin_on_ground_steep_for_score_only() -> None:
     """Check ground of 35 deg, which only Masri's map accepts, next to unknown ground.
 
     It is too steep for Lotriet's score.
@@ -227,7 +227,7 @@ def test_doubt_widens_the_margin_on_ground_that_only_one_layer_takes() -> None:
     assert good[0] > good[1] > good[2] > good[3] == 0
 
 
-def test_the_published_score_is_ours_without_the_third_term() -> None:
+def test_score_without_roughness_matches_published_score() -> None:
     """Check that slope and proximity equal the thesis's on known ground.
 
     The comparison fixes two of the constants.
@@ -243,7 +243,7 @@ def test_the_published_score_is_ours_without_the_third_term() -> None:
     assert np.isnan(theirs[:2]).all()
 
 
-def test_bad_calls_are_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     z = np.zeros((N, N), dtype=np.float32)
     with pytest.raises(ValueError, match="maps"):
         layers().update(z[:-1], z, ORIGIN)

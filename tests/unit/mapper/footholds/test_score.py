@@ -79,7 +79,7 @@ def steps_from_edge(size: int = 40, edge: int = 20) -> NDArray[np.float64]:
 
 @given(st.integers(0, 1000), st.floats(-2.0, 2.0))
 @settings(deadline=None, max_examples=25)
-def test_a_constant_height_changes_nothing(seed: int, constant: float) -> None:
+def test_constant_height_offset_does_not_change_score(seed: int, constant: float) -> None:
     z = terrain(seed)
     a, b = score(z), score(z + constant)
     np.testing.assert_allclose(a.score, b.score, atol=0.02)  # float32 heights near 2 m are 0.1 micrometres apart
@@ -87,7 +87,7 @@ def test_a_constant_height_changes_nothing(seed: int, constant: float) -> None:
 
 
 @pytest.mark.parametrize("turn", [lambda m: m.T, lambda m: m[::-1], lambda m: m[:, ::-1], lambda m: m[::-1, ::-1].T])
-def test_turned_and_mirrored_ground_has_the_turned_score(turn: object) -> None:
+def test_score_is_equivariant_to_rotation_and_reflection(turn: object) -> None:
     assert callable(turn)
     for seed in range(5):
         z = terrain(seed)
@@ -97,13 +97,13 @@ def test_turned_and_mirrored_ground_has_the_turned_score(turn: object) -> None:
             np.testing.assert_allclose(turn(getattr(a, name)), getattr(b, name), atol=tolerance)
 
 
-def test_a_hole_and_a_block_score_alike() -> None:
+def test_hole_and_block_have_equal_score() -> None:
     z = np.zeros((40, 40))
     z[15:25, 15:25] = 0.03
     np.testing.assert_allclose(score(z).score, score(-z).score, atol=1e-5)
 
 
-def test_the_score_is_the_weighted_sum_and_the_limit_decides() -> None:
+def test_score_is_weighted_sum_and_limit_sets_acceptability() -> None:
     w = ScoreWeights(slope=0.7, proximity=33.0, roughness=210.0, limit=0.4)
     s = score(terrain(3), w)
     np.testing.assert_allclose(s.score, 0.7 * s.slope + 33.0 * s.proximity + 210.0 * s.roughness, rtol=1e-5)
@@ -115,7 +115,7 @@ def test_the_score_is_the_weighted_sum_and_the_limit_decides() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5, math.pi / 4, 2.0, -math.pi / 2])
-def test_the_slope_is_the_true_gradient_and_a_plane_has_no_edges(heading: float) -> None:
+def test_slope_of_plane_is_true_gradient_without_edges(heading: float) -> None:
     for degrees in (0.0, 5.0, 15.0, 35.0, 60.0):
         s = score(plane(degrees, heading))
         inside = (slice(3, -3), slice(3, -3))
@@ -125,7 +125,7 @@ def test_the_slope_is_the_true_gradient_and_a_plane_has_no_edges(heading: float)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, math.pi / 2])
-def test_gentle_slopes_are_acceptable_and_steep_ones_are_not(heading: float) -> None:
+def test_slopes_to_15_deg_are_acceptable_and_from_35_deg_are_not(heading: float) -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0.0, 0.0007, (41, 41))
     for degrees in (0.0, 10.0, 15.0):
@@ -140,7 +140,7 @@ def test_gentle_slopes_are_acceptable_and_steep_ones_are_not(heading: float) -> 
 
 
 @pytest.mark.parametrize("height", [0.01, 0.02, 0.04, -0.01, -0.04])
-def test_cells_within_two_centimetres_of_a_step_are_refused_and_no_others(height: float) -> None:
+def test_only_cells_within_2_cm_of_step_are_refused(height: float) -> None:
     z = np.zeros((40, 40))
     z[20:] = height
     near = steps_from_edge() < 0.02
@@ -151,7 +151,7 @@ def test_cells_within_two_centimetres_of_a_step_are_refused_and_no_others(height
 
 
 @pytest.mark.parametrize("height", [0.01, 0.02, 0.04])
-def test_corners_and_slanted_edges_too(height: float) -> None:
+def test_cells_within_2_cm_of_corner_or_slanted_edge_are_refused(height: float) -> None:
     i, j = np.mgrid[:24, :24]
     grounds = [np.where((i >= 12) & (j >= 12), height, 0.0)]
     for angle in np.linspace(0.0, math.pi, 17):
@@ -164,7 +164,7 @@ def test_corners_and_slanted_edges_too(height: float) -> None:
             assert gap[other].min() * RESOLUTION >= 0.02, (k, m)
 
 
-def test_a_low_step_is_told_from_noise() -> None:
+def test_1_cm_step_is_detected_in_noise() -> None:
     rng = np.random.default_rng(4)
     z = rng.normal(0.0, 0.001, (40, 400))
     z[20:] += 0.01
@@ -174,7 +174,7 @@ def test_a_low_step_is_told_from_noise() -> None:
     assert accepted[~near].mean() > 0.98
 
 
-def test_steps_of_a_few_millimetres_are_walked_over() -> None:
+def test_5_mm_step_is_acceptable() -> None:
     z = np.zeros((40, 40))
     z[20:] = 0.005
     assert score(z).acceptable[1:-1, 1:-1].all()
@@ -184,7 +184,7 @@ def test_steps_of_a_few_millimetres_are_walked_over() -> None:
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
-def test_a_narrow_tread_between_a_step_up_and_a_step_down_is_refused(width: int) -> None:
+def test_narrow_tread_between_two_steps_is_refused(width: int) -> None:
     z = np.zeros((40, 40))
     z[:18] = 0.03
     z[18 + width :] = -0.03
@@ -195,7 +195,7 @@ def test_a_narrow_tread_between_a_step_up_and_a_step_down_is_refused(width: int)
         assert s.proximity[centre, 20] == pytest.approx(0.0, abs=1e-6)  # the reason for the third term
 
 
-def test_a_wide_tread_is_accepted_in_its_middle() -> None:
+def test_middle_of_wide_tread_is_accepted() -> None:
     z = np.zeros((40, 40))
     z[:15] = 0.03
     z[20:] = -0.03
@@ -214,7 +214,7 @@ def test_ridges_grooves_and_saddles_are_refused(sign: float) -> None:
     assert score(sign * saddle).proximity[20, 20] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_higher_steps_are_refused_more_strongly() -> None:
+def test_score_grows_with_step_height() -> None:
     scores = []
     for height in (0.01, 0.02, 0.04):
         z = np.zeros((20, 20))
@@ -227,7 +227,7 @@ def test_higher_steps_are_refused_more_strongly() -> None:
 # ---- unknown cells
 
 
-def test_cells_beside_unknown_ones_and_the_border_have_no_score_and_the_rest_have() -> None:
+def test_only_cells_next_to_unknown_cells_or_border_have_no_score() -> None:
     z = plane(10.0)
     z[20, 20] = np.nan
     s = score(z)
@@ -239,7 +239,7 @@ def test_cells_beside_unknown_ones_and_the_border_have_no_score_and_the_rest_hav
     np.testing.assert_array_equal(s.acceptable, ~unscored)
 
 
-def test_unknown_cells_make_no_false_edges() -> None:
+def test_unknown_cells_cause_no_false_edges() -> None:
     rng = np.random.default_rng(2)
     for heading in (0.0, 0.8):
         z = plane(12.0, heading) + 0.4
@@ -253,7 +253,7 @@ def test_unknown_cells_make_no_false_edges() -> None:
         assert s.acceptable[scored].all()
 
 
-def test_the_clearance_from_unknown_ground_is_a_setting() -> None:
+def test_unknown_clearance_setting_is_applied() -> None:
     z = np.zeros((40, 40))
     z[20, 20] = np.nan
     s = score(z, ScoreWeights(unknown_clearance=0.03))
@@ -263,13 +263,13 @@ def test_the_clearance_from_unknown_ground_is_a_setting() -> None:
     np.testing.assert_array_equal(s.acceptable[inside], (distance > 3 + 1e-6)[inside])
 
 
-def test_a_map_never_seen_has_no_score() -> None:
+def test_unseen_map_has_no_score() -> None:
     s = score(np.full((20, 30), np.nan))
     assert np.isnan(s.score).all()
     assert not s.acceptable.any()
 
 
-def test_repeated_calls_do_not_disturb_earlier_results() -> None:
+def test_repeated_calls_do_not_modify_earlier_result() -> None:
     scorer = WalkabilityScorer((40, 52), RESOLUTION)
     first = scorer.score(terrain(1).astype(np.float32))
     copy = first.score.copy()
@@ -278,7 +278,7 @@ def test_repeated_calls_do_not_disturb_earlier_results() -> None:
     np.testing.assert_array_equal(scorer.score(terrain(1).astype(np.float32)).score, copy)
 
 
-def test_the_same_ground_on_a_coarser_map_is_judged_alike() -> None:
+def test_coarser_map_gives_same_acceptability() -> None:
     for degrees, good in ((15.0, True), (35.0, False)):
         i = np.arange(30) * 0.02
         z = np.broadcast_to(math.tan(math.radians(degrees)) * i[:, None], (30, 30)).astype(np.float32)
@@ -289,7 +289,7 @@ def test_the_same_ground_on_a_coarser_map_is_judged_alike() -> None:
     assert not WalkabilityScorer((30, 30), 0.02).score(z).acceptable[14:16].any()
 
 
-def test_bad_calls_are_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="3x3"):
         WalkabilityScorer((2, 40), RESOLUTION)
     with pytest.raises(ValueError, match="resolution"):

@@ -42,7 +42,7 @@ def painted(
     return known
 
 
-def judged(known: TerrainType, slope: NDArray[np.float32] = FLAT, rough: NDArray[np.float32] = FLAT) -> TypeMap:
+def classified(known: TerrainType, slope: NDArray[np.float32] = FLAT, rough: NDArray[np.float32] = FLAT) -> TypeMap:
     return known.classify(slope, rough)
 
 
@@ -51,10 +51,10 @@ POOL = square(0.1, 0.1, 0.08)
 AWAY = ~square(0.1, 0.1, 0.13)
 
 
-def test_ground_that_is_like_the_one_stood_on_is_firm() -> None:
+def test_ground_like_start_ground_is_firm() -> None:
     known = painted(GREY)
     assert known.learn_start_ground(ALL)
-    found = judged(known)
+    found = classified(known)
     assert found.probability[..., GroundType.FIRM].min() > 0.8
     assert not found.hazard.any()
     assert not found.cost.any()
@@ -63,59 +63,59 @@ def test_ground_that_is_like_the_one_stood_on_is_firm() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("light", [0.6, 1.0, 1.4])
-def test_a_flat_patch_that_mirrors_the_sky_is_water(seed: int, light: float) -> None:
+def test_flat_sky_reflecting_patch_is_water(seed: int, light: float) -> None:
     grey, blue = (tuple(int(light * c) for c in color) for color in (GREY, BLUE))
     known = painted(grey, (POOL, blue), seed=seed)  # type: ignore[arg-type]
     known.learn_start_ground(~POOL)
-    found = judged(known)
+    found = classified(known)
     assert (found.hazard[POOL] == GroundType.WATER).mean() > 0.99
     assert (found.cost[POOL] > 1.0).mean() > 0.99
     assert (found.hazard[AWAY] == 0).mean() > 0.999
 
 
-def test_a_foot_keeps_its_own_width_away() -> None:
+def test_water_hazard_is_widened_by_foot_radius() -> None:
     known = painted(GREY, (POOL, BLUE))
     known.learn_start_ground(~POOL)
     beside = square(0.1, 0.1, 0.105) & ~square(0.1, 0.1, 0.095)
-    assert (judged(known).hazard[beside] == GroundType.WATER).all()
+    assert (classified(known).hazard[beside] == GroundType.WATER).all()
 
 
-def test_another_material_is_no_hazard() -> None:
+def test_other_dry_material_is_not_hazard() -> None:
     known = painted(GREY, (POOL, TAN))
     known.learn_start_ground(~POOL)
-    assert not judged(known).hazard[POOL].any()
+    assert not classified(known).hazard[POOL].any()
 
 
-def test_colours_are_judged_by_the_ground_that_carried() -> None:
+def test_blue_ground_is_firm_if_start_ground_is_blue() -> None:
     """Check that blue is firm on a blue floor."""
     known = painted(BLUE)
     known.learn_start_ground(ALL)
-    assert not judged(known).hazard.any()
+    assert not classified(known).hazard.any()
 
 
-def test_water_lies_level() -> None:
+def test_steep_or_rough_patch_is_not_water() -> None:
     known = painted(GREY, (POOL, BLUE))
     known.learn_start_ground(~POOL)
     steep, rough = np.full((N, N), 0.3, dtype=np.float32), np.full((N, N), 0.008, dtype=np.float32)
-    assert not judged(known, steep, rough).hazard[POOL].any()
+    assert not classified(known, steep, rough).hazard[POOL].any()
     unknown = np.full((N, N), np.nan, dtype=np.float32)
-    assert np.isfinite(judged(known, unknown, unknown).probability).all()
+    assert np.isfinite(classified(known, unknown, unknown).probability).all()
 
 
-def test_one_foot_that_sank_tells_of_all_ground_of_that_colour() -> None:
+def test_sunk_foot_marks_all_ground_of_that_color_loose() -> None:
     other = square(-0.2, -0.2, 0.06)
     known = painted(GREY, (POOL, BROWN), (other, BROWN))
     known.learn_start_ground(~POOL & ~other)
-    before = judged(known)
+    before = classified(known)
     assert not before.hazard[POOL].any()
     for _ in range(2):
         known.touch(np.array([0.1, 0.1]), 0.018)
-    after = judged(known)
+    after = classified(known)
     assert (after.hazard[other] == GroundType.LOOSE).mean() > 0.9
     assert (after.hazard[AWAY & ~square(-0.2, -0.2, 0.11)] == 0).mean() > 0.999
 
 
-def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> None:
+def test_small_sink_on_new_color_causes_no_hazard() -> None:
     """Check small errors of map, pose and joints: some millimetres, foot after foot."""
     known = painted(GREY, (POOL, TAN))
     known.learn_start_ground(~POOL)
@@ -123,12 +123,12 @@ def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> Non
     for k in range(40):
         where = rng.uniform(0.04, 0.16, 2) if k % 2 else rng.uniform(-0.3, -0.1, 2)
         known.touch(where, float(np.clip(rng.normal(0.003, 0.003), 0.0, 0.009)))
-        assert not judged(known).hazard.any()
+        assert not classified(known).hazard.any()
 
 
 @pytest.mark.parametrize(("sigma", "outliers"), [(0.006, 0.0), (0.003, 0.05), (0.006, 0.05)])
 @pytest.mark.parametrize("seed", range(3))
-def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, outliers: float, seed: int) -> None:
+def test_thousands_of_steps_on_firm_ground_cause_no_hazard(sigma: float, outliers: float, seed: int) -> None:
     """Check errors as the model assumes them, on ground that is new at every touch."""
     rng = np.random.default_rng(seed)
     known = painted(GREY)
@@ -139,23 +139,23 @@ def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, out
         known.touch(place, float(sink))
         known._touch[:] = 0.0
         if k % 500 == 499:
-            assert not judged(known).hazard.any()
+            assert not classified(known).hazard.any()
 
 
-def test_feet_that_carry_clear_a_colour_of_its_bad_name() -> None:
+def test_carrying_feet_clear_hazard_of_color() -> None:
     known = painted(GREY, (POOL, BLUE))
     known.learn_start_ground(~POOL)
-    assert judged(known).hazard[POOL].any()
+    assert classified(known).hazard[POOL].any()
     for xy in ((0.08, 0.08), (0.12, 0.12), (0.12, 0.08)):
         known.touch(np.array(xy), 0.001)
-    assert (judged(known).hazard[POOL] == 0).mean() > 0.9
+    assert (classified(known).hazard[POOL] == 0).mean() > 0.9
 
 
-def test_feet_speak_without_any_colour() -> None:
+def test_foot_contacts_classify_ground_without_color() -> None:
     known = TerrainType((N, N), R, np.full(2, -N // 2))
     known.touch(np.array([0.2, 0.0]), 0.04)
     known.touch(np.array([-0.2, 0.0]), 0.0)
-    found = judged(known)
+    found = classified(known)
     wet, dry, far = (found.probability[N // 2 + at, N // 2] for at in (20, -20, 0))
     assert wet[GroundType.FIRM] < 0.5
     assert far[GroundType.FIRM] == pytest.approx(MODEL.prior[0])
@@ -164,7 +164,7 @@ def test_feet_speak_without_any_colour() -> None:
     assert found.confidence[N // 2 - 20, N // 2] > 90
 
 
-def test_nothing_found_is_worse_than_a_foot_that_carries() -> None:
+def test_no_ground_found_indicates_water_and_zero_sink_firm() -> None:
     known = TerrainType((N, N), R, np.full(2, -N // 2))
     nothing, carried = known.sink_log_likelihood(None), known.sink_log_likelihood(0.0)
     assert np.argmax(nothing) == GroundType.WATER
@@ -178,7 +178,7 @@ def test_nothing_found_is_worse_than_a_foot_that_carries() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(0.0, 1.0), st.floats(0.0, 0.1), st.integers(0, 2**32 - 1))
-def test_probabilities_stay_probabilities(sink: float, slope: float, rough: float, seed: int) -> None:
+def test_probabilities_stay_normalized_for_any_input(sink: float, slope: float, rough: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     known = TerrainType((16, 16), R, np.zeros(2, dtype=np.int64))
     color = rng.uniform((0, -255, -255), (255, 255, 255), (256, 3)).astype(np.float32)
@@ -196,7 +196,7 @@ def test_probabilities_stay_probabilities(sink: float, slope: float, rough: floa
     assert ((found.hazard > 0) == (found.cost > 1.0)).all()
 
 
-def test_the_window_moves_and_forgets() -> None:
+def test_moved_window_keeps_overlap_and_clears_the_rest() -> None:
     known = painted(GREY, (POOL, BLUE))
     known.learn_start_ground(~POOL)
     before = known.rgb()
@@ -209,11 +209,11 @@ def test_the_window_moves_and_forgets() -> None:
     assert not known.rgb().any()
 
 
-def test_too_little_ground_is_not_stood_on() -> None:
+def test_start_ground_is_not_learned_without_color() -> None:
     assert not TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).learn_start_ground(ALL)
 
 
-def test_a_palette_keeps_what_feet_found_most_often() -> None:
+def test_palette_keeps_most_frequent_colors() -> None:
     palette, sigma = Palette(), np.ones(3)
     for k in range(Palette.SIZE):
         for _ in range(5):
@@ -225,7 +225,7 @@ def test_a_palette_keeps_what_feet_found_most_often() -> None:
     assert palette.weight[0].sum() == 5 * Palette.SIZE + 5
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="priors"):
         TypeModel(prior=(0.5, 0.5, 0.5))
     with pytest.raises(ValueError, match="free_below"):
@@ -235,13 +235,13 @@ def test_nonsense_is_refused() -> None:
 
 
 @pytest.mark.parametrize("sink", [0.0, 0.03])
-def test_feet_that_come_back_to_one_place_leave_the_rest_of_the_map_as_it_is(sink: float) -> None:
+def test_repeated_contacts_at_one_place_do_not_change_other_ground(sink: float) -> None:
     known = painted(GREY, (POOL, BLUE))
     known.learn_start_ground(~POOL)
-    assert judged(known).hazard[POOL].all()
+    assert classified(known).hazard[POOL].all()
     for _ in range(300):
         known.touch(np.array([-0.2, -0.2]), sink)
-    found = judged(known)
+    found = classified(known)
     assert np.isfinite(found.probability).all()
     np.testing.assert_allclose(found.probability.sum(axis=-1), 1.0, atol=1e-5)
     assert (found.hazard[POOL] > 0).all()

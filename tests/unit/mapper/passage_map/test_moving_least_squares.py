@@ -29,7 +29,7 @@ def ones(points: Array) -> Array:
     seed=st.integers(0, 1000),
 )
 @settings(max_examples=30, deadline=None)
-def test_a_plane_stays_a_plane_however_it_lies(
+def test_plane_of_any_orientation_is_unchanged(
     tilt: tuple[float, float, float], shift: tuple[float, float, float], seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -43,7 +43,7 @@ def test_a_plane_stays_a_plane_however_it_lies(
     assert np.nanmax(surface.roughness) < 1e-6
 
 
-def test_normals_are_unit_and_upward() -> None:
+def test_normals_have_unit_length_and_point_up() -> None:
     rng = np.random.default_rng(1)
     surface = smooth(rng.uniform(0, 0.15, (2000, 3)), np.ones(2000), RADIUS)
     normals = surface.normals[np.isfinite(surface.roughness)]
@@ -52,7 +52,7 @@ def test_normals_are_unit_and_upward() -> None:
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.03, 0.05])
-def test_noise_falls_by_what_the_neighbourhood_says(radius: float) -> None:
+def test_noise_reduction_matches_weighted_mean_of_neighbourhood(radius: float) -> None:
     rng, sigma = np.random.default_rng(2), 5e-4
     points = grid(80)
     points[:, 2] = rng.normal(0, sigma, len(points))
@@ -67,7 +67,7 @@ def test_noise_falls_by_what_the_neighbourhood_says(radius: float) -> None:
 
 
 @pytest.mark.parametrize("gap", [0.03, 0.10, 0.30])
-def test_an_edge_further_than_the_radius_stays(gap: float) -> None:
+def test_edge_higher_than_radius_is_unchanged(gap: float) -> None:
     points = grid()
     upper = points[:, 0] > 0.2
     points[upper, 2] += gap
@@ -77,7 +77,7 @@ def test_an_edge_further_than_the_radius_stays(gap: float) -> None:
 
 
 @pytest.mark.parametrize("step", [0.015, 0.02])
-def test_a_low_step_is_kept_by_the_robust_pass(step: float) -> None:
+def test_robust_passes_preserve_low_step(step: float) -> None:
     points = grid()
     upper = points[:, 0] > 0.195
     points[upper, 2] += step
@@ -85,7 +85,7 @@ def test_a_low_step_is_kept_by_the_robust_pass(step: float) -> None:
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_turning_the_points_turns_the_surface() -> None:
+def test_smoothing_is_equivariant_to_rigid_motion() -> None:
     rng = np.random.default_rng(3)
     points = grid(30)
     points[:, 2] = 0.02 * np.sin(points[:, 0] * 30) + rng.normal(0, 1e-3, len(points))
@@ -99,7 +99,7 @@ def test_turning_the_points_turns_the_surface() -> None:
     np.testing.assert_allclose(there.roughness, here.roughness, atol=1e-9)
 
 
-def test_order_and_scale_of_the_weights_do_not_matter() -> None:
+def test_smoothing_ignores_point_order_and_weight_scale() -> None:
     rng = np.random.default_rng(4)
     points = rng.uniform(0, 0.2, (500, 3)) * [1, 1, 0.05]
     weight, order = rng.uniform(1, 9, 500), rng.permutation(500)
@@ -108,7 +108,7 @@ def test_order_and_scale_of_the_weights_do_not_matter() -> None:
     np.testing.assert_allclose(there.roughness, here.roughness[order], atol=1e-12)
 
 
-def test_what_makes_no_plane_has_no_normal_and_stays() -> None:
+def test_degenerate_points_get_no_normal_and_stay() -> None:
     line = np.column_stack([np.linspace(0, 0.1, 50), np.linspace(0, 0.2, 50), np.linspace(0, 0.05, 50)])
     alone = np.array([[1.0, 1.0, 1.0], [1.001, 1.0, 1.0]])
     heap = np.full((20, 3), 2.0)
@@ -120,7 +120,7 @@ def test_what_makes_no_plane_has_no_normal_and_stays() -> None:
     assert len(smooth(np.empty((0, 3)), np.empty(0)).points) == 0
 
 
-def test_what_is_no_cloud_is_refused() -> None:
+def test_invalid_cloud_is_refused() -> None:
     points = grid(5)
     for bad, weight, radius in (
         (points[:, :2], ones(points), RADIUS),

@@ -68,7 +68,7 @@ def reasons(grid: PassageGrid, T: Array) -> np.ndarray:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
-def test_on_level_ground_what_projects_into_the_picture_in_range_is_seen(yaw: float) -> None:
+def test_level_ground_in_image_and_range_is_predicted_visible(yaw: float) -> None:
     grid, T = known(), camera_at(HEIGHT, yaw=yaw)
     found = reasons(grid, T)
     centres = np.concatenate([cell_centres(STRIP, 0.01), np.zeros((*grid.elevation.shape, 1))], axis=-1)
@@ -86,7 +86,7 @@ def test_on_level_ground_what_projects_into_the_picture_in_range_is_seen(yaw: fl
     assert not (found == HIDDEN).any()
 
 
-def test_a_block_hides_its_shadow() -> None:
+def test_block_occludes_its_shadow() -> None:
     near, far, top = 0.7, 0.8, 0.08
     T = camera_at(HEIGHT)
     found, free = reasons(known(block=(near, far, top)), T), reasons(known(), T)
@@ -99,7 +99,7 @@ def test_a_block_hides_its_shadow() -> None:
     assert (found[middle & (distance < near - T[0, 3] - 0.01) & (free == SEEN)] == SEEN).all()
 
 
-def test_from_higher_up_no_more_is_hidden() -> None:
+def test_higher_camera_has_less_occlusion() -> None:
     grid = known(block=(0.7, 0.8, 0.06))
     before = None
     for height in np.linspace(0.07, 0.15, 5):
@@ -111,7 +111,7 @@ def test_from_higher_up_no_more_is_hidden() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.8, -2.0])
-def test_turning_everything_changes_nothing(heading: float) -> None:
+def test_visibility_is_invariant_to_rotation_of_scene_and_camera(heading: float) -> None:
     turn = from_xyz_rpy((3.0, -2.0, 0.0), (0.0, 0.0, heading))
     here = known(block=(0.7, 0.8, 0.06))
     origin = apply(turn, np.array([*STRIP.origin, 0.0]))
@@ -121,7 +121,7 @@ def test_turning_everything_changes_nothing(heading: float) -> None:
     assert np.mean(a != b) < 1e-3  # cells on a border
 
 
-def test_the_poses_are_within_what_the_legs_allow() -> None:
+def test_candidate_poses_are_within_leg_limits() -> None:
     T = from_xyz_rpy((1.0, 2.0, 0.3 + HEIGHT), (0.0, 0.0, 0.7))
     feet = apply(T, PROFILE.rest_feet(HEIGHT))
     poses = candidates(PROFILE, T, feet, 0.3)
@@ -137,7 +137,7 @@ def test_the_poses_are_within_what_the_legs_allow() -> None:
     assert len(candidates(PROFILE, T, far, 0.3)) == 0
 
 
-class Look:
+class ViewScene:
     """A robot in front of a scene, its map, and its view planner."""
 
     def __init__(self, *parts: Part, heading: float = 0.0):
@@ -182,8 +182,8 @@ class Look:
     ],
     ids=["level", "block", "turned", "gap"],
 )
-def test_a_picture_from_the_proposed_pose_shows_what_was_promised(parts: tuple[Part, ...], heading: float, kept: float) -> None:
-    robot = Look(*parts, heading=heading)
+def test_image_from_proposed_pose_shows_predicted_cells(parts: tuple[Part, ...], heading: float, kept: float) -> None:
+    robot = ViewScene(*parts, heading=heading)
     T, promised = robot.best()
     assert promised.sum() > 100
     assert not (promised & ~robot.grid.unseen).any()
@@ -195,18 +195,18 @@ def test_a_picture_from_the_proposed_pose_shows_what_was_promised(parts: tuple[P
     assert shown[1] > kept
 
 
-def test_of_all_poses_the_proposed_one_shows_about_as_much_as_any() -> None:
-    robot = Look(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
+def test_proposed_pose_shows_nearly_as_much_as_best_candidate() -> None:
+    robot = ViewScene(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
     gains = []
     for pose in [robot.best()[0], *robot.poses()[::7]]:
-        other = Look(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
+        other = ViewScene(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
         other.look(pose, frames=3)
         gains.append(np.count_nonzero(robot.grid.unseen & ~other.mapped().unseen))
     assert gains[0] > 0.93 * max(gains[1:])
 
 
-def test_behind_a_block_lies_the_floor_that_shows_past_it() -> None:
-    robot = Look(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
+def test_expected_height_behind_block_is_visible_floor() -> None:
+    robot = ViewScene(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
     local = local_centres(robot.strip, 0.01) - [0.45, 0.0]
     shadow = (local[..., 0] > 1.0) & (local[..., 0] < 1.2) & (np.abs(local[..., 1]) < 0.1)
     assert robot.grid.unseen[shadow].all()
@@ -215,7 +215,7 @@ def test_behind_a_block_lies_the_floor_that_shows_past_it() -> None:
     assert (found == HIDDEN).all()
 
 
-def test_an_unseen_cell_under_the_camera_is_as_the_ground_around() -> None:
+def test_expected_height_under_camera_is_that_of_surrounding_ground() -> None:
     grid = known(Strip((0.0, 0.0), 0.0), (0.0, 0.2, 0.05))
     T = camera_at(HEIGHT)
     T[:2, 3] = cell_centres(grid.strip, 0.01)[55, 50]
@@ -224,28 +224,28 @@ def test_an_unseen_cell_under_the_camera_is_as_the_ground_around() -> None:
     np.testing.assert_allclose(around, 0.05, atol=1e-6)
 
 
-def test_before_a_pillar_in_a_gap_lies_the_floor_of_the_gap() -> None:
-    robot = Look(*GAP)
+def test_expected_height_before_pillar_is_gap_floor() -> None:
+    robot = ViewScene(*GAP)
     local = local_centres(robot.strip, 0.01) - [0.45, 0.0]
     before = (local[..., 0] > 0.78) & (local[..., 0] < 0.87) & (np.abs(local[..., 1] - 0.15) < 0.04)
     assert robot.grid.unseen[before].all()
     np.testing.assert_allclose(robot.expected[before], -0.3, atol=0.01)
 
 
-def test_where_all_is_seen_or_nothing_comes_back_no_look_is_proposed() -> None:
-    robot = Look(Plane())
+def test_no_view_is_proposed_without_unseen_or_observable_cells() -> None:
+    robot = ViewScene(Plane())
     nothing = np.zeros(robot.grid.elevation.shape, dtype=bool)
     assert best_view(robot.grid, robot.expected, nothing, robot.view_poses, robot.poses(), CAMERA, REACH) is None
     assert best_view(robot.grid, robot.expected, robot.grid.unseen, robot.view_poses, robot.poses()[:0], CAMERA, REACH) is None
     assert describe_unseen_cells(known(), np.empty(0, np.uint8)) == ""
-    abyss = Look(Box((-0.2, 0.0), (1.5, 4.0), 0.0))
+    abyss = ViewScene(Box((-0.2, 0.0), (1.5, 4.0), 0.0))
     x, y = np.moveaxis(local_centres(abyss.strip, 0.01) - [0.45, 0.0], -1, 0)
     ahead = abyss.grid.unseen & (x > 0.6) & (x < 1.0) & (np.abs(y) < 0.2)
     assert best_view(abyss.grid, abyss.expected, ahead, abyss.view_poses, abyss.poses(), CAMERA, REACH) is None
 
 
-def test_what_is_unseen_is_said_with_the_reason_and_the_place() -> None:
-    robot = Look(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
+def test_description_of_unseen_cells_names_reasons() -> None:
+    robot = ViewScene(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
     unseen = robot.grid.unseen
     why = check_visibility(robot.grid, robot.expected, unseen, robot.T_camera, CAMERA, REACH)
     words = describe_unseen_cells(robot.grid, why)

@@ -38,7 +38,7 @@ def cloud_of(where: Strip, *clouds: Array) -> VoxelCloud:
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
-def test_a_slope_is_mapped_exactly_whichever_way_the_strip_runs(heading: float) -> None:
+def test_slope_is_mapped_exactly_at_any_strip_heading(heading: float) -> None:
     where = strip(heading)
     grid = passage_grid(cloud_of(where, ground(where, lambda xy: 0.1 + xy @ SLOPE)).snapshot(), where, 0.01)
     assert grid.elevation.shape == (80, 50)
@@ -51,7 +51,7 @@ def test_a_slope_is_mapped_exactly_whichever_way_the_strip_runs(heading: float) 
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
-def test_the_top_stands_for_its_column_and_its_normal_is_its_own(heading: float) -> None:
+def test_cell_has_height_and_normal_of_topmost_surface(heading: float) -> None:
     where = strip(heading)
     floor = ground(where, lambda xy: -0.3 + xy @ SLOPE)
     near = np.abs(where.local(floor[:, :2]) - [0.4, 0.0]).max(axis=1) < 0.1
@@ -66,7 +66,7 @@ def test_the_top_stands_for_its_column_and_its_normal_is_its_own(heading: float)
     np.testing.assert_allclose(grid.elevation[on > 0.115], -0.3 + beside @ SLOPE, atol=1e-6)
 
 
-def test_what_few_pixels_show_above_a_surface_does_not_stand_for_it() -> None:
+def test_surface_of_few_pixels_above_ground_is_ignored() -> None:
     where = strip(0.0)
     floor = ground(where)
     few = np.abs(where.local(floor[:, :2]) - [0.4, 0.0]).max(axis=1) < 0.1
@@ -81,7 +81,7 @@ def test_what_few_pixels_show_above_a_surface_does_not_stand_for_it() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, np.pi / 4, -np.pi / 2])
-def test_a_crack_between_two_blocks_is_unknown_though_some_pixels_are_astray_over_it(heading: float) -> None:
+def test_crack_between_blocks_is_unknown_despite_stray_pixels(heading: float) -> None:
     where = Strip((0.3, -0.2), heading, 0.8, 0.5)
     top = ground(where)
     along = where.local(top[:, :2])[:, 0]
@@ -96,7 +96,7 @@ def test_a_crack_between_two_blocks_is_unknown_though_some_pixels_are_astray_ove
     assert not grid.unseen[np.abs(x - 0.4) > 0.03].any(), "neither an edge nor thinner ground is a crack"
 
 
-def test_what_was_not_seen_is_unknown() -> None:
+def test_unseen_cells_are_unknown() -> None:
     where = strip(0.7)
     points = ground(where)
     local = where.local(points[:, :2])
@@ -111,7 +111,7 @@ def test_what_was_not_seen_is_unknown() -> None:
     assert not nothing.assumed.any()
 
 
-def test_lone_points_have_a_height_but_no_normal() -> None:
+def test_isolated_point_has_height_but_no_normal() -> None:
     where = strip(0.0)
     grid = passage_grid(cloud_of(where, np.array([[0.505, -0.195, 0.1]])).snapshot(), where, 0.01)
     assert np.count_nonzero(~grid.unseen) == 1
@@ -120,7 +120,7 @@ def test_lone_points_have_a_height_but_no_normal() -> None:
     assert np.isnan(grid.roughness).all()
 
 
-def test_noise_becomes_less_and_is_told() -> None:
+def test_noise_is_reduced_and_reported_as_roughness() -> None:
     where, rng, sigma = strip(0.0), np.random.default_rng(1), 0.002
     clouds = [ground(where) for _ in range(4)]
     for points in clouds:
@@ -132,7 +132,7 @@ def test_noise_becomes_less_and_is_told() -> None:
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
-def test_the_plane_of_the_feet_fills_what_is_unknown_until_it_is_measured(heading: float) -> None:
+def test_foot_plane_fills_only_unknown_cells(heading: float) -> None:
     where = strip(heading)
     points = ground(where, 0.05)
     ahead = where.local(points[:, :2])[:, 0] > 0.5
@@ -153,7 +153,7 @@ def test_the_plane_of_the_feet_fills_what_is_unknown_until_it_is_measured(headin
     assert with_assumed(grid, np.full(grid.elevation.shape, np.nan)) is grid
 
 
-def test_what_fits_no_cells_is_refused() -> None:
+def test_invalid_strip_plane_and_feet_are_refused() -> None:
     with pytest.raises(ValueError, match="whole cells"):
         cell_centres(Strip((0.0, 0.0), 0.0, 1.005, 1.0), 0.01)
     with pytest.raises(ValueError, match="whole cells"):

@@ -60,7 +60,7 @@ class Robot:
         return self.mapping.view_proposal(grid, self.T, apply(inverse(self.T), self.feet))
 
 
-def test_a_foot_is_offered_the_pillars_and_nothing_beside_them() -> None:
+def test_footholds_in_gap_lie_only_on_pillars() -> None:
     robot = Robot()
     grid = robot.look(robot.T)
     evaluation = robot.mapping.evaluation(grid, HEIGHT, 0.0)
@@ -85,7 +85,7 @@ def near_pillars(centres: Array, half: float) -> np.ndarray:
     return np.stack([np.abs(centres - p).max(axis=-1) < half for p in PILLARS])
 
 
-def test_looks_as_proposed_leave_less_and_less_unseen_until_none_is_worth_it() -> None:
+def test_proposed_views_reduce_unseen_cells_until_no_view_is_left() -> None:
     robot = Robot()
     grid = robot.look(robot.T)
     unseen = [np.count_nonzero(grid.unseen)]
@@ -102,7 +102,7 @@ def test_looks_as_proposed_leave_less_and_less_unseen_until_none_is_worth_it() -
     assert unseen[0] - unseen[-1] > 900
 
 
-def test_a_strip_that_is_no_whole_number_of_cells_leaves_the_survey_as_it_was() -> None:
+def test_strip_of_fractional_cells_is_refused_and_mapping_is_unchanged() -> None:
     robot = Robot()
     before = robot.look(robot.T)
     with pytest.raises(ValueError, match="whole cells"):
@@ -110,7 +110,7 @@ def test_a_strip_that_is_no_whole_number_of_cells_leaves_the_survey_as_it_was() 
     np.testing.assert_array_equal(robot.mapping.grid(robot.known).elevation, before.elevation)
 
 
-def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> None:
+def test_height_drift_is_corrected_between_scans() -> None:
     x, y = np.mgrid[0.505:0.6:0.01, -0.045:0.05:0.01]
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     count = np.full(len(points), 8, dtype=np.uint8)
@@ -123,7 +123,7 @@ def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> 
     assert np.isfinite(told.elevation).sum() >= len(points)
 
 
-def test_a_layer_of_the_map_is_told_in_the_cells_of_a_strip_askew() -> None:
+def test_map_layer_is_resampled_to_rotated_strip() -> None:
     known = ElevationGrid(64).snapshot()
     strip = Strip((-0.1, 0.05), math.pi / 2, 0.4, 0.2)
     mapping = PassageMapping(PROFILE, strip, known, REACH)

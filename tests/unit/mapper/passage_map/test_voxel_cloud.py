@@ -28,7 +28,7 @@ def ground(z: float = 0.0, x: tuple[float, float] = (0.0, 1.0), y: tuple[float, 
     cuts=st.lists(st.integers(0, 60), max_size=3),
 )
 @settings(max_examples=50, deadline=None)
-def test_a_voxel_is_the_centroid_of_what_fell_into_it(points: list[tuple[float, float, float, int]], cuts: list[int]) -> None:
+def test_voxel_is_weighted_centroid_of_its_points(points: list[tuple[float, float, float, int]], cuts: list[int]) -> None:
     rows = np.array(points, dtype=np.float64)
     cloud = VoxelCloud(Strip((-0.3, 0.0), 0.0, 0.6, 0.6), 0.05, see_through=10.0)
     for part in np.split(rows, sorted(c for c in cuts if c < len(rows))):  # the number of scans does not matter
@@ -45,7 +45,7 @@ def test_a_voxel_is_the_centroid_of_what_fell_into_it(points: list[tuple[float, 
         assert snapshot.weight[here] == inside[:, 3].sum()
 
 
-def test_the_same_scan_again_adds_nothing() -> None:
+def test_repeated_scan_adds_no_voxels() -> None:
     cloud, points = VoxelCloud(STRIP), ground()
     assert cloud.insert(points, ones(points)).added == len(points)
     before = cloud.snapshot().points
@@ -54,7 +54,7 @@ def test_the_same_scan_again_adds_nothing() -> None:
     np.testing.assert_allclose(cloud.snapshot().points, before, atol=1e-12)
 
 
-def test_columns_are_listed_upward() -> None:
+def test_column_voxels_are_sorted_by_height() -> None:
     cloud = VoxelCloud(STRIP, see_through=10.0)
     points = np.concatenate([ground(z) for z in (0.102, -0.301, 0.055)])
     cloud.insert(points, ones(points))
@@ -68,7 +68,7 @@ def test_columns_are_listed_upward() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
-def test_only_the_strip_is_kept(heading: float) -> None:
+def test_only_points_in_strip_are_kept(heading: float) -> None:
     strip = Strip((2.0, -1.0), heading, 1.0, 0.5)
     rng = np.random.default_rng(0)
     p = np.column_stack([strip.world(rng.uniform([-0.5, -0.8], [1.5, 0.8], (3000, 2))), np.zeros(3000)])
@@ -80,7 +80,7 @@ def test_only_the_strip_is_kept(heading: float) -> None:
     np.testing.assert_allclose(strip.local(strip.world(p[:, :2])), p[:, :2], atol=1e-12)
 
 
-def test_what_leaves_the_strip_is_dropped_and_only_that() -> None:
+def test_only_voxels_outside_moved_strip_are_dropped() -> None:
     cloud, points = VoxelCloud(STRIP), ground()
     cloud.insert(points, ones(points))
     before = cloud.snapshot()
@@ -93,14 +93,14 @@ def test_what_leaves_the_strip_is_dropped_and_only_that() -> None:
     assert len(cloud) == 0
 
 
-def test_memory_is_bounded_and_what_does_not_fit_is_told() -> None:
+def test_voxel_count_is_bounded_and_refused_points_are_counted() -> None:
     cloud, points = VoxelCloud(STRIP, max_voxels=100), ground()
     made = cloud.insert(points, ones(points))
     assert (made.added, made.refused) == (100, len(points) - 100)
     assert cloud.insert(points[:100], np.ones(100)).merged == 100
 
 
-def test_what_gave_way_leaves_after_some_looks_and_its_room_is_used_again() -> None:
+def test_removed_block_is_cleared_after_patience_and_memory_is_reused() -> None:
     cloud, floor = VoxelCloud(STRIP, patience=3, max_voxels=7000), ground(-0.3)
     block = ground(0.05, (0.4, 0.5), (-0.05, 0.05))
     cloud.insert(floor, ones(floor))
@@ -117,7 +117,7 @@ def test_what_gave_way_leaves_after_some_looks_and_its_room_is_used_again() -> N
     assert len(cloud) == len(floor)
 
 
-def test_an_edge_that_is_seen_now_and_then_stays() -> None:
+def test_intermittently_seen_edge_stays() -> None:
     cloud = VoxelCloud(STRIP, patience=3)
     top, floor = np.array([[0.505, 0.005, 0.05]]), np.array([[0.505, 0.005, -0.3]])
     for k in range(30):
@@ -125,14 +125,14 @@ def test_an_edge_that_is_seen_now_and_then_stays() -> None:
     assert len(cloud) == 2
 
 
-def test_a_scan_looks_through_a_voxel_once_with_however_many_points() -> None:
+def test_scan_counts_once_per_voxel_it_sees_through() -> None:
     cloud = VoxelCloud(STRIP, patience=3)
     top, floor = np.array([[0.505, 0.005, 0.05]]), np.tile([[0.505, 0.005, -0.3]], (10, 1))
     cloud.insert(top, np.ones(1))
     assert [cloud.insert(floor, np.ones(10)).removed for _ in range(3)] == [0, 0, 1]
 
 
-def test_what_is_no_scan_is_refused_and_changes_nothing() -> None:
+def test_invalid_scan_strip_or_settings_are_refused() -> None:
     cloud, points = VoxelCloud(STRIP), ground()
     for bad, count in (
         (points[:, :2], ones(points)),

@@ -13,7 +13,7 @@ from sextant.services.perception.cameras.camera_supervisor import LAST_RETRY_S, 
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 
 
-class Script:
+class ScriptedCamera:
     """A camera that returns scripted pictures, nothing, or errors."""
 
     description = "scripted camera"
@@ -43,11 +43,11 @@ class Rig:
         self.kit, self.opened = kit, []
         self.acts = acts
 
-        def opens() -> Script:
+        def opens() -> ScriptedCamera:
             self.opened.append(kit.clock())
             if opener is not None:
                 opener(len(self.opened))
-            return Script(self.acts)
+            return ScriptedCamera(self.acts)
 
         watch = ImageQualityCheck(kit.profile.camera.sensor, (48, 64))
         self.keeper = CameraSupervisor("scripted", opens, watch, kit.clock)
@@ -69,7 +69,7 @@ class Rig:
         return handed
 
 
-def test_good_pictures_go_through(kit) -> None:  # type: ignore[no-untyped-def]
+def test_good_images_are_passed_on(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(kit.ground)
     assert not rig.keeper.ok
@@ -80,7 +80,7 @@ def test_good_pictures_go_through(kit) -> None:  # type: ignore[no-untyped-def]
     assert len(rig.opened) == 1
 
 
-def test_an_absent_camera_is_tried_ever_later_and_never_in_a_tight_loop(kit) -> None:  # type: ignore[no-untyped-def]
+def test_absent_camera_is_retried_with_growing_delay(kit) -> None:  # type: ignore[no-untyped-def]
     def absent(_: int) -> None:
         raise CameraError("no device found", "plug it in")
 
@@ -92,7 +92,7 @@ def test_an_absent_camera_is_tried_ever_later_and_never_in_a_tight_loop(kit) -> 
     assert rig.keeper.trouble == "no device found; plug it in"
 
 
-def test_it_is_found_when_it_is_plugged_in(kit) -> None:  # type: ignore[no-untyped-def]
+def test_camera_is_opened_once_plugged_in(kit) -> None:  # type: ignore[no-untyped-def]
     def late(attempt: int) -> None:
         if attempt < 3:
             raise CameraError("no device found", "plug it in")
@@ -104,7 +104,7 @@ def test_it_is_found_when_it_is_plugged_in(kit) -> None:  # type: ignore[no-unty
     assert rig.keeper.ok
 
 
-def test_one_that_falls_silent_is_named_and_opened_anew(kit) -> None:  # type: ignore[no-untyped-def]
+def test_silent_camera_is_reported_and_reopened(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: kit.ground(k) if k < 60 or k > 120 else None)
     assert rig.run(2.0) == 60
@@ -116,7 +116,7 @@ def test_one_that_falls_silent_is_named_and_opened_anew(kit) -> None:  # type: i
     assert len(rig.opened) == 2
 
 
-def test_one_that_breaks_off_is_named_and_opened_anew(kit) -> None:  # type: ignore[no-untyped-def]
+def test_disconnected_camera_is_reported_and_reopened(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: CameraError("device disconnected", "plug it in") if k == 30 else kit.ground(k))
     rig.run(1.1)
@@ -125,7 +125,7 @@ def test_one_that_breaks_off_is_named_and_opened_anew(kit) -> None:  # type: ign
     assert rig.keeper.ok
 
 
-def test_what_is_of_no_use_is_held_back_until_good_pictures_come(kit) -> None:  # type: ignore[no-untyped-def]
+def test_faulty_images_are_withheld_until_good_images_return(kit) -> None:  # type: ignore[no-untyped-def]
     frozen = kit.ground(1000)
     for bad, words in ((frozen, "frozen"), (np.zeros((24, 32), np.uint16), "48x64")):
         rig = Rig(kit)
@@ -145,7 +145,7 @@ def test_what_is_of_no_use_is_held_back_until_good_pictures_come(kit) -> None:  
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
-def test_one_that_sees_next_to_nothing_is_held_back_and_stays_open(kit, share: float) -> None:  # type: ignore[no-untyped-def]
+def test_nearly_blind_camera_is_withheld_but_stays_open(kit, share: float) -> None:  # type: ignore[no-untyped-def]
     """Check a picture of a wall nearer than the sensor's range."""
     rig = Rig(kit)
 
@@ -167,7 +167,7 @@ def test_one_that_sees_next_to_nothing_is_held_back_and_stays_open(kit, share: f
     assert len(rig.opened) == 1
 
 
-def test_one_that_shows_nothing_for_long_is_opened_anew_now_and_then(kit) -> None:  # type: ignore[no-untyped-def]
+def test_blind_camera_is_reopened_at_long_intervals(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: kit.ground(k) * np.uint16(k < 30))
     rig.run(25.0)
@@ -177,10 +177,10 @@ def test_one_that_shows_nothing_for_long_is_opened_anew_now_and_then(kit) -> Non
     assert 10 < len(rig.opened) < 30
 
 
-def test_what_is_wrong_is_said_before_a_driver_takes_its_time_to_close(kit, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_fault_is_reported_before_driver_is_closed(kit, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     rig, said = Rig(kit), []
     rig.acts = rig.pictures(lambda k: kit.ground(k) if k < 30 else None)
-    monkeypatch.setattr(Script, "close", lambda _: said.append((rig.keeper.ok, rig.keeper.trouble)))
+    monkeypatch.setattr(ScriptedCamera, "close", lambda _: said.append((rig.keeper.ok, rig.keeper.trouble)))
     rig.run(3.0)
     assert said
     assert not said[0][0]
@@ -188,8 +188,8 @@ def test_what_is_wrong_is_said_before_a_driver_takes_its_time_to_close(kit, monk
 
 
 @pytest.mark.parametrize("what", ["gap", "still", "blind"])
-def test_a_recording_goes_on_where_a_device_would_be_opened_anew(kit, monkeypatch, what: str) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setattr(Script, "recorded", True)
+def test_faulty_recording_continues_without_reopening(kit, monkeypatch, what: str) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(ScriptedCamera, "recorded", True)
     rig = Rig(kit)
     faulty = {"gap": None, "still": kit.ground(0), "blind": np.zeros((48, 64), np.uint16)}[what]
     rig.acts = rig.pictures(lambda k: faulty if 60 <= k < 1000 else kit.ground(k))
@@ -201,14 +201,14 @@ def test_a_recording_goes_on_where_a_device_would_be_opened_anew(kit, monkeypatc
     assert len(rig.opened) == 1
 
 
-def test_a_flapping_device_is_not_opened_ever_again_at_once(kit) -> None:  # type: ignore[no-untyped-def]
+def test_flapping_device_is_reopened_with_delay(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: CameraError("flaps", "mend it") if k % 10 == 9 else kit.ground(k))
     rig.run(60.0)
     assert len(rig.opened) < 10
 
 
-def test_a_recording_that_is_over_stays_over(kit) -> None:  # type: ignore[no-untyped-def]
+def test_ended_recording_is_not_reopened(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: RecordingOverError("it is over", "loop") if k >= 5 else kit.ground(k))
     assert rig.run(60.0) == 5
@@ -216,7 +216,7 @@ def test_a_recording_that_is_over_stays_over(kit) -> None:  # type: ignore[no-un
     assert "over" in rig.keeper.trouble
 
 
-def test_a_device_whose_stamps_stand_still_is_named(kit) -> None:  # type: ignore[no-untyped-def]
+def test_device_with_constant_stamp_is_reported(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     stuck = (Frame(5, kit.ground(k), None) for k in range(1000))
     rig.acts = stuck
@@ -224,7 +224,7 @@ def test_a_device_whose_stamps_stand_still_is_named(kit) -> None:  # type: ignor
     assert "no new image" in rig.keeper.trouble
 
 
-def test_a_picture_that_was_overtaken_is_dropped(kit) -> None:  # type: ignore[no-untyped-def]
+def test_out_of_order_image_is_dropped(kit) -> None:  # type: ignore[no-untyped-def]
     stamps = [5, 6, 6, 4, 7]
     rig = Rig(kit)
     rig.acts = iter([Frame(stamp, kit.ground(k), None) for k, stamp in enumerate(stamps)])

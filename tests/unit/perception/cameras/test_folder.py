@@ -32,7 +32,7 @@ def add_color(folder: Path, shape: tuple[int, int, int] = (48, 64, 3)) -> None:
     (folder / "rgb.txt").write_text("# timestamp filename\n" + "".join(lines))
 
 
-def test_pictures_come_at_their_pace_with_times_of_the_clock(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_images_are_played_at_recorded_rate_with_host_stamps(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     began_ns = kit.clock()
     with FolderCamera(folder, kit.profile.camera, kit.clock) as camera:
         first = camera.read(False)
@@ -50,7 +50,7 @@ def test_pictures_come_at_their_pace_with_times_of_the_clock(folder: Path, kit) 
         np.testing.assert_array_equal(last.depth, kit.ground(3), "one was passed over, as a device drops it")
 
 
-def test_it_begins_anew_or_ends(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_recording_loops_or_ends(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     again, once = (FolderCamera(folder, kit.profile.camera, kit.clock, loop=loop) for loop in (True, False))
     stamps = []
     for _ in range(40):
@@ -75,7 +75,7 @@ def read_all(camera: FolderCamera, kit, color: bool = False):  # type: ignore[no
     return frames
 
 
-def test_colour_is_paired_by_time_and_is_red_green_blue(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_color_is_paired_by_time_in_rgb_order(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     add_color(folder)
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert "with colour" in camera.description
@@ -89,12 +89,12 @@ def test_colour_is_paired_by_time_and_is_red_green_blue(folder: Path, kit) -> No
     assert all(f.rgb is None for f in read_all(FolderCamera(folder, kit.profile.camera, kit.clock), kit)), "none was wanted"
 
 
-def test_what_is_wrong_with_a_folder_is_said(folder: Path, tmp_path: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_missing_folder_is_reported(folder: Path, tmp_path: Path, kit) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(CameraError, match="a folder with depth"):
         FolderCamera(tmp_path / "nothing", kit.profile.camera, kit.clock)
 
 
-def test_pictures_that_cannot_be_read_are_passed_over_and_named(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_unreadable_images_are_skipped_and_reported(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     add_color(folder, (24, 32, 3))
     (folder / "depth" / f"{STAMPS[1] * 1e-9:.6f}.png").unlink()
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
@@ -106,7 +106,7 @@ def test_pictures_that_cannot_be_read_are_passed_over_and_named(folder: Path, ki
     assert "a picture of 64x48 pixels expected, found 32x24" in camera.description
 
 
-def test_a_recording_of_another_camera_is_refused(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+def test_recording_of_other_camera_is_refused(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
     text = (folder / "camera.toml").read_text()
     for old, new, words in (
         ("fx = 58.5", "fx = 52.5", "fx 58.5.*expected"),

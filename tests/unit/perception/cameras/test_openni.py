@@ -153,7 +153,7 @@ def lib(monkeypatch: pytest.MonkeyPatch) -> Library:
     return made
 
 
-def test_pictures_come_unmirrored_and_are_given_back(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_images_are_unmirrored_and_frames_are_released(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert lib.depth is not None
     with OpenNI(kit.profile.camera, kit.clock) as camera:
         assert camera.description == "PrimeSense PS1080"
@@ -174,7 +174,7 @@ def test_pictures_come_unmirrored_and_are_given_back(kit, lib: Library) -> None:
     assert (lib.depth.closed, lib.device.closed) == (1, 1)
 
 
-def test_with_colour_depth_is_brought_into_the_view_of_the_colour_lens(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_depth_is_registered_to_color_when_color_is_enabled(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert lib.depth is not None
     assert lib.color is not None
     camera = OpenNI(replace(kit.profile.camera, color=True), kit.clock)
@@ -191,14 +191,14 @@ def test_with_colour_depth_is_brought_into_the_view_of_the_colour_lens(kit, lib:
     assert alone.rgb is None, "the colour is of an older moment"
 
 
-def test_without_colour_in_the_device_it_is_said_what_to_change(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_missing_color_stream_is_reported_with_remedy(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     lib.color = None
     with pytest.raises(CameraError, match=r"colour expected.*set color = false"):
         OpenNI(replace(kit.profile.camera, color=True), kit.clock)
     assert lib.device.closed == 1
 
 
-def test_what_is_not_installed_is_named(kit, lib: Library, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+def test_missing_library_or_binding_is_reported(kit, lib: Library, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     lib.installed = False
     with pytest.raises(CameraError, match=r"libOpenNI2\.so not found.*libopenni2-dev"):
         OpenNI(kit.profile.camera, kit.clock)
@@ -207,7 +207,7 @@ def test_what_is_not_installed_is_named(kit, lib: Library, monkeypatch: pytest.M
         openni.find()
 
 
-def test_an_absent_device_is_named(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_absent_device_is_reported(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert openni.find() == ["1d27/0601@1/5"]
     lib.present = False
     assert openni.find() == []
@@ -215,14 +215,14 @@ def test_an_absent_device_is_named(kit, lib: Library) -> None:  # type: ignore[n
         OpenNI(kit.profile.camera, kit.clock)
 
 
-def test_one_that_goes_is_named(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_disconnected_device_is_reported(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     camera = OpenNI(kit.profile.camera, kit.clock)
     lib.present = False
     with pytest.raises(CameraError, match=r"PrimeSense PS1080: .*device disconnected"):
         camera.read(False)
 
 
-def test_another_lens_or_scale_than_the_profiles_is_refused(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_intrinsics_or_scale_unlike_profile_are_refused(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     lib.focal = 70.0
     with pytest.raises(CameraError, match=r"fx 58\.5.*expected.*fx 70\.0"):
         OpenNI(kit.profile.camera, kit.clock)
@@ -233,7 +233,7 @@ def test_another_lens_or_scale_than_the_profiles_is_refused(kit, lib: Library) -
         OpenNI(replace(kit.profile.camera, sensor=sensor), kit.clock)
 
 
-def test_a_frame_that_is_cut_short_is_named(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_truncated_frame_is_reported(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert lib.depth is not None
     camera = OpenNI(kit.profile.camera, kit.clock)
     short = VideoFrame(kit.ground(1), 1)

@@ -146,7 +146,7 @@ def colored(kit):  # type: ignore[no-untyped-def]
     return replace(kit.profile.camera, color=True)
 
 
-def test_pictures_come_with_times_of_the_clock_and_as_copies(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_images_have_host_stamps_and_are_copies(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     with RealSense(kit.profile.camera, kit.clock) as camera:
         assert camera.description == "Intel RealSense D435I, no. 0123, USB 3.2"
         assert lib.streams == [("depth", 64, 48, "z16", 30)]
@@ -167,7 +167,7 @@ def test_pictures_come_with_times_of_the_clock_and_as_copies(kit, lib: Library) 
     camera.close()
 
 
-def test_colour_comes_with_its_depth_where_there_is_one(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_color_is_returned_with_depth_if_available(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     rgb = np.full((48, 64, 3), (1, 2, 3), np.uint8)
     for has_color in (True, False):
         lib.has_color = has_color
@@ -184,21 +184,21 @@ def test_colour_comes_with_its_depth_where_there_is_one(kit, lib: Library) -> No
         camera.close()
 
 
-def test_the_same_picture_is_handed_out_once(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_repeated_frame_number_is_returned_once(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     camera = RealSense(kit.profile.camera, kit.clock)
     lib.frames = [FrameSet(Picture(kit.ground(1), 7, 1.0)), FrameSet(Picture(kit.ground(1), 7, 1.0))]
     assert camera.read(False) is not None
     assert camera.read(False) is None
 
 
-def test_without_the_library_it_says_what_to_install(kit, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+def test_missing_library_is_reported_with_remedy(kit, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     for act in (lambda: RealSense(kit.profile.camera, kit.clock), realsense.find):
         with pytest.raises(CameraError, match=r"pyrealsense2 cannot be imported.*\.\[realsense\]"):
             act()
 
 
-def test_an_absent_or_busy_device_is_named(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_absent_or_busy_device_is_reported(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     assert realsense.find() == ["Intel RealSense D435I, no. 0123, USB 3.2"]
     lib.busy = True
     with pytest.raises(CameraError, match=r"64x48 at 30 Hz expected.*D435I.*failed to set power state.*end other programs"):
@@ -209,7 +209,7 @@ def test_an_absent_or_busy_device_is_named(kit, lib: Library) -> None:  # type: 
     assert realsense.find() == []
 
 
-def test_a_device_of_another_kind_is_let_go_with_what_was_expected_and_found(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+def test_mismatched_device_is_refused_and_stopped(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     lib.intrinsics.fx = 70.0
     with pytest.raises(CameraError, match=r"fx 58\.5.*expected.*fx 70\.0"):
         RealSense(kit.profile.camera, kit.clock)
@@ -219,24 +219,24 @@ def test_a_device_of_another_kind_is_let_go_with_what_was_expected_and_found(kit
     assert lib.stops == 2
 
 
-def test_a_device_that_goes_is_named(kit, lib: Library, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+def test_device_disconnected_while_reading_is_reported(kit, lib: Library, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     camera = RealSense(kit.profile.camera, kit.clock)
 
-    def gone(_: Pipeline) -> FrameSet:
+    def raise_disconnected(_: Pipeline) -> FrameSet:
         raise RuntimeError("Device disconnected")
 
-    monkeypatch.setattr(Pipeline, "poll_for_frames", gone)
+    monkeypatch.setattr(Pipeline, "poll_for_frames", raise_disconnected)
     with pytest.raises(CameraError, match=r"D435I.*Device disconnected"):
         camera.read(False)
 
 
 @pytest.mark.parametrize(("owner", "call"), [(Library, "align"), (Library, "pipeline"), (Config, "can_resolve")])
-def test_a_device_that_goes_while_it_is_opened_is_named(  # type: ignore[no-untyped-def]
+def test_device_disconnected_while_opening_is_reported(  # type: ignore[no-untyped-def]
     kit, lib: Library, monkeypatch: pytest.MonkeyPatch, owner: type, call: str
 ) -> None:
-    def gone(*_: object) -> None:
+    def raise_disconnected(*_: object) -> None:
         raise RuntimeError("Device disconnected")
 
-    monkeypatch.setattr(owner, call, gone)
+    monkeypatch.setattr(owner, call, raise_disconnected)
     with pytest.raises(CameraError, match="Device disconnected"):
         RealSense(colored(kit), kit.clock)

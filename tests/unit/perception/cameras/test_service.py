@@ -60,7 +60,7 @@ def of(made: list[Message], kind: type[Message]) -> list:  # type: ignore[type-a
     return [message for message in made if isinstance(message, kind)]
 
 
-def test_depth_comes_at_the_devices_rate_and_its_health_four_times_a_second(kit) -> None:  # type: ignore[no-untyped-def]
+def test_depth_is_published_at_device_rate_and_state_at_4_hz(kit) -> None:  # type: ignore[no-untyped-def]
     service = CameraService(kit.profile, Settings(), Device(kit).open, kit.clock)
     made = run(service, kit, 3.0)
     assert len(of(made, DepthImage)) == pytest.approx(90, abs=20)
@@ -72,7 +72,7 @@ def test_depth_comes_at_the_devices_rate_and_its_health_four_times_a_second(kit)
     assert service.doing().startswith("test camera, ")
 
 
-def test_colour_is_asked_for_only_where_somebody_listens_and_has_its_depths_stamp(kit) -> None:  # type: ignore[no-untyped-def]
+def test_color_is_read_only_with_subscribers_and_has_depth_stamp(kit) -> None:  # type: ignore[no-untyped-def]
     device = Device(kit, np.zeros((48, 64, 3), np.uint8))
     service = CameraService(kit.profile, Settings(color_rate_hz=5.0), device.open, kit.clock)
     assert not of(run(service, kit, 1.0), ColorImage)
@@ -83,7 +83,7 @@ def test_colour_is_asked_for_only_where_somebody_listens_and_has_its_depths_stam
     assert {c.stamp_ns for c in colors} <= {d.stamp_ns for d in depths}
 
 
-def test_an_unplugged_device_is_said_at_once_and_found_again(kit) -> None:  # type: ignore[no-untyped-def]
+def test_unplugged_device_is_reported_immediately_and_reopened(kit) -> None:  # type: ignore[no-untyped-def]
     device = Device(kit)
     service = CameraService(kit.profile, Settings(), device.open, kit.clock)
     run(service, kit, 1.0)
@@ -102,7 +102,7 @@ def test_an_unplugged_device_is_said_at_once_and_found_again(kit) -> None:  # ty
     assert of(made, CameraState)[-1].ok
 
 
-def test_a_profile_without_a_camera_and_a_folder_that_is_none_are_named(kit, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_missing_camera_or_invalid_folder_is_reported(kit, tmp_path) -> None:  # type: ignore[no-untyped-def]
     for device, words in (("none", "names no camera"), (str(tmp_path), "camera.toml: no such file")):
         service = CameraService(kit.profile, Settings(device=device), None, kit.clock)
         (state,) = of(run(service, kit, 0.05), CameraState)
@@ -113,7 +113,7 @@ def test_a_profile_without_a_camera_and_a_folder_that_is_none_are_named(kit, tmp
         find(str(tmp_path), kit.profile)
 
 
-def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type: ignore[no-untyped-def]
+def test_hanging_driver_does_not_block_service_and_is_reported(kit) -> None:  # type: ignore[no-untyped-def]
     called, release = threading.Event(), threading.Event()
 
     def hang() -> Device:
@@ -130,7 +130,7 @@ def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type
     assert "has not answered for" in of(made, CameraState)[-1].reason
 
 
-def test_a_thread_reads_while_it_is_entered_and_its_errors_end_the_process(kit) -> None:  # type: ignore[no-untyped-def]
+def test_reader_thread_error_is_raised_in_service_step(kit) -> None:  # type: ignore[no-untyped-def]
     read = threading.Event()
 
     class Broken(Device):
@@ -145,6 +145,6 @@ def test_a_thread_reads_while_it_is_entered_and_its_errors_end_the_process(kit) 
 
 
 @pytest.mark.parametrize("wrong", [{"color_rate_hz": 0.0}, {"delay_s": -0.1}, {"delay_s": 2.0}])
-def test_nonsense_in_the_settings_is_refused(wrong) -> None:  # type: ignore[no-untyped-def]
+def test_invalid_settings_are_refused(wrong) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match="expected, found"):
         Settings(**wrong)

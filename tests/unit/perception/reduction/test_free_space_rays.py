@@ -13,7 +13,7 @@ def sights(world, depth, T, **settings):
     return compute_free_rays(depth, world.intrinsics, world.sensor, T, **settings)
 
 
-def test_sights_end_where_the_scan_does_and_lie_over_the_ground(world):
+def test_rays_end_at_scan_range_above_ground(world):
     T = world.camera_pose(0.2)
     points = sights(world, world.depth_image(T, WALL), T, max_range=0.9)
     assert len(points) > 50
@@ -22,7 +22,7 @@ def test_sights_end_where_the_scan_does_and_lie_over_the_ground(world):
     assert len(sights(world, world.depth_image(T, WALL), T, max_range=10.0)) == 0
 
 
-def test_each_picture_looks_through_other_pixels(world):
+def test_consecutive_images_use_different_pixels(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
     turns = [sights(world, depth, T, max_range=0.9, turn=k) for k in range(16)]
@@ -31,7 +31,7 @@ def test_each_picture_looks_through_other_pixels(world):
 
 
 @pytest.mark.parametrize("above", [True, False])
-def test_pixels_without_return_count_only_where_all_above_them_is_empty_and_when_asked(world, above):
+def test_pixels_without_return_give_rays_only_below_empty_columns(world, above):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
     h, w = depth.shape
@@ -47,7 +47,7 @@ def test_pixels_without_return_count_only_where_all_above_them_is_empty_and_when
     assert len(sights(world, near, T, max_range=range_, believe_empty=True)) == len(sights(world, near, T, max_range=range_))
 
 
-def test_a_picture_of_any_size_gives_no_more_sights_than_a_message_has_room_for() -> None:
+def test_ray_count_fits_message_at_any_image_size() -> None:
     pixels = Intrinsics(1440, 1440, 800.0, 800.0, 720.0, 720.0)
     seen = compute_free_rays(np.full((1440, 1440), 2000, dtype=np.uint16), pixels, DepthSensor(), np.eye(4), max_range=0.9)
     assert 900 < len(seen) <= 2000

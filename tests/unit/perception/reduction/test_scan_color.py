@@ -32,7 +32,7 @@ def points(z: float = 1.0, n: int = 400) -> tuple[Array, Array]:
     return apply(T, np.column_stack([x, y, np.full(n, z)])), x < 0
 
 
-def test_points_take_the_colour_of_their_pixel() -> None:
+def test_points_have_color_of_their_pixel() -> None:
     coloring = Coloring(CAMERA, 1000.0)
     coloring.keep(7, WALL, T)
     p, left = points()
@@ -41,7 +41,7 @@ def test_points_take_the_colour_of_their_pixel() -> None:
     assert np.abs(color - expected).max() <= 5.0
 
 
-def test_what_is_hidden_or_outside_has_no_colour() -> None:
+def test_hidden_or_outside_points_have_no_color() -> None:
     coloring = Coloring(CAMERA, 1000.0)
     nearer = WALL.copy()
     nearer[:60] = 700  # a leg in front of the upper half
@@ -59,7 +59,7 @@ def test_what_is_hidden_or_outside_has_no_colour() -> None:
     assert (code[hidden, 0] == NO_COLOR).all()
 
 
-def test_a_picture_counts_once_and_only_beside_its_depth_frame() -> None:
+def test_color_image_is_used_once_and_only_with_matching_depth_stamp() -> None:
     coloring = Coloring(CAMERA, 1000.0)
     p, _ = points()
     assert len(coloring.colors(p, 7, picture())) == 0
@@ -76,7 +76,7 @@ def test_a_picture_counts_once_and_only_beside_its_depth_frame() -> None:
     assert len(coloring.colors(p, 25, picture())) == len(p)
 
 
-def test_a_full_scan_of_rough_ground_in_colour_keeps_to_its_budget() -> None:
+def test_full_colored_scan_of_rough_ground_fits_message_size() -> None:
     """Check 14 000 cells of blocks and gravel, each with a slightly different colour."""
     rng = np.random.default_rng(1)
     i, j = np.divmod(np.arange(14_000), 140)

@@ -21,7 +21,7 @@ def reduced(world, depth, T, **settings_):
     return reduce_scan(depth, world.intrinsics, world.sensor, T, **settings_)
 
 
-def test_a_flat_floor_is_flat_and_every_cell_seen_is_there_once(world):
+def test_flat_floor_gives_one_level_point_per_seen_cell(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
     scan = reduced(world, depth, T, max_points=100_000)
@@ -39,7 +39,7 @@ def test_a_flat_floor_is_flat_and_every_cell_seen_is_there_once(world):
     assert len(missing) < 0.005 * len(np.unique(expected))
 
 
-def test_noise_averages_out(world):
+def test_cell_mean_reduces_sensor_noise(world):
     T = world.camera_pose(0.2)
     scan = reduced(world, world.depth_image(T, (), np.random.default_rng(0)), T)
     z = positions(scan)[:, 2]
@@ -47,7 +47,7 @@ def test_noise_averages_out(world):
     assert z.std() < 0.002
 
 
-def test_the_nearest_cells_win_when_there_are_too_many(world):
+def test_nearest_cells_are_kept_when_points_exceed_limit(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
     every = reduced(world, depth, T, max_points=100_000)
@@ -58,7 +58,7 @@ def test_the_nearest_cells_win_when_there_are_too_many(world):
     assert np.hypot(*(positions(some)[:, :2] - T[:2, 3]).T).max() < distances[2999] + 0.002
 
 
-def test_edge_cells_keep_the_top(world):
+def test_edge_cells_keep_upper_surface(world):
     T = world.camera_pose(0.2)
     scan = reduced(world, world.depth_image(T, BLOCK), T, max_points=100_000)
     p = positions(scan)
@@ -96,7 +96,7 @@ def edge_errors(world, height, seed):
 
 
 @pytest.mark.parametrize("height", [0.02, 0.03, 0.05])
-def test_edges_of_a_block_stay_where_they_are(world, height):
+def test_block_edges_keep_their_position(world, height):
     errors = [edge_errors(world, height, seed) for seed in range(6)]
     front, back, sides = (np.concatenate(kind) for kind in zip(*errors, strict=True))
     for kind in (front, back, sides):
@@ -107,7 +107,7 @@ def test_edges_of_a_block_stay_where_they_are(world, height):
 
 
 @pytest.mark.parametrize("x", [0.1, 0.3, 0.5, 0.7])
-def test_a_wall_is_as_high_as_what_is_seen_of_it(world, x):
+def test_wall_height_is_its_highest_visible_point(world, x):
     """Check a wall whose top is outside the picture.
 
     The pixels of its face far outnumber the highest ones.
@@ -123,7 +123,7 @@ def test_a_wall_is_as_high_as_what_is_seen_of_it(world, x):
     assert (p[face, 2] > highest - 0.02).mean() > 0.9
 
 
-def test_a_few_pixels_do_not_raise_a_cell(world):
+def test_few_outlier_pixels_do_not_raise_cell(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
     rows, columns = np.mgrid[100:220:12, 20:620:12]
@@ -134,7 +134,7 @@ def test_a_few_pixels_do_not_raise_a_cell(world):
     assert np.abs(positions(scan)[enough, 2]).max() < 0.003
 
 
-def test_pixels_between_two_surfaces_are_dropped(world):
+def test_mixed_pixels_between_surfaces_are_dropped(world):
     T = world.camera_pose(0.2)
     clean = world.depth_image(T, BLOCK)
     mixed = mixed_at_edges(clean)
@@ -168,7 +168,7 @@ def rms_off_edges(p, block):
 
 
 @pytest.mark.parametrize("top", [0.08, 0.15])
-def test_pixels_between_two_surfaces_do_no_harm_off_the_edges(world, top):
+def test_mixed_pixels_do_not_increase_error_away_from_edges(world, top):
     """Check that mixed pixels do not make the map worse away from edges.
 
     The plain mean of every cell's pixels would be worse.
@@ -186,7 +186,7 @@ def test_pixels_between_two_surfaces_do_no_harm_off_the_edges(world, top):
     assert rms_off_edges(plain, block) > 1.5 * rms_off_edges(filtered, block)
 
 
-def test_a_lone_grazing_pixel_is_kept(world):
+def test_cells_with_single_grazing_pixel_are_kept(world):
     T = world.camera_pose(0.0)
     scan = reduced(world, world.depth_image(T), T, max_range=2.5, max_points=100_000)
     far = np.hypot(*(positions(scan)[:, :2] - T[:2, 3]).T) > 2.0
@@ -194,7 +194,7 @@ def test_a_lone_grazing_pixel_is_kept(world):
     assert scan.count[far].min() == 1
 
 
-def test_range_and_ceiling_are_kept(world):
+def test_max_range_and_ceiling_are_applied(world):
     T = world.camera_pose(0.2)
     wall = np.array([[1.5, -2.0, 0.0, 1.6, 2.0, 2.0]])
     depth = world.depth_image(world.camera_pose(0.2, pitch=0.2), wall)
@@ -205,7 +205,7 @@ def test_range_and_ceiling_are_kept(world):
     assert np.hypot(*(near[:, :2] - T[:2, 3]).T).max() < 1.002
 
 
-def test_moves_with_the_world_by_whole_cells(world):
+def test_reduction_is_invariant_to_shift_by_whole_cells(world):
     depth = world.depth_image(world.camera_pose(0.2), BLOCK, np.random.default_rng(1))
     a = reduced(world, depth, world.camera_pose(0.2))
     b = reduced(world, depth, world.camera_pose(100.2, -50.0))
@@ -213,7 +213,7 @@ def test_moves_with_the_world_by_whole_cells(world):
     assert np.abs(a.points.astype(int) - b.points.astype(int)).max() <= 1
 
 
-def test_same_input_same_bytes(world):
+def test_reduction_is_deterministic(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T, BLOCK, np.random.default_rng(1))
     a, b = (reduced(world, depth, T) for _ in range(2))
@@ -236,7 +236,7 @@ def test_an_empty_image_gives_no_points(world):
     assert scan.points.shape == (0, 3)
 
 
-def test_mistakes_are_named(world):
+def test_invalid_arguments_are_refused(world):
     depth, T = np.zeros((480, 640), np.uint16), world.camera_pose(0.0)
     with pytest.raises(ValueError, match="uint16 depth image"):
         reduced(world, depth.T, T)

@@ -40,7 +40,7 @@ def walk(world, boxes, frames=21):
     return truth, results
 
 
-def test_follows_a_walk_among_pillars(world, pillars):
+def test_walk_among_pillars_is_tracked(world, pillars):
     truth, results = walk(world, pillars)
     assert all(r.ok for r in results)
     error = error_twist(results[-1].T_world_camera, truth[-1])
@@ -48,12 +48,12 @@ def test_follows_a_walk_among_pillars(world, pillars):
     assert np.degrees(np.abs(error[3:])).max() < 1.0
 
 
-def test_same_input_same_bytes(world, pillars):
+def test_registration_is_deterministic(world, pillars):
     first, second = (b"".join(r.T_world_camera.tobytes() for r in walk(world, pillars, 4)[1]) for _ in range(2))
     assert first == second
 
 
-def test_on_a_flat_floor_the_prior_stands(world):
+def test_flat_floor_keeps_prior_in_unobservable_directions(world):
     registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
     rng = np.random.default_rng(3)
     T = world.camera_pose(0.0)
@@ -65,7 +65,7 @@ def test_on_a_flat_floor_the_prior_stands(world):
     assert abs(result.T_world_camera[2, 3] - 0.25) < 0.003
 
 
-def test_a_lost_map_starts_anew_within_a_second(world, pillars):
+def test_lost_map_restarts_after_15_failed_frames(world, pillars):
     registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
     T, far = world.camera_pose(0.0), world.camera_pose(3.0, 0.5)
     registration.update(world.depth_image(T, pillars, None, WIDE_CAMERA, WIDE_SENSOR), 0, T, SPREAD)
@@ -75,7 +75,7 @@ def test_a_lost_map_starts_anew_within_a_second(world, pillars):
     assert "restarts" in results[14].reason
 
 
-def test_failures_and_mistakes_are_named(world):
+def test_empty_image_and_invalid_arguments_are_reported(world):
     registration = KissRegistration(world.intrinsics, world.sensor)
     dark = registration.update(np.zeros((480, 640), np.uint16), 0, np.eye(4), SPREAD)
     assert not dark.ok

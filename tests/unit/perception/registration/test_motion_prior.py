@@ -24,18 +24,18 @@ def message(ns: int, reliable: bool = True, travelled: float | None = None, T: A
     return Odometry(ns, pose_at(ns) if T is None else T, far, 0.3 * ns * 1e-9, np.ones(6, dtype=bool), reliable)
 
 
-def heard(count: int = 50) -> OdometryHistory:
+def odometry_history(count: int = 50) -> OdometryHistory:
     history = OdometryHistory()
     for k in range(count):
         history.add(message(k * PERIOD))
     return history
 
 
-def test_before_anything_is_heard_nothing_is_known() -> None:
+def test_empty_history_has_no_motion() -> None:
     assert OdometryHistory().at(0) is None
 
 
-def test_before_the_first_message_nothing_is_known() -> None:
+def test_no_motion_before_first_message() -> None:
     history = OdometryHistory()
     history.add(message(5 * PERIOD))
     assert history.at(4 * PERIOD) is None
@@ -43,8 +43,8 @@ def test_before_the_first_message_nothing_is_known() -> None:
 
 
 @given(st.integers(0, 49 * PERIOD))
-def test_between_messages_it_is_the_even_motion(ns: int) -> None:
-    motion = heard().at(ns)
+def test_motion_is_interpolated_between_messages(ns: int) -> None:
+    motion = odometry_history().at(ns)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(ns), atol=1e-5)
     assert motion.travelled == pytest.approx(0.1 * ns * 1e-9)
@@ -52,21 +52,21 @@ def test_between_messages_it_is_the_even_motion(ns: int) -> None:
 
 
 @pytest.mark.parametrize("index", [0, 7, 49])
-def test_at_a_message_it_is_the_message(index: int) -> None:
-    motion = heard().at(index * PERIOD)
+def test_motion_at_message_stamp_equals_message(index: int) -> None:
+    motion = odometry_history().at(index * PERIOD)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(index * PERIOD), atol=1e-12)
 
 
-def test_a_little_beyond_the_newest_it_is_carried_on() -> None:
-    motion = heard().at(49 * PERIOD + 15 * MS)
+def test_motion_is_extrapolated_shortly_after_newest_message() -> None:
+    motion = odometry_history().at(49 * PERIOD + 15 * MS)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(49 * PERIOD + 15 * MS), atol=1e-4)
     assert motion.reliable
 
 
-def test_far_beyond_the_newest_the_body_is_taken_to_stand_and_nobody_vouches_for_it() -> None:
-    history = heard()
+def test_long_after_newest_message_motion_stops_and_is_unreliable() -> None:
+    history = odometry_history()
     far, farther = history.at(49 * PERIOD + 10_000 * MS), history.at(49 * PERIOD + 20_000 * MS)
     assert far is not None
     assert farther is not None
@@ -80,7 +80,7 @@ def test_far_beyond_the_newest_the_body_is_taken_to_stand_and_nobody_vouches_for
     assert not late.reliable
 
 
-def test_one_unreliable_neighbour_makes_the_instant_unreliable() -> None:
+def test_unreliable_adjacent_message_makes_motion_unreliable() -> None:
     history = OdometryHistory()
     for k in range(6):
         history.add(message(k * PERIOD, reliable=k != 3))
@@ -88,8 +88,8 @@ def test_one_unreliable_neighbour_makes_the_instant_unreliable() -> None:
     assert doubts == [False] * 4 + [True] * 4 + [False] * 3  # an instant at a message also depends on the next message
 
 
-def test_a_new_beginning_is_counted_and_the_old_forgotten() -> None:
-    history = heard()
+def test_odometry_restart_is_counted_and_clears_history() -> None:
+    history = odometry_history()
     history.add(message(50 * PERIOD, travelled=0.0, T=np.eye(4)))
     assert history.restarts == 1
     assert history.at(49 * PERIOD) is None
@@ -99,8 +99,8 @@ def test_a_new_beginning_is_counted_and_the_old_forgotten() -> None:
 
 
 @pytest.mark.parametrize("away_ns", [3600_000_000_000, -3600_000_000_000])
-def test_another_clock_is_a_new_beginning(away_ns: int) -> None:
-    history = heard()
+def test_clock_jump_is_odometry_restart(away_ns: int) -> None:
+    history = odometry_history()
     history.add(message(50 * PERIOD + away_ns, travelled=1.0))
     for k in range(51, 60):
         history.add(message(k * PERIOD, travelled=1.0 + 0.001 * k))
@@ -111,8 +111,8 @@ def test_another_clock_is_a_new_beginning(away_ns: int) -> None:
     assert history.restarts >= 1
 
 
-def test_nobody_vouches_for_what_happened_in_a_long_silence() -> None:
-    history = heard(10)
+def test_motion_within_long_silence_is_unreliable() -> None:
+    history = odometry_history(10)
     history.add(message(9 * PERIOD + 2_000 * MS))
     within, beyond = history.at(9 * PERIOD + 1_000 * MS), history.at(9 * PERIOD + 3_500 * MS)
     assert within is not None
@@ -121,15 +121,15 @@ def test_nobody_vouches_for_what_happened_in_a_long_silence() -> None:
     assert beyond.silence_s == pytest.approx(1.5)
 
 
-def test_standing_still_is_no_new_beginning() -> None:
+def test_standing_still_is_not_odometry_restart() -> None:
     history = OdometryHistory()
     for k in range(10):
         history.add(message(k * PERIOD, travelled=0.25))
     assert history.restarts == 0
 
 
-def test_what_comes_out_of_order_is_left_out() -> None:
-    history = heard(10)
+def test_out_of_order_message_is_ignored() -> None:
+    history = odometry_history(10)
     history.add(message(5 * PERIOD, travelled=0.0, T=from_xyz_rpy((9, 9, 9), np.zeros(3))))
     assert history.restarts == 0
     motion = history.at(5 * PERIOD)
@@ -138,8 +138,8 @@ def test_what_comes_out_of_order_is_left_out() -> None:
 
 
 @pytest.mark.parametrize(("way", "turn"), [(0.3, 0.0), (0.0, 1.0)])
-def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(way: float, turn: float) -> None:
-    history = heard()
+def test_impossible_pose_jump_is_odometry_restart(way: float, turn: float) -> None:
+    history = odometry_history()
     history.add(message(50 * PERIOD, T=pose_at(50 * PERIOD) @ from_xyz_rpy([way, 0.0, 0.0], [0.0, 0.0, turn])))
     assert history.restarts == 1
     history.add(message(51 * PERIOD))  # back to the previous place
@@ -149,14 +149,14 @@ def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(way: float, tu
     np.testing.assert_allclose(motion.T_odom_body, pose_at(51 * PERIOD))
 
 
-def test_after_a_silence_the_body_may_be_elsewhere() -> None:
-    history = heard()
+def test_pose_jump_after_silence_is_not_odometry_restart() -> None:
+    history = odometry_history()
     history.add(message(100 * PERIOD, T=pose_at(50 * PERIOD) @ from_xyz_rpy([0.3, 0.0, 0.0], [0.0, 0.0, 0.5])))
     assert history.restarts == 0
 
 
-def test_only_the_last_seconds_are_kept() -> None:
-    history = heard(500)
+def test_history_keeps_only_recent_messages() -> None:
+    history = odometry_history(500)
     assert history.at(0) is None
     assert history.at(499 * PERIOD - 1_000 * MS) is not None
 
@@ -171,7 +171,7 @@ def follow(prior: VelocityPrior, poses: list[np.ndarray], registered: bool = Tru
 
 
 @given(st.integers(1, 100))
-def test_a_motion_that_is_observed_goes_on_along_the_screw(span_ms: int) -> None:
+def test_observed_motion_is_predicted_along_its_screw(span_ms: int) -> None:
     prior = VelocityPrior(0.15)
     step = exp_se3(np.array([0.001, -0.0005, 0.0, 0.001, 0.0, 0.002]) * span_ms)
     before = from_xyz_rpy((0.3, 0.1, 0.2), np.array([0.1, -0.2, 0.7]))
@@ -181,7 +181,7 @@ def test_a_motion_that_is_observed_goes_on_along_the_screw(span_ms: int) -> None
     np.testing.assert_allclose(prior.predict(span_ms * 1e-3), before @ np.linalg.matrix_power(step, 3), atol=1e-9)
 
 
-def test_a_camera_begins_at_rest_with_an_unknown_velocity() -> None:
+def test_prior_starts_at_rest_with_unmeasured_velocity() -> None:
     prior = VelocityPrior(0.15)
     with pytest.raises(ValueError, match="at least one frame"):
         prior.predict(0.033)
@@ -190,7 +190,7 @@ def test_a_camera_begins_at_rest_with_an_unknown_velocity() -> None:
     np.testing.assert_allclose(prior.predict(1.0), pose_at(0), atol=1e-12)
 
 
-def test_a_lost_camera_comes_to_rest() -> None:
+def test_predicted_velocity_of_lost_camera_decays_to_zero() -> None:
     """Check that the predicted travel ends at the speed times the time constant."""
     prior = VelocityPrior(0.15)
     follow(prior, [from_xyz_rpy((0.02 * k, 0.0, 0.0), np.zeros(3)) for k in range(10)])
@@ -205,7 +205,7 @@ def test_a_lost_camera_comes_to_rest() -> None:
     np.testing.assert_allclose(prior.predict(FRAME * 1e-9), T, atol=1e-6)
 
 
-def test_only_what_is_not_shown_decays() -> None:
+def test_only_unobservable_velocity_components_decay() -> None:
     prior = VelocityPrior(0.15)
     follow(prior, [from_xyz_rpy((0.01 * k, 0.01 * k, 0.0), np.zeros(3)) for k in range(10)])
     T, stamp_ns = from_xyz_rpy((0.09, 0.09, 0.0), np.zeros(3)), 9 * FRAME
@@ -218,7 +218,7 @@ def test_only_what_is_not_shown_decays() -> None:
     assert step[1] == pytest.approx(0.01, rel=1e-6)
 
 
-def test_a_camera_that_is_found_elsewhere_did_not_move_there() -> None:
+def test_relocalization_jump_gives_no_velocity() -> None:
     prior = VelocityPrior(0.15)
     follow(prior, [from_xyz_rpy((0.01 * k, 0.0, 0.0), np.zeros(3)) for k in range(5)])
     prior.update(5 * FRAME, from_xyz_rpy((0.5, 0.0, 0.0), np.zeros(3)), True, np.zeros((0, 6)))

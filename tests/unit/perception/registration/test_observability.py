@@ -20,12 +20,12 @@ from sextant.services.perception.registration.observability import AXES, unobser
         (np.array([[0.95, 0.3, 0.0, 0.0, 0.0, 0.0]]), ("x",)),
     ],
 )
-def test_directions_have_names(twists: np.ndarray, names: tuple[str, ...]) -> None:
+def test_unobservable_directions_are_named_by_axes(twists: np.ndarray, names: tuple[str, ...]) -> None:
     assert unobservable_directions(twists) == names
 
 
 @given(st.integers(0, 6), st.integers(0, 2**32 - 1))
-def test_there_is_one_name_for_each_direction_whatever_spans_them(count: int, seed: int) -> None:
+def test_one_name_per_independent_direction(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     basis, _ = np.linalg.qr(rng.normal(size=(6, 6)))
     twists = basis[:count]

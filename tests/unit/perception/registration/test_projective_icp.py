@@ -45,7 +45,7 @@ def odometry_covariance(motion):
     return np.diag([(0.1 * moved_by + 2e-4) ** 2] * 3 + [(0.5 * moved_by + 1e-4) ** 2] * 3)
 
 
-def walked(world, scene, frames=101, seed=1):
+def register_walk(world, scene, frames=101, seed=1):
     """Walk with wrong odometry; return three last poses, and all results.
 
     The last pose is the true one, the odometry's and the registered one.
@@ -74,7 +74,7 @@ def planar_error(T, T_truth):
     return twist[[0, 1, 5]], twist[[2, 3, 4]]
 
 
-def test_error_twist_inverts_moved():
+def test_error_twist_inverts_apply_twist():
     rng = np.random.default_rng(0)
     for _ in range(20):
         T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
@@ -82,7 +82,7 @@ def test_error_twist_inverts_moved():
         np.testing.assert_allclose(error_twist(apply_twist(T, twist), T), twist, atol=1e-12)
 
 
-def test_a_direction_is_believed_by_its_information_over_that_of_noise():
+def test_constraint_weight_grows_with_information_to_noise_ratio():
     rng = np.random.default_rng(3)
     ratios = np.array([0.5, 1.0, 2.0, 3.5, 5.0, 1e4])
     for _ in range(20):
@@ -97,7 +97,7 @@ def test_a_direction_is_believed_by_its_information_over_that_of_noise():
         np.testing.assert_allclose(B @ H @ unknown.T, 0.0, atol=1e-5 * np.abs(H).max())
 
 
-def test_first_frame_is_where_its_prior_says(world):
+def test_first_frame_keeps_prior_pose(world):
     T = world.camera_pose(0.3)
     result = Registration(world.intrinsics, world.sensor).update(world.depth_image(T), 7, T, WIDE)
     assert result.ok
@@ -105,8 +105,8 @@ def test_first_frame_is_where_its_prior_says(world):
     np.testing.assert_array_equal(result.T_world_camera, T)
 
 
-def test_a_flat_floor_gives_height_roll_pitch_and_leaves_the_rest_to_the_prior(world):
-    truth, T_odometry, T, results = walked(world, "flat")
+def test_flat_floor_constrains_only_height_roll_and_pitch(world):
+    truth, T_odometry, T, results = register_walk(world, "flat")
     assert all(r.ok for r in results)
     odometry_planar, _ = planar_error(T_odometry, truth)
     planar, vertical = planar_error(T, truth)
@@ -122,8 +122,8 @@ def test_a_flat_floor_gives_height_roll_pitch_and_leaves_the_rest_to_the_prior(w
 
 
 @pytest.mark.parametrize(("scene", "allowed_m", "allowed_deg"), [("steps", 0.010, 1.0), ("boxes", 0.030, 3.0)])
-def test_boxes_correct_wrong_odometry(world, scene, allowed_m, allowed_deg):
-    truth, T_odometry, T, results = walked(world, scene)
+def test_structured_scene_corrects_odometry_error(world, scene, allowed_m, allowed_deg):
+    truth, T_odometry, T, results = register_walk(world, scene)
     assert all(r.ok for r in results)
     odometry_planar, _ = planar_error(T_odometry, truth)
     planar, vertical = planar_error(T, truth)
@@ -134,15 +134,15 @@ def test_boxes_correct_wrong_odometry(world, scene, allowed_m, allowed_deg):
     assert np.degrees(np.abs(vertical[1:])).max() < 0.2
 
 
-def test_same_input_same_bytes(world):
+def test_registration_is_deterministic(world):
     def run():
-        _, _, _, results = walked(world, "boxes", frames=12)
+        _, _, _, results = register_walk(world, "boxes", frames=12)
         return b"".join(r.T_world_camera.tobytes() + r.covariance.tobytes() for r in results)
 
     assert run() == run()
 
 
-def test_standing_still_does_not_drift(world):
+def test_standing_camera_does_not_drift(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(2)
     T = world.camera_pose(0.2)
@@ -155,7 +155,7 @@ def test_standing_still_does_not_drift(world):
 
 
 @pytest.mark.parametrize("offset", [[0.01, -0.01, 0.005, 0.01, -0.005, 0.01], [-0.015, 0.01, -0.01, 0.0, 0.01, -0.015]])
-def test_a_wrong_prior_is_corrected_as_far_as_the_scene_shows(world, offset):
+def test_wrong_prior_is_corrected_in_fully_observable_scene(world, offset):
     registration = Registration(world.intrinsics, world.sensor)
     boxes = world.scenes["pillars"]
     T = world.camera_pose(0.6)
@@ -183,7 +183,7 @@ def test_covariance_is_never_wider_than_the_prior(world, scene):
     assert covariance[2, 2] < 1e-6  # any floor constrains the height
 
 
-def test_failure_gives_the_prior_and_the_reason(world):
+def test_failed_registration_returns_prior_and_reason(world):
     registration = Registration(world.intrinsics, world.sensor)
     T = world.camera_pose(0.3)
     registration.update(world.depth_image(T, world.scenes["steps"]), 0, T, TIGHT)
@@ -204,7 +204,7 @@ def test_failure_gives_the_prior_and_the_reason(world):
     assert registration.update(world.depth_image(T, world.scenes["steps"]), 4, prior, WIDE).ok
 
 
-def test_a_jump_is_measured_against_the_prior():
+def test_jump_limit_scales_with_prior_covariance():
     T = from_xyz_rpy([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
     acceptance = Acceptance(jump_distance=0.02, jump_angle=0.02)
     covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
@@ -220,7 +220,7 @@ def test_a_jump_is_measured_against_the_prior():
     assert "deg in yaw" in check_jump(apply_twist(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
 
 
-def test_a_lost_map_starts_anew_after_many_failures(world):
+def test_lost_map_restarts_after_many_failures(world):
     registration = Registration(world.intrinsics, world.sensor)
     T = world.camera_pose(0.0)
     registration.update(world.depth_image(T), 0, T, TIGHT)
@@ -231,7 +231,7 @@ def test_a_lost_map_starts_anew_after_many_failures(world):
     assert all(r.ok for r in results[restarted + 1 :])
 
 
-def test_a_map_that_starts_anew_may_be_rougher_than_the_one_before(world):
+def test_restarted_map_accepts_rougher_surface(world):
     registration = Registration(world.intrinsics, world.sensor, Acceptance(patience=3))
     rng = np.random.default_rng(4)
     T = world.camera_pose(0.0)
@@ -248,7 +248,7 @@ def test_a_map_that_starts_anew_may_be_rougher_than_the_one_before(world):
     assert "restarts" in rough[2].reason
 
 
-def test_a_robot_that_was_carried_off_finds_itself_again(world):
+def test_displaced_robot_is_relocalized(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
     for x in np.arange(0.0, 0.6, 0.05):
@@ -265,7 +265,7 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
 
 
 @pytest.mark.parametrize("objection", ["", "too little overlap"], ids=["frames register", "frames are refused"])
-def test_a_place_that_only_one_search_finds_is_not_believed(world, monkeypatch, objection):
+def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, objection):
     """Check a person who walks by: one place fits now, another half a second later."""
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
@@ -290,7 +290,7 @@ def test_a_place_that_only_one_search_finds_is_not_believed(world, monkeypatch, 
         assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
-def test_a_search_shifts_no_direction_that_the_frame_does_not_observe(world):
+def test_search_does_not_shift_unobservable_directions(world):
     """Check flat ground in front of the camera: nothing shows whether a pose further ahead is right."""
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
@@ -304,7 +304,7 @@ def test_a_search_shifts_no_direction_that_the_frame_does_not_observe(world):
 
 
 @pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
-def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypatch, away, taken):
+def test_relocalization_candidate_must_fit_like_regular_frames(world, monkeypatch, away, taken):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
     for x in np.arange(0.0, 0.6, 0.05):
@@ -323,7 +323,7 @@ def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypa
     assert isinstance(registration._search(T), _Aligned) is taken
 
 
-def test_surfaces_further_apart_than_usual_are_refused(world):
+def test_frame_with_unusual_surface_distance_is_refused(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(4)
     T = world.camera_pose(0.0)
@@ -337,7 +337,7 @@ def test_surfaces_further_apart_than_usual_are_refused(world):
 
 
 @pytest.mark.parametrize("fill", [0, 1, 499, 65535])
-def test_images_without_a_surface_in_range_are_refused_in_words(world, fill):
+def test_image_without_surface_in_range_is_refused_with_reason(world, fill):
     registration = Registration(world.intrinsics, world.sensor)
     result = registration.update(np.full((480, 640), fill, np.uint16), 0, np.eye(4), WIDE)
     assert not result.ok
@@ -353,7 +353,7 @@ def test_noise_images_never_crash(world):
 
 
 @pytest.mark.parametrize("loss", [0.2, 0.6])
-def test_dropped_pixels_do_not_hurt(world, loss):
+def test_registration_tolerates_dropped_pixels(world, loss):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(9)
     T = world.camera_pose(0.4)
@@ -365,7 +365,7 @@ def test_dropped_pixels_do_not_hurt(world, loss):
     assert np.abs(error_twist(result.T_world_camera, T)).max() < 0.003
 
 
-def test_where_too_many_pixels_are_missing_that_is_the_reason(world):
+def test_too_many_missing_pixels_are_reported_as_reason(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(9)
     T = world.camera_pose(0.4)
@@ -394,7 +394,7 @@ def test_any_image_size_is_registered(world, width, height):
     assert np.degrees(np.abs(error[3:])).max() < 0.3
 
 
-def test_mistakes_are_named(world):
+def test_invalid_arguments_are_refused(world):
     registration = Registration(world.intrinsics, world.sensor)
     depth = np.zeros((480, 640), np.uint16)
     with pytest.raises(ValueError, match=r"uint16 depth image \(480, 640\)"):

@@ -33,7 +33,7 @@ def view(T, heights, half=0.7, step=0.011):
     return np.column_stack([a, b, z - T[2, 3]])
 
 
-def test_what_has_been_seen_fits():
+def test_mapped_view_has_no_misfit():
     anchor = RelocalizationMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     assert anchor.misfit(points, LEVEL).share == 0.0  # the map is empty
@@ -52,7 +52,7 @@ def test_what_has_been_seen_fits():
     seed=st.integers(0, 3),
 )
 @example(x=-0.1875, y=-0.125, yaw=0.0, z=0.0, seed=1)  # every sixteenth point of this picture lies in one of eight columns
-def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, seed):
+def test_lost_frame_is_relocalized_on_structured_ground(x, y, yaw, z, seed):
     anchor = RelocalizationMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, y: ground(x, y, seed), half=1.2), LEVEL)
     T = from_xyz_rpy([x, y, 0.5], [0.0, 0.0, yaw])
@@ -68,7 +68,7 @@ def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, se
         assert abs(np.arctan2(error[1, 0], error[0, 0])) < np.radians(4.0)
 
 
-def test_level_ground_cannot_tell():
+def test_level_ground_gives_no_relocalization():
     anchor = RelocalizationMap(SIGMA)
 
     def floor(x, _):
@@ -85,7 +85,7 @@ def test_level_ground_cannot_tell():
 
 @settings(max_examples=10, deadline=None)
 @given(x=st.floats(0.0, 0.3), beyond=st.floats(0.28, 0.42))
-def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
+def test_unmapped_ground_does_not_cause_relocalization(x, beyond):
     """Check the view beyond a level floor: it would fit there, but may be new ground."""
     anchor = RelocalizationMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, _: np.zeros(len(x)), half=0.7), LEVEL)
@@ -95,7 +95,7 @@ def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
     assert found.T_world_camera is None
 
 
-def test_ground_never_seen_is_said_to_be():
+def test_unmapped_ground_is_reported_as_reason():
     anchor = RelocalizationMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
     anchor.add(points, LEVEL)
@@ -108,7 +108,7 @@ def test_ground_never_seen_is_said_to_be():
 
 
 @pytest.mark.parametrize(("height", "doubted"), [(0.1, True), (0.0, False), (-0.1, True)])
-def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
+def test_height_change_contradicting_seen_floor_is_misfit(height, doubted):
     camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
     anchor = RelocalizationMap(SIGMA)
     floor = view(LEVEL, lambda x, _: np.zeros(len(x)))
@@ -119,7 +119,7 @@ def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
     assert (anchor.misfit(changed, camera).share > 0.015) is doubted
 
 
-def test_a_face_that_comes_into_view_is_not_doubted():
+def test_newly_visible_face_is_not_misfit():
     camera = from_xyz_rpy([-1.0, 0.0, 0.5], [0.0, 0.0, 0.0])
     anchor = RelocalizationMap(SIGMA)
     y = np.repeat(np.arange(-0.7, 0.7, 0.01), 80)

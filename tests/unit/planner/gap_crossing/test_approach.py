@@ -39,7 +39,7 @@ def gap(width: float = 9.0) -> TerrainMap:
     return terrain.map
 
 
-def led(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tuple[Rig, list[Message]]:
+def walk_until_request(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tuple[Rig, list[Message]]:
     """Walk by the plans until the planner requests a strip or is blocked.
 
     Returns the rig and all messages.
@@ -63,8 +63,8 @@ def led(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tuple[Rig, list[Mes
 
 
 @pytest.mark.parametrize("ordered", [False, True])
-def test_before_a_gap_it_walks_to_its_verge_faces_it_and_asks_for_the_strip(ordered: bool) -> None:
-    rig, heard = led(replace(GOAL, passage=ordered), gap(0.8))
+def test_robot_walks_to_gap_edge_and_requests_passage_map(ordered: bool) -> None:
+    rig, heard = walk_until_request(replace(GOAL, passage=ordered), gap(0.8))
     request = heard[-1] if isinstance(heard[-1], PassageRequest) else next(m for m in heard if isinstance(m, PassageRequest))
     body = rig.state.T_odom_body
     assert body[0, 3] == pytest.approx(EDGE - 0.36, abs=0.07)
@@ -74,39 +74,39 @@ def test_before_a_gap_it_walks_to_its_verge_faces_it_and_asks_for_the_strip(orde
     np.testing.assert_allclose(request.origin, body[:2, 3] - 0.5 * ahead, atol=1e-6)
 
 
-def test_a_goal_right_behind_an_edge_is_looked_at_from_the_edge() -> None:
+def test_goal_just_beyond_gap_edge_requests_passage_map() -> None:
     """Check a goal right behind an edge.
 
     The straight way to it shows neither a wall nor the gap's far edge.
     """
-    rig, heard = led(replace(GOAL, waypoints=np.array([[EDGE + 0.08, 0.0]])), gap())
+    rig, heard = walk_until_request(replace(GOAL, waypoints=np.array([[EDGE + 0.08, 0.0]])), gap())
     assert any(isinstance(m, PassageRequest) for m in heard)
     assert rig.status().state != "blocked"
 
 
-def test_where_nothing_is_to_be_crossed_the_refusal_says_both() -> None:
+def test_refusal_without_gap_names_path_and_obstacle() -> None:
     """Check that walls all around are not a gap."""
     terrain = terrain_of(
         lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.6, 0.3, 0.0),
         lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.58, 9.0, 0.0),
         half=3.0,
     )
-    rig, _ = led(GOAL, terrain.map)
+    rig, _ = walk_until_request(GOAL, terrain.map)
     status = rig.status()
     assert status.state == "blocked"
     assert status.reason.startswith("no path to (2.5, 0.0)")
     assert "no gap crossing: an obstacle blocks the straight line to the goal after 0.6 m" in status.reason
 
 
-def test_an_operator_who_steers_takes_over_from_a_passage() -> None:
-    rig, _ = led(replace(GOAL, passage=True), gap(0.8))
+def test_velocity_command_overrides_gap_crossing() -> None:
+    rig, _ = walk_until_request(replace(GOAL, passage=True), gap(0.8))
     rig.command = VelocityCommand(0, np.array([-0.05, 0.0]), 0.0, HEIGHT, 0.03)
     said = [m for _ in range(40) for m in rig.cycle()]
     assert any(isinstance(m, StepPlan) and m.body_goal[0, 3] < rig.state.T_odom_body[0, 3] for m in said)
     assert not any(isinstance(m, PassageRequest) for m in said[1:])
 
 
-def test_an_ordered_crossing_is_looked_at_from_where_the_robot_stands_if_the_map_shows_no_gap() -> None:
+def test_ordered_crossing_without_mapped_gap_requests_map_in_place() -> None:
     rig = Rig()
     rig.command, rig.goal = None, replace(GOAL, passage=True)
     heard = [m for _ in range(60) for m in rig.cycle()]
@@ -125,7 +125,7 @@ def test_an_ordered_crossing_is_looked_at_from_where_the_robot_stands_if_the_map
         ({"speed": 0.0}, "speed greater than 0"),
     ],
 )
-def test_a_goal_that_is_none_is_refused_in_words(changes: dict[str, Any], words: str, passage: bool) -> None:
+def test_invalid_goal_is_refused_with_reason(changes: dict[str, Any], words: str, passage: bool) -> None:
     rig = Rig()
     rig.command, rig.goal = None, replace(GOAL, passage=passage, **changes)
     assert rig.plans(20) == []
@@ -133,14 +133,14 @@ def test_a_goal_that_is_none_is_refused_in_words(changes: dict[str, Any], words:
     assert words in rig.status().reason
 
 
-def test_a_goal_far_beyond_the_map_takes_no_more_room_than_the_map() -> None:
+def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
     terrain = Terrain(gap(0.8))
     near, far = (detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0) for x in (2.5, 9e3))
     assert isinstance(near, GapEdge)
     assert near == far
 
 
-def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> None:
+def test_crossing_without_map_is_refused_and_retried_later() -> None:
     rig = Rig()
     rig.command, rig.goal = None, replace(GOAL, passage=True)
     rig.plans(400)  # 8 s
@@ -153,10 +153,8 @@ def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> No
 
 
 @pytest.mark.parametrize("walked", [True, False])
-def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cross(
-    walked: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    errands: list[Any] = []
+def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    crossings: list[Any] = []
 
     class GapCrossing:
         """A crossing that ends at once."""
@@ -164,7 +162,7 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
         report = None
 
         def __init__(self, *_: object) -> None:
-            errands.append(self)
+            crossings.append(self)
             self.walked = walked
 
         def advance(self, *_: object) -> Completed:
@@ -189,4 +187,4 @@ def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cro
     assert ended() == Completed("no gap ahead of the robot")
     assert not mode.ordered(goal)
     assert ended() == (Completed("no gap ahead of the robot") if walked else CannotCross("no gap to cross was found from here"))
-    assert len(errands) == (2 if walked else 1)
+    assert len(crossings) == (2 if walked else 1)

@@ -9,7 +9,7 @@ from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array
 
 
-def way(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[Array, Array]]]:
+def random_section(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[Array, Array]]]:
     """Return a section of n steps, and body and feet before each step and at the end.
 
     Some of the steps move the body only.
@@ -28,8 +28,8 @@ def way(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(0, 30))
-def test_the_way_back_leads_through_the_same_stances(seed: int, n: int, done: int) -> None:
-    root, steps, seen = way(seed, n)
+def test_backtracking_visits_previous_stances(seed: int, n: int, done: int) -> None:
+    root, steps, seen = random_section(seed, n)
     trail, done = StepHistory(), min(done, n)
     trail.begin(root, steps)
     trail.ended(done)
@@ -50,8 +50,8 @@ def test_the_way_back_leads_through_the_same_stances(seed: int, n: int, done: in
     assert trail.back([], 0.05) == (), "it is gone once"
 
 
-def test_no_foot_goes_back_to_what_gave_way() -> None:
-    root, steps, _ = way(3, 8)
+def test_backtracking_stops_before_ground_that_gave_way() -> None:
+    root, steps, _ = random_section(3, 8)
     trail = StepHistory()
     trail.begin(root, steps)
     whole = trail.back([], 0.05)
@@ -61,8 +61,8 @@ def test_no_foot_goes_back_to_what_gave_way() -> None:
     assert len(trail.back([whole[leg].touchdown], 0.01)) <= leg
 
 
-def test_it_goes_back_only_so_often() -> None:
-    root, steps, _ = way(5, 8)
+def test_number_of_backtracks_is_limited() -> None:
+    root, steps, _ = random_section(5, 8)
     trail = StepHistory()
     for times in range(5):
         trail.begin(root, steps)

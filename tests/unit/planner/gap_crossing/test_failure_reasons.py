@@ -22,7 +22,7 @@ STROKES = np.full(6, 0.20)
 EDGE = float(STANCE.feet[:, 0].max()) + 0.03  # [m] {strip} x at which a gap begins
 
 
-def said(
+def failure_reason(
     bare: list[tuple[float, float]], test: int = roadmap_search.FOOTHOLD, leg: int = 0, length: float = 2.0
 ) -> FailureReason:
     """Return the reason when a leg fails a test and the ground has bare stretches [m].
@@ -41,8 +41,8 @@ def said(
 
 
 @pytest.mark.parametrize("leg", range(7))
-def test_whose_test_stops_it_most_often_is_said(leg: int) -> None:
-    why = said([], roadmap_search.TORQUE, leg)
+def test_most_frequently_failed_leg_and_test_are_named(leg: int) -> None:
+    why = failure_reason([], roadmap_search.TORQUE, leg)
     assert why.leg == leg
     who = "" if leg == WHOLE_ROBOT else f"{LEGS[leg]} leg: "
     assert why.words.startswith(f"no step from (0.44, 0.00) m: {who}{TEST_NAMES[roadmap_search.TORQUE]} (7 of 9")
@@ -50,31 +50,31 @@ def test_whose_test_stops_it_most_often_is_said(leg: int) -> None:
 
 
 @pytest.mark.parametrize("width", [0.0, 0.02, 0.09])
-def test_a_stretch_that_is_no_obstacle_is_not_told_of(width: float) -> None:
-    assert "without a foothold" not in said([(EDGE, EDGE + width)]).words
+def test_narrow_bare_stretch_is_not_reported(width: float) -> None:
+    assert "without a foothold" not in failure_reason([(EDGE, EDGE + width)]).words
 
 
-def test_a_stretch_of_the_reach_and_one_beyond_it_are_told_by_their_width() -> None:
-    assert "front foot 15 cm of ground without a foothold, the leg reaches 20 cm" in said([(EDGE, EDGE + 0.15)]).words
+def test_wide_bare_stretch_is_reported_with_width_and_leg_reach() -> None:
+    assert "front foot 15 cm of ground without a foothold, the leg reaches 20 cm" in failure_reason([(EDGE, EDGE + 0.15)]).words
     assert (
         "front foot 80 cm of ground without a foothold, 60 cm more than the leg's reach of 20 cm"
-        in said([(EDGE, EDGE + 0.80)]).words
+        in failure_reason([(EDGE, EDGE + 0.80)]).words
     )
 
 
-def test_of_two_stretches_the_wider_counts_and_one_out_of_its_reach_does_not() -> None:
+def test_wider_bare_stretch_within_reach_is_reported() -> None:
     assert (
         "front foot 30 cm of ground without a foothold, 10 cm more"
-        in said([(EDGE, EDGE + 0.02), (EDGE + 0.07, EDGE + 0.37)]).words
+        in failure_reason([(EDGE, EDGE + 0.02), (EDGE + 0.07, EDGE + 0.37)]).words
     )
-    assert "without a foothold" not in said([(EDGE + 0.4, EDGE + 0.9)]).words
+    assert "without a foothold" not in failure_reason([(EDGE + 0.4, EDGE + 0.9)]).words
 
 
-def test_a_stretch_up_to_the_end_of_the_strip_may_be_longer() -> None:
-    assert "front foot 40 cm or more of ground without a foothold" in said([(EDGE, 9.0)], length=EDGE + 0.4).words
+def test_bare_stretch_at_strip_end_is_reported_as_or_more() -> None:
+    assert "front foot 40 cm or more of ground without a foothold" in failure_reason([(EDGE, 9.0)], length=EDGE + 0.4).words
 
 
-def test_a_foot_beside_the_strip_is_no_error() -> None:
+def test_foot_outside_strip_is_handled() -> None:
     ground = np.zeros((60, 60), dtype=np.float32)
     field = StripMap(ground, np.full((60, 60), -5, dtype=np.int8), 0.01, np.eye(4))
     fails = np.ones((roadmap_search.TESTS, 7), dtype=np.int64)
@@ -82,20 +82,20 @@ def test_a_foot_beside_the_strip_is_no_error() -> None:
         assert explain_failure(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("no step from (")
 
 
-def test_where_much_is_unknown_another_look_is_asked_for() -> None:
-    assert said([], roadmap_search.UNKNOWN).unseen
-    assert "cells ahead are unknown" in said([], roadmap_search.UNKNOWN).words
-    assert not said([], roadmap_search.REACH).unseen
+def test_unknown_cells_are_reported_as_unseen() -> None:
+    assert failure_reason([], roadmap_search.UNKNOWN).unseen
+    assert "cells ahead are unknown" in failure_reason([], roadmap_search.UNKNOWN).words
+    assert not failure_reason([], roadmap_search.REACH).unseen
 
 
-def test_nothing_that_failed_is_nobodys_fault() -> None:
+def test_no_failed_test_names_no_leg() -> None:
     field = StripMap(np.zeros((9, 9), np.float32), np.full((9, 9), UNKNOWN, np.int8), 0.01, np.eye(4))
     fails = np.zeros((roadmap_search.TESTS, 7), dtype=np.int64)
     why = explain_failure(fails, STANCE.body, STANCE.feet, STROKES, field)
     assert (why.words, why.unseen, why.leg) == ("no step is possible at (0.44, 0.00) m", False, WHOLE_ROBOT)
 
 
-def test_a_stance_that_is_no_beginning_is_told_leg_by_leg() -> None:
+def test_invalid_start_stance_is_described_per_leg() -> None:
     found = np.array([0, roadmap_search.REACH, 0, 0, 0, roadmap_search.UNDER, roadmap_search.MARGIN])
     words = describe_fault(found, 0.03)
     assert words.endswith(f"{LEGS[1]} leg: out of reach; {LEGS[5]} leg: foot under the body; support margin too small")

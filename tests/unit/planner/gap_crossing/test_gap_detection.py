@@ -24,7 +24,7 @@ def score(begin: float, end: float) -> Callable[[Array, Array], Array]:
 
 @pytest.mark.parametrize("begin", [0.2, 0.437, 0.9])
 @pytest.mark.parametrize("length", [0.1, 0.5])
-def test_a_gap_begins_where_the_ground_ends(make_terrain: Maker, begin: float, length: float) -> None:
+def test_gap_edge_is_detected_at_end_of_ground(make_terrain: Maker, begin: float, length: float) -> None:
     terrain = make_terrain(ditch(begin, begin + length), score(begin, begin + length))
     found = detect_gap(terrain, HERE, GOAL, 0.0)
     assert isinstance(found, GapEdge)
@@ -32,17 +32,17 @@ def test_a_gap_begins_where_the_ground_ends(make_terrain: Maker, begin: float, l
     assert found.heading == pytest.approx(0.0)
 
 
-def test_over_level_ground_there_is_none(make_terrain: Maker) -> None:
+def test_level_ground_has_no_gap(make_terrain: Maker) -> None:
     assert (
         detect_gap(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight line to the goal"
     )
 
 
-def test_what_is_narrower_than_a_step_is_none(make_terrain: Maker) -> None:
+def test_ditch_narrower_than_step_is_not_gap(make_terrain: Maker) -> None:
     assert isinstance(detect_gap(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0), str)
 
 
-def test_a_wall_before_it_is_said(make_terrain: Maker) -> None:
+def test_wall_before_gap_is_reported(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where((x > 0.4) & (x < 0.6), 0.3, np.where(x > 0.9, -0.4, 0.0)) + 0.0 * y, score(0.38, 9.0)
     )
@@ -51,14 +51,14 @@ def test_a_wall_before_it_is_said(make_terrain: Maker) -> None:
     assert "an obstacle" in found
 
 
-def test_unseen_ground_is_no_gap_yet(make_terrain: Maker) -> None:
+def test_unseen_ground_is_not_gap(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y, lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y
     )
     assert isinstance(detect_gap(terrain, HERE, GOAL, 0.0), str)
 
 
-def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
+def test_gap_with_pillars_is_detected(make_terrain: Maker) -> None:
     def pillars(x: Array, y: Array) -> Array:
         return (np.abs(np.abs(y) - 0.17) < 0.05) & (np.abs(x % 0.2 - 0.1) < 0.05)
 
@@ -75,7 +75,7 @@ def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
 
 
 @pytest.mark.parametrize("short", [0.02, 0.05, 0.09, 0.11])
-def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, short: float) -> None:
+def test_gap_starting_just_before_goal_is_detected(make_terrain: Maker, short: float) -> None:
     """Check a goal above the gap, so near its edge that no wall could begin before it."""
     edge = float(GOAL[0]) - short
     terrain = make_terrain(ditch(edge, 9.0), score(edge, 9.0), half=2.0)
@@ -84,6 +84,6 @@ def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, sho
     assert found.distance == pytest.approx(edge, abs=0.021)
 
 
-def test_a_wall_right_before_the_goal_is_said(make_terrain: Maker) -> None:
+def test_wall_just_before_goal_is_reported(make_terrain: Maker) -> None:
     terrain = make_terrain(lambda x, y: np.where(x > 1.52, 0.3, 0.0) + 0.0 * y, score(1.5, 9.0), half=2.0)
     assert detect_gap(terrain, HERE, GOAL, 0.0) == "an obstacle blocks the straight line to the goal after 1.5 m"

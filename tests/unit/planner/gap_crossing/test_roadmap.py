@@ -48,7 +48,7 @@ def grown(
     return outcome
 
 
-def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
+def test_plan_over_level_ground_reaches_goal(roadmap: Roadmap) -> None:
     found = grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 1.2)
     assert isinstance(found, SectionPlan)
     assert found.complete
@@ -59,7 +59,7 @@ def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
     assert len(roadmap.edges) >= len(found.steps)
 
 
-def test_the_same_seed_makes_the_same_plan_in_whatever_portions(roadmap: Roadmap) -> None:
+def test_plan_depends_on_seed_but_not_on_batch_size(roadmap: Roadmap) -> None:
     field, stance = level(), stance_at(PROFILE, START, HEIGHT)
     first, second = grown(roadmap, field, stance, 0.9, 3), grown(roadmap, field, stance, 0.9, 3, part=7)
     assert isinstance(first, SectionPlan)
@@ -73,7 +73,7 @@ def test_the_same_seed_makes_the_same_plan_in_whatever_portions(roadmap: Roadmap
 
 
 @pytest.mark.parametrize("scenario", [1, 2, 3])
-def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) -> None:
+def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: int) -> None:
     field = field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
     for seed in range(4):
         found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed)
@@ -89,7 +89,7 @@ def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) ->
             assert SETTINGS.swing_clear <= step.clearance <= PROFILE.stance.max_lift
 
 
-def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
+def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) -> None:
     field = field_of(heights([], GAP), HEIGHT)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
     assert isinstance(found, NoSection)
@@ -99,7 +99,7 @@ def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
     assert sum(found.fails.values()) > 0
 
 
-def test_without_a_way_it_tells_the_steps_to_the_furthest_stance_and_whose_test_fails(roadmap: Roadmap) -> None:
+def test_failed_search_returns_steps_to_furthest_stance_and_leg(roadmap: Roadmap) -> None:
     field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
     found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
     assert isinstance(found, NoSection)
@@ -113,7 +113,7 @@ def test_without_a_way_it_tells_the_steps_to_the_furthest_stance_and_whose_test_
     assert f"{LEGS[found.leg]} leg" in found.reason
 
 
-def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -> None:
+def test_section_ends_before_unknown_ground(roadmap: Roadmap) -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[110:] = np.nan
     known = np.isfinite(elevation)
@@ -131,7 +131,7 @@ def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -
 
 
 @pytest.mark.parametrize("far_side_seen", [True, False])
-def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadmap, far_side_seen: bool) -> None:
+def test_pillars_leading_to_unknown_ground_are_not_entered(roadmap: Roadmap, far_side_seen: bool) -> None:
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
@@ -144,7 +144,7 @@ def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadma
         assert "cells ahead are unknown" in found.reason
 
 
-def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Roadmap) -> None:
+def test_gap_with_unseen_floor_is_crossed(roadmap: Roadmap) -> None:
     """Check that a sample on the floor counts as the edge next to it, seen or not."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     floor = plain.evaluation > 1
@@ -159,7 +159,7 @@ def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Ro
 
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
-def test_the_cell_that_is_seen_and_nearest(seen: int, seed: int) -> None:
+def test_nearest_seen_cell_matches_brute_force(seen: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     evaluation = np.full((9, 13), UNKNOWN, dtype=np.int8)
     evaluation.ravel()[rng.choice(evaluation.size, seen, replace=False)] = -1
@@ -174,7 +174,7 @@ def test_the_cell_that_is_seen_and_nearest(seen: int, seed: int) -> None:
     assert (nearest[:3, :3] == -1).all()
 
 
-def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: Roadmap) -> None:
+def test_foot_at_gap_edge_does_not_count_as_on_pillars(roadmap: Roadmap) -> None:
     """Check that a foot on the near side's last rows does not count as on pillars."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
@@ -191,7 +191,7 @@ def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: 
     assert any(isinstance(way, NoSection) and way.unseen for way in ways), "or it would not go closer in any case"
 
 
-def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
+def test_slightly_invalid_stance_is_repaired_by_body_shift(roadmap: Roadmap) -> None:
     stance = stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
     feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their coxa axes
@@ -201,7 +201,7 @@ def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadm
     assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.repair + 1e-9
 
 
-def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
+def test_invalid_stance_is_reported_by_leg_and_test(roadmap: Roadmap) -> None:
     stance = stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
     feet[0, 0] += 0.2
@@ -214,7 +214,7 @@ def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
     np.testing.assert_array_equal(found.furthest.feet, feet)
 
 
-def test_nonsense_is_refused(roadmap: Roadmap) -> None:
+def test_invalid_arguments_are_refused(roadmap: Roadmap) -> None:
     with pytest.raises(ValueError, match="finite feet"):
         roadmap.begin(level(), Stance(np.zeros(3), np.full((6, 3), np.nan)), 1.0, 0)
     with pytest.raises(ValueError, match="begun"):
@@ -224,7 +224,7 @@ def test_nonsense_is_refused(roadmap: Roadmap) -> None:
             PassageSettings(**bad)
 
 
-def test_blocks_stand_where_they_are_said_to() -> None:
+def test_synthetic_blocks_are_at_given_positions() -> None:
     h = heights([Block(0.2, 0.1)], GAP)
     at = round((NEAR + 0.2) / 0.01), round((0.6 + 0.1) / 0.01)
     assert h[at] == 0.0
@@ -232,7 +232,7 @@ def test_blocks_stand_where_they_are_said_to() -> None:
     assert (h[70:150] == 0.0).sum() == 100
 
 
-def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadmap: Roadmap) -> None:
+def test_search_is_compiled_once_for_any_array_layout(roadmap: Roadmap) -> None:
     """Check that the search is compiled once for any kind of array.
 
     Arrays of a message are read-only and may be unaligned; ground that gave way replaces them by copies.
@@ -248,7 +248,7 @@ def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadma
 
 
 @pytest.mark.parametrize("sunk", [False, True])
-def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Roadmap, sunk: bool) -> None:
+def test_foot_steps_back_only_from_sunk_ground(roadmap: Roadmap, sunk: bool) -> None:
     plain, stance = level(), stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
     feet[0, 0] += 0.05
@@ -264,7 +264,7 @@ def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Ro
     assert bool(back < feet[0, 0] - 0.03) is sunk
 
 
-def test_where_it_ends_is_said_in_the_world_and_by_how_much_the_gap_is_too_wide(roadmap: Roadmap) -> None:
+def test_reason_gives_world_position_and_excess_gap_width(roadmap: Roadmap) -> None:
     elevation = heights([], 0.8)
     plain = field_of(elevation, HEIGHT)
     elsewhere = from_xyz_rpy((5.0, 2.0, 0.0), np.zeros(3))

@@ -20,7 +20,7 @@ places = st.floats(0.05, END - 0.05)
 
 
 @given(places, places)
-def test_a_goal_lies_ahead_at_most_at_the_target_and_behind_the_gap(x: float, target: float) -> None:
+def test_section_goal_lies_behind_gap_and_not_beyond_target(x: float, target: float) -> None:
     goal = goal_behind(PILLARS, x, target)
     if x >= target or x > BEHIND + EDGE:
         assert goal is None
@@ -30,7 +30,7 @@ def test_a_goal_lies_ahead_at_most_at_the_target_and_behind_the_gap(x: float, ta
         assert goal == target or goal == pytest.approx(BEHIND, abs=EDGE) or target < NEAR + GAP + EDGE
 
 
-def test_where_ground_carries_as_anywhere_there_is_no_goal() -> None:
+def test_continuous_ground_has_no_section_goal() -> None:
     """Check that there is no goal either if the target lies beyond the strip.
 
     The end of the strip is not the end of the ground.
@@ -39,7 +39,7 @@ def test_where_ground_carries_as_anywhere_there_is_no_goal() -> None:
         assert goal_behind(field_of(np.zeros((200, 100), dtype=np.float32)), 0.6, target) is None
 
 
-def test_of_two_gaps_with_room_to_walk_between_them_the_first_comes_first() -> None:
+def test_first_of_two_separated_gaps_is_crossed_first() -> None:
     elevation = np.zeros((300, 100), dtype=np.float32)
     elevation[100:130] = elevation[240:280] = -0.4
     field = field_of(elevation)
@@ -51,20 +51,20 @@ def test_of_two_gaps_with_room_to_walk_between_them_the_first_comes_first() -> N
     assert goal_behind(field_of(elevation), 0.6, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
 
 
-def test_a_gap_that_is_far_ahead_is_walked_to() -> None:
+def test_distant_gap_has_no_section_goal_yet() -> None:
     elevation = np.zeros((300, 100), dtype=np.float32)
     elevation[200:240] = -0.4
     assert goal_behind(field_of(elevation), 1.0, 9.0) is None
     assert goal_behind(field_of(elevation), 1.5, 9.0) is not None
 
 
-def test_a_gap_that_the_strip_ends_in_is_one() -> None:
+def test_gap_at_strip_end_has_section_goal() -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[160:] = -0.4
     assert goal_behind(field_of(elevation), 1.0, 5.0) == pytest.approx(2.0 + 0.40, abs=0.07)
 
 
-def test_beyond_what_is_known_nothing_is_a_gap() -> None:
+def test_unknown_ground_is_not_gap() -> None:
     level = field_of(np.zeros((200, 100), dtype=np.float32))
     evaluation = level.evaluation.copy()
     evaluation[120:] = UNKNOWN
@@ -74,8 +74,8 @@ def test_beyond_what_is_known_nothing_is_a_gap() -> None:
 
 
 @given(st.floats(-0.5, 3.0), st.floats(-1.0, 1.0), st.floats(-0.4, 0.1), st.floats(0.0, 0.2))
-def test_what_gave_way_carries_nothing_and_all_else_stays(x: float, y: float, z: float, radius: float) -> None:
-    before = unseen_here_and_there()
+def test_ground_that_gave_way_is_removed_and_other_cells_stay(x: float, y: float, z: float, radius: float) -> None:
+    before = partly_unseen_pillars()
     after = without(before, np.array([x, y, z]), radius)
     i, j = np.indices(before.evaluation.shape)
     x0, y0 = before.corner
@@ -94,7 +94,7 @@ def test_what_gave_way_carries_nothing_and_all_else_stays(x: float, y: float, z:
     np.testing.assert_array_equal(again.elevation, after.elevation)
 
 
-def unseen_here_and_there() -> StripMap:
+def partly_unseen_pillars() -> StripMap:
     rng = np.random.default_rng(0)
     unseen = rng.random(PILLARS.evaluation.shape) < 0.1
     elevation = np.where(unseen, np.float32(np.nan), PILLARS.elevation)

@@ -34,7 +34,7 @@ GAP = (1.1, 1.9)  # [m] {strip} begin and end of the gap
 NX, NY = (round(length / 0.01) for length in STRIP)
 
 
-class Planned:
+class ScriptedRoadmap:
     """A substitute for the roadmap that returns prescribed results after a while."""
 
     def __init__(self, *found: SectionPlan | NoSection) -> None:
@@ -56,7 +56,7 @@ class Planned:
 class Robot:
     """A robot that walks as the crossing requests and provides a map twice a second."""
 
-    def __init__(self, sections: Planned, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = ()) -> None:
+    def __init__(self, sections: ScriptedRoadmap, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = ()) -> None:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
         self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
         self.sections, self.looks, self.gap = sections, looks, gap
@@ -64,7 +64,7 @@ class Robot:
         self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
         self.now_ns = 0
         self.map: PassageMap | None = None
-        self.maps, self.moves, self.heard = True, list[NextStep](), list[str]()
+        self.maps, self.moves, self.wait_messages = True, list[NextStep](), list[str]()
         self.refuse = ""
 
     @property
@@ -78,7 +78,7 @@ class Robot:
             self.map = self.look()
         outcome = self.crossing.advance(self.state, self.standing, self.map, self.refuse)
         if isinstance(outcome, Wait):
-            self.heard.append(outcome.words)
+            self.wait_messages.append(outcome.words)
         if isinstance(outcome, NextStep) and not self.refuse:
             self.walk(outcome)
         return outcome
@@ -112,14 +112,14 @@ class Robot:
             if done():
                 return
             self.tick()
-        raise AssertionError(f"waited in vain: {self.heard[-3:]}")
+        raise AssertionError(f"waited in vain: {self.wait_messages[-3:]}")
 
     def until_end(self, ticks: int = 2000) -> Completed | CannotCross:
         for _ in range(ticks):
             outcome = self.tick()
             if isinstance(outcome, Completed | CannotCross):
                 return outcome
-        raise AssertionError(f"no end after {ticks} ticks: {self.heard[-3:]}")
+        raise AssertionError(f"no end after {ticks} ticks: {self.wait_messages[-3:]}")
 
 
 def section(x: float, to: float, count: int = 6) -> SectionPlan:
@@ -138,8 +138,8 @@ def no_way(reason: str = "nothing carries") -> NoSection:
     return NoSection(reason, False, Stance(np.array([0.6, 0.0, HEIGHT]), np.zeros((6, 3))), 5, 5, {})
 
 
-def test_it_looks_plans_walks_and_ends_behind_the_gap() -> None:
-    robot = Robot(Planned(section(0.0, 0.9), section(0.9, 1.85)), looks=2)
+def test_crossing_surveys_plans_walks_and_ends_behind_gap() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 0.9), section(0.9, 1.85)), looks=2)
     assert robot.until_end() == Completed("no gap ahead of the robot")
     raised, higher, back, *steps = robot.moves
     assert [m.stride.swing.any() for m in (raised, higher, back)] == [False] * 3
@@ -151,8 +151,8 @@ def test_it_looks_plans_walks_and_ends_behind_the_gap() -> None:
     np.testing.assert_allclose(robot.T[:3, 3], [1.85, 0.0, HEIGHT], atol=1e-9)
 
 
-def test_a_section_is_planned_from_where_the_robot_stands_to_behind_the_gap() -> None:
-    robot = Robot(Planned(section(0.0, 1.85)))
+def test_section_is_planned_from_current_stance_to_behind_gap() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     robot.until_end()
     (field, stance, goal, _), *_ = robot.sections.begun
     np.testing.assert_allclose(stance.body, [0.5, 0.0, HEIGHT], atol=1e-9)
@@ -160,8 +160,8 @@ def test_a_section_is_planned_from_where_the_robot_stands_to_behind_the_gap() ->
     assert goal == pytest.approx(GAP[1] + 0.40, abs=0.011)
 
 
-def test_what_planning_came_to_is_told_once() -> None:
-    robot = Robot(Planned(*[no_way()] * ATTEMPTS))
+def test_planning_report_is_returned_once() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way()] * ATTEMPTS))
     reports = []
     while not reports:
         robot.tick()
@@ -171,27 +171,27 @@ def test_what_planning_came_to_is_told_once() -> None:
     assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
 
 
-def test_it_goes_closer_to_what_is_unknown_once_nothing_else_is_left() -> None:
+def test_robot_approaches_unknown_ground_only_without_other_path() -> None:
     closer = replace(section(0.0, 0.2), complete=False)
     none = replace(no_way("cells ahead are unknown"), unseen=True, closer=closer)
-    robot = Robot(Planned(*[none] * (ATTEMPTS + 1), section(0.2, 1.85)))
+    robot = Robot(ScriptedRoadmap(*[none] * (ATTEMPTS + 1), section(0.2, 1.85)))
     robot.until(lambda: bool(robot.moves))
     assert len(robot.sections.begun) == ATTEMPTS, "not before other samples have found nothing either"
     assert robot.until_end() == Completed("no gap ahead of the robot")
     assert [m.stride.body_goal[0, 3] for m in robot.moves][5] == pytest.approx(0.2)
-    found = Robot(Planned(none, section(0.0, 1.85)))
+    found = Robot(ScriptedRoadmap(none, section(0.0, 1.85)))
     found.until_end()
     assert len(found.moves) == 6, "a way across is better"
 
 
 @pytest.mark.parametrize("leg", [2, 6])
-def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg: int) -> None:
+def test_failure_report_has_path_to_furthest_stance_and_failed_leg(leg: int) -> None:
     steps = section(0.0, 0.2).steps
     body = steps[-1].body + np.array([0.02, 0.0, 0.0])
     leant = PassageStep(-1, body, 0.0, body, 0.04)
     furthest = Stance(leant.body, np.array([step.touchdown for step in steps]))
     found = replace(no_way(), furthest=furthest, steps=(*steps, leant), leg=leg)
-    robot = Robot(Planned(*[found] * ATTEMPTS))
+    robot = Robot(ScriptedRoadmap(*[found] * ATTEMPTS))
     report = None
     while report is None:
         robot.tick()
@@ -205,8 +205,8 @@ def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg
     assert report.furthest == leant.body[0]
 
 
-def test_a_way_is_told_with_nothing_that_stops_it() -> None:
-    robot = Robot(Planned(section(0.0, 1.85)))
+def test_success_report_has_no_failed_leg() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     report = None
     while report is None:
         robot.tick()
@@ -214,26 +214,26 @@ def test_a_way_is_told_with_nothing_that_stops_it() -> None:
     assert (report.state, len(report.stopped), report.leg.tolist()) == ("complete", 0, [*range(6)])
 
 
-def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
-    robot = Robot(Planned(*[no_way("all")] * (PLANNINGS * ATTEMPTS - 1), no_way("left front leg: out of reach")))
+def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * (PLANNINGS * ATTEMPTS - 1), no_way("left front leg: out of reach")))
     assert robot.until_end() == CannotCross("left front leg: out of reach")
     assert len({seed for *_, seed in robot.sections.begun}) == PLANNINGS * ATTEMPTS
 
 
-def test_where_no_way_was_found_it_plans_once_more_on_a_newer_map() -> None:
-    robot = Robot(Planned(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
+def test_failed_planning_is_repeated_on_newer_map() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
     assert robot.until_end() == Completed("no gap ahead of the robot")
-    assert "surveying the gap again: all" in robot.heard
+    assert "surveying the gap again: all" in robot.wait_messages
     maps = [field for field, *_ in robot.sections.begun]
     assert maps[ATTEMPTS] is not maps[ATTEMPTS - 1]
 
 
-def test_a_step_that_was_not_taken_is_due_again() -> None:
+def test_step_not_executed_is_repeated() -> None:
     """Check a leg that first had to search for ground before another leg could lift.
 
     The actuator has counted the step, but its leg has not moved.
     """
-    robot = Robot(Planned(section(0.0, 1.85)))
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     robot.until(lambda: len(robot.moves) == 2)
     lost = robot.moves.pop()
     robot.feet = np.where(lost.stride.swing[:, None], lost.stride.start, robot.feet)
@@ -243,14 +243,14 @@ def test_a_step_that_was_not_taken_is_due_again() -> None:
     assert len(robot.sections.begun) == 1
 
 
-def test_over_ground_that_carries_anywhere_there_is_nothing_to_cross() -> None:
-    robot = Robot(Planned(), gap=False)
+def test_continuous_ground_completes_without_planning() -> None:
+    robot = Robot(ScriptedRoadmap(), gap=False)
     assert robot.until_end() == Completed("no gap ahead of the robot")
     assert robot.sections.begun == []
 
 
-def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -> None:
-    robot = Robot(Planned())
+def test_map_is_requested_repeatedly_until_timeout() -> None:
+    robot = Robot(ScriptedRoadmap())
     robot.maps = False
     asked = 0
     for _ in range(100):
@@ -260,24 +260,24 @@ def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -
     assert robot.until_end() == CannotCross("no valid map of the gap received from the mapper")
 
 
-def test_a_map_from_before_the_robot_stood_still_does_not_count() -> None:
-    robot = Robot(Planned(section(0.0, 1.85)))
+def test_map_older_than_standstill_is_ignored() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     for _ in range(16):  # 0.64 s
         assert isinstance(robot.tick(), Wait)
     assert robot.sections.begun == []
 
 
-def test_a_foot_that_is_not_where_it_was_to_stand_has_the_rest_planned_anew() -> None:
-    robot = Robot(Planned(section(0.0, 1.85), section(0.3, 1.85)))
+def test_foot_off_planned_foothold_triggers_replanning() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85), section(0.3, 1.85)))
     robot.until(lambda: len(robot.moves) == 2)
     robot.feet[0, 2] -= 0.05
     robot.until(lambda: len(robot.sections.begun) == 2)
     assert len(robot.moves) == 2
-    assert any("left front foot is 5 cm from its planned foothold" in words for words in robot.heard)
+    assert any("left front foot is 5 cm from its planned foothold" in words for words in robot.wait_messages)
 
 
-def test_where_a_foot_found_nothing_no_foot_is_planned_again() -> None:
-    robot = Robot(Planned(section(0.0, 1.85), section(0.3, 1.85)))
+def test_foothold_that_did_not_carry_is_excluded_from_planning() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85), section(0.3, 1.85)))
     robot.until(lambda: len(robot.moves) == 1)
     gone = np.array([0.45, 0.2, -0.03])
     touch, carries, touch_ns = np.zeros((6, 3)), np.ones(6, dtype=np.bool_), np.full(6, -1, dtype=np.int64)
@@ -291,8 +291,8 @@ def test_where_a_foot_found_nothing_no_foot_is_planned_again() -> None:
     assert field.evaluation[i - 15, j] < 0
 
 
-def test_refused_steps_lead_to_another_look_and_in_the_end_to_a_refusal() -> None:
-    robot = Robot(Planned(*[section(0.0, 1.85)] * 5))
+def test_refused_steps_trigger_new_survey_and_finally_refusal() -> None:
+    robot = Robot(ScriptedRoadmap(*[section(0.0, 1.85)] * 5))
     robot.until(lambda: bool(robot.sections.begun))
     robot.refuse = "out of reach"
     end = robot.until_end()
@@ -300,16 +300,16 @@ def test_refused_steps_lead_to_another_look_and_in_the_end_to_a_refusal() -> Non
     assert "made no progress" in end.reason
 
 
-def test_a_refused_look_is_done_without() -> None:
-    robot = Robot(Planned(section(0.0, 1.85)), looks=5)
+def test_refused_view_pose_is_skipped() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)), looks=5)
     robot.refuse = "the body would turn too far"
     robot.until(lambda: bool(robot.sections.begun))
     assert robot.moves == []
 
 
-def test_unknown_ground_is_told_from_bare() -> None:
+def test_section_goal_is_not_behind_unknown_ground() -> None:
     """Check that the goal is not behind ground that was not seen."""
-    robot = Robot(Planned(*[no_way()] * PLANNINGS * ATTEMPTS))
+    robot = Robot(ScriptedRoadmap(*[no_way()] * PLANNINGS * ATTEMPTS))
     look = robot.look
 
     def short() -> PassageMap:
@@ -323,19 +323,19 @@ def test_unknown_ground_is_told_from_bare() -> None:
     assert robot.sections.begun[0][2] == pytest.approx(1.5 + 0.40, abs=0.011)
 
 
-def test_an_actuator_that_begins_anew_has_the_robot_look_again() -> None:
+def test_actuator_restart_during_section_triggers_new_survey() -> None:
     """Check that a look or section ends when the actuator counts steps from 0 again."""
-    robot = Robot(Planned(section(0.0, 1.85), section(0.1, 1.85)))
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85), section(0.1, 1.85)))
     robot.until(lambda: len(robot.moves) == 3)
     robot.state = replace(robot.state, step=0)
     robot.until(lambda: len(robot.sections.begun) == 2)
-    assert any("the actuator has restarted" in words for words in robot.heard)
+    assert any("the actuator has restarted" in words for words in robot.wait_messages)
     robot.until(lambda: len(robot.moves) == 4)
     assert robot.moves[-1].number == 1
 
 
-def test_an_actuator_that_restarts_during_planning_has_the_section_planned_from_the_new_stance() -> None:
-    robot = Robot(Planned(section(0.0, 1.85), section(0.0, 1.85)))
+def test_actuator_restart_during_planning_replans_from_new_stance() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85), section(0.0, 1.85)))
     robot.state = replace(robot.state, step=5)
     robot.until(lambda: robot.sections.grown == 1)
     robot.state = replace(robot.state, step=0)
@@ -354,8 +354,8 @@ def test_an_actuator_that_restarts_during_planning_has_the_section_planned_from_
         ({"T_world_look": np.zeros((4, 4))}, "not a rigid transform"),
     ],
 )
-def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, object], words: str) -> None:
-    robot = Robot(Planned())
+def test_map_of_other_strip_or_invalid_map_is_refused(changes: dict[str, object], words: str) -> None:
+    robot = Robot(ScriptedRoadmap())
     look = robot.look
     robot.look = lambda: replace(look(), **changes)  # type: ignore[arg-type, method-assign]
     end = robot.until_end()
@@ -364,16 +364,16 @@ def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, ob
     assert robot.sections.begun == []
 
 
-def test_a_look_from_far_away_is_not_taken() -> None:
-    robot = Robot(Planned(*[no_way()] * PLANNINGS * ATTEMPTS), looks=5)
+def test_distant_view_pose_is_not_taken() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way()] * PLANNINGS * ATTEMPTS), looks=5)
     look = robot.look
     robot.look = lambda: replace(look(), T_world_look=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
     robot.until_end()
     assert robot.moves == []
 
 
-def test_while_a_foot_looks_for_its_ground_nothing_is_sent() -> None:
-    robot = Robot(Planned(section(0.0, 1.85)))
+def test_no_step_is_sent_while_actuator_walks() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     robot.until(lambda: len(robot.moves) == 2)
     robot.state = replace(robot.state, mode=Mode.WALK)
     for _ in range(50):
@@ -382,18 +382,18 @@ def test_while_a_foot_looks_for_its_ground_nothing_is_sent() -> None:
     robot.until(lambda: len(robot.moves) == 6)
 
 
-def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
+def test_unseen_ground_is_surveyed_again_before_refusal() -> None:
     blind = replace(no_way("ground unknown"), unseen=True)
-    robot = Robot(Planned(*[blind] * ATTEMPTS, section(0.0, 1.85)))
+    robot = Robot(ScriptedRoadmap(*[blind] * ATTEMPTS, section(0.0, 1.85)))
     robot.until(lambda: bool(robot.moves))
     assert len(robot.sections.begun) == ATTEMPTS + 1
 
 
-def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> None:
-    robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
+def test_dead_end_is_left_by_backtracking() -> None:
+    robot = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
     assert robot.until_end() == Completed("no gap ahead of the robot")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
-    assert any("backtracking 2 steps to find another path: stuck" in words for words in robot.heard)
+    assert any("backtracking 2 steps to find another path: stuck" in words for words in robot.wait_messages)
     assert [m.words for m in robot.moves[6:8]] == [f"gap crossing, backtracking in section 2: step {k} of 2" for k in (1, 2)]
     first, again = robot.sections.begun[0][1], robot.sections.begun[ATTEMPTS + 1][1]
     assert again.body[0] == pytest.approx(first.body[0] + 0.4)
@@ -401,21 +401,21 @@ def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> Non
     assert (again.feet[:4, 0] > first.feet[:4, 0] + 0.5).all()
 
 
-def test_what_it_has_backed_off_from_in_vain_is_no_way() -> None:
-    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ((1 + PLANNINGS) * ATTEMPTS))).until_end()
+def test_crossing_is_refused_after_backtracking_fails() -> None:
+    end = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * ((1 + PLANNINGS) * ATTEMPTS))).until_end()
     assert end == CannotCross("stuck")
 
 
-def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
+def test_reason_states_that_no_better_view_is_available() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
-    end = Robot(Planned(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
+    end = Robot(ScriptedRoadmap(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
     assert isinstance(end, CannotCross)
     assert end.reason.endswith("cells ahead are unknown; no better view is available")
 
 
-def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
+def test_sunk_ground_is_lowered_to_standing_foot() -> None:
     sole = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))[0] - [0.0, 0.0, PROFILE.foot.radius]
-    robot = Robot(Planned(section(0.0, 1.85)), yielded=[sole + np.array([0.02, 0.0, -0.01])])  # first reported place
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)), yielded=[sole + np.array([0.02, 0.0, -0.01])])  # first reported place
     robot.feet[0, 2] -= 0.04
     robot.until(lambda: bool(robot.sections.begun))
     field, stance, _, _ = robot.sections.begun[0]
@@ -427,12 +427,12 @@ def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
 
 
 @pytest.mark.parametrize(("lower", "gone"), [(0.008, False), (0.02, True)])
-def test_where_a_foot_stands_lower_than_the_map_the_ground_has_given_way(lower: float, gone: bool) -> None:
+def test_low_standing_foot_marks_sunk_ground(lower: float, gone: bool) -> None:
     """Check that a low foot shows sunk ground, although no contact was reported.
 
     The camera does not see the ground under a foot.
     """
-    robot = Robot(Planned(section(0.0, 1.85)))
+    robot = Robot(ScriptedRoadmap(section(0.0, 1.85)))
     robot.feet[0, 2] -= lower
     robot.until(lambda: bool(robot.sections.begun))
     field, stance, _, _ = robot.sections.begun[0]
@@ -442,16 +442,16 @@ def test_where_a_foot_stands_lower_than_the_map_the_ground_has_given_way(lower: 
     assert (field.evaluation[:100] >= 0).any() == gone, "ground under the other feet carries"
 
 
-def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
-    robot = Robot(Planned())
+def test_crossing_is_refused_when_robot_is_off_centre_line() -> None:
+    robot = Robot(ScriptedRoadmap())
     robot.T = from_xyz_rpy((0.0, 0.5, HEIGHT), np.zeros(3))
     end = robot.until_end()
     assert isinstance(end, CannotCross)
     assert "0.50 m and 0 deg off the centre line" in end.reason
 
 
-def test_a_map_from_the_future_is_not_planned_on() -> None:
-    robot = Robot(Planned())
+def test_map_with_future_stamp_is_ignored() -> None:
+    robot = Robot(ScriptedRoadmap())
     look = robot.look
     robot.look = lambda: replace(look(), stamp_ns=robot.now_ns + 10**10)  # type: ignore[method-assign]
     assert robot.until_end() == CannotCross("no valid map of the gap received from the mapper")

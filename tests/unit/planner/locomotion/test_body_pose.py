@@ -17,7 +17,7 @@ heights = hnp.arrays(np.float64, 6, elements=st.floats(-0.2, 0.2))
 
 
 @given(heights, st.permutations(range(6)), st.floats(-1, 1))
-def test_the_floor_is_the_mean_of_the_three_highest(ground: Array, order: list[int], shift: float) -> None:
+def test_floor_height_is_mean_of_three_highest_feet(ground: Array, order: list[int], shift: float) -> None:
     floor = floor_height(ground)
     assert floor == pytest.approx(sum(sorted(ground.tolist(), reverse=True)[:3]) / 3)
     assert floor == pytest.approx(floor_height(ground[order]))
@@ -26,12 +26,12 @@ def test_the_floor_is_the_mean_of_the_three_highest(ground: Array, order: list[i
 
 
 @given(st.floats(-0.1, 0.1))
-def test_level_ground_under_the_body_changes_nothing_above_it(floor: float) -> None:
+def test_level_ground_below_floor_height_does_not_raise_body(floor: float) -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0)
     assert clear_of_ground(floor, ground, np.eye(4), SIZE) == pytest.approx(max(floor, 0.0))
 
 
-def test_a_block_counts_exactly_while_it_is_under_the_body(make_terrain: Callable[..., Terrain]) -> None:
+def test_block_raises_body_only_while_under_it(make_terrain: Callable[..., Terrain]) -> None:
     block = make_terrain(lambda x, y: np.where((np.abs(x - 0.3) < 0.03) & (np.abs(y) < 0.03), 0.08, 0.0))
     for x, expected in ((0.0, 0.0), (0.2, 0.08), (0.3, 0.08), (0.5, 0.0)):
         T = from_xyz_rpy((x, 0.0, 0.1), np.zeros(3))
@@ -46,7 +46,7 @@ def test_unseen_ground_does_not_raise_the_body(make_terrain: Callable[..., Terra
 
 
 @given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-3.0, 3.0))
-def test_leaning_by_the_slope_lies_parallel_to_the_ground(ahead: float, aside: float, yaw: float) -> None:
+def test_leaned_body_is_parallel_to_slope(ahead: float, aside: float, yaw: float) -> None:
     xy = np.array([[0.2, 0.2], [0.2, -0.2], [0.0, -0.25], [-0.2, -0.2], [-0.2, 0.2], [0.0, 0.25]])
     xy += np.array([3.0, -1.0])
     T = from_xyz_rpy((3.0, -1.0, 0.1), (0.0, 0.0, yaw))

@@ -18,7 +18,7 @@ Flags = NDArray[np.bool_]
 
 RADIUS, RESOLUTION = 0.06, 0.01
 OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
-NOBODY = np.zeros((0, 2))
+NO_OTHER_FEET = np.zeros((0, 2))
 Maker = Callable[..., Terrain]
 
 
@@ -41,7 +41,7 @@ def patchy(seed: int, bad: float) -> Terrain:
     return ground
 
 
-def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
+def test_offsets_are_all_cells_in_radius_sorted_by_distance() -> None:
     assert (OFFSETS[0] == 0).all()
     distance = np.linalg.norm(OFFSETS, axis=1)
     assert (np.diff(distance) >= -1e-12).all()
@@ -55,9 +55,7 @@ def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 @example(7, 0.3, 0.005, -0.015)  # on the border between cells
 @settings(max_examples=60)
-def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
-    seed: int, bad: float, x: float, y: float
-) -> None:
+def test_nearest_foothold_among_those_with_most_room_is_found(seed: int, bad: float, x: float, y: float) -> None:
     ground, nominal = patchy(seed, bad), np.array([x, y])
     others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
     found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.0301)
@@ -85,9 +83,9 @@ def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
         assert np.linalg.norm(found.p_world[:2] - nominal) == pytest.approx(found.moved)
 
 
-def test_on_good_ground_the_foot_lands_where_the_gait_wants_it() -> None:
+def test_nominal_foothold_is_kept_on_good_ground() -> None:
     nominal = np.array([0.1234, -0.0567])
-    found = nearest_foothold(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS, NOBODY, 0.06, everywhere)
+    found = nearest_foothold(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS, NO_OTHER_FEET, 0.06, everywhere)
     assert isinstance(found, Foothold)
     np.testing.assert_allclose(found.p_world, [*nominal, 0.07], atol=1e-7)
     assert found.moved == 0.0
@@ -95,7 +93,7 @@ def test_on_good_ground_the_foot_lands_where_the_gait_wants_it() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=30)
-def test_the_words_count_every_cell_once(seed: int) -> None:
+def test_reason_counts_each_cell_once(seed: int) -> None:
     ground = patchy(seed, 0.7)
     others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 2))
     found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.05, nowhere)
@@ -112,13 +110,13 @@ def test_the_words_count_every_cell_once(seed: int) -> None:
 @pytest.mark.parametrize(
     ("score", "others", "reachable", "words"),
     [
-        (np.nan, NOBODY, everywhere, "not seen"),
-        (5.0, NOBODY, everywhere, "too steep or too near an edge"),
+        (np.nan, NO_OTHER_FEET, everywhere, "not seen"),
+        (5.0, NO_OTHER_FEET, everywhere, "too steep or too near an edge"),
         (0.0, np.zeros((1, 2)), everywhere, "too near another foot"),
-        (0.0, NOBODY, nowhere, "out of reach"),
+        (0.0, NO_OTHER_FEET, nowhere, "out of reach"),
     ],
 )
-def test_each_test_has_its_words(
+def test_reason_names_failed_test(
     make_terrain: Maker, score: float, others: Array, reachable: Callable[[Array], Flags], words: str
 ) -> None:
     ground = make_terrain(score=lambda x, y: np.full_like(x, score))
@@ -127,18 +125,18 @@ def test_each_test_has_its_words(
     assert f"({len(OFFSETS)} cells: {len(OFFSETS)} {words}" in found.reason
 
 
-def test_outside_the_map_nothing_carries() -> None:
+def test_no_foothold_outside_map() -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.2)
-    assert isinstance(nearest_foothold(ground, np.array([5.0, 0.0]), OFFSETS, NOBODY, 0.0, everywhere), NoFoothold)
+    assert isinstance(nearest_foothold(ground, np.array([5.0, 0.0]), OFFSETS, NO_OTHER_FEET, 0.0, everywhere), NoFoothold)
 
 
-def test_a_score_at_the_limit_carries(make_terrain: Maker) -> None:
+def test_score_at_limit_is_acceptable(make_terrain: Maker) -> None:
     ground = make_terrain(score=lambda x, y: np.full_like(x, ACCEPTABLE))
-    assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NOBODY, 0.0, everywhere), Foothold)
+    assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NO_OTHER_FEET, 0.0, everywhere), Foothold)
 
 
 @pytest.mark.parametrize(("number", "words"), [(1, "water"), (2, "loose ground")])
-def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
+def test_reason_names_hazardous_ground_type(number: int, words: str) -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0)
     shape = ground.map.elevation.shape
     score = np.full(shape, 3.0, dtype=np.float32)
@@ -170,48 +168,48 @@ def block(half: int, bound: int = 5) -> Callable[[Array, Array], Array]:
     return F
 
 
-def on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = everywhere) -> Foothold | NoFoothold:
-    return nearest_foothold(replace(ground, layer="evaluation"), nominal, OFFSETS, NOBODY, 0.06, reachable)
+def search_on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = everywhere) -> Foothold | NoFoothold:
+    return nearest_foothold(replace(ground, layer="evaluation"), nominal, OFFSETS, NO_OTHER_FEET, 0.06, reachable)
 
 
-def test_a_strongly_negative_place_stays_and_one_near_the_border_moves_inwards(make_terrain: Maker) -> None:
+def test_foothold_near_border_moves_inwards_and_central_one_stays(make_terrain: Maker) -> None:
     ground = make_terrain(evaluation=block(10), score=lambda x, y: np.full_like(x, 9.0))  # the score is not used
-    inside = on(ground, np.array([0.03, -0.07]))
+    inside = search_on(ground, np.array([0.03, -0.07]))
     assert isinstance(inside, Foothold)
     assert inside.moved == 0.0
-    border = on(ground, np.array([0.10, 0.0]))
+    border = search_on(ground, np.array([0.10, 0.0]))
     assert isinstance(border, Foothold)
     assert border.p_world[0] == pytest.approx(0.08)  # 3 cm from the border
 
 
 @pytest.mark.parametrize("half", [1, 2, 3])
-def test_on_small_ground_the_local_minimum_is_taken(make_terrain: Maker, half: int) -> None:
+def test_local_minimum_is_chosen_on_small_ground(make_terrain: Maker, half: int) -> None:
     ground = make_terrain(evaluation=block(half))
     for nominal in ((0.01 * half, 0.0), (0.01 * (half + 1), 0.01)):
-        found = on(ground, np.array(nominal))
+        found = search_on(ground, np.array(nominal))
         assert isinstance(found, Foothold)
         assert ground.map.evaluation[tuple(ground.cells(found.p_world[None, :2])[0][0])] == -min(half + 1, 3)
 
 
-def test_a_poor_place_is_better_than_none(make_terrain: Maker) -> None:
+def test_poor_foothold_is_chosen_if_no_better_one_is_reachable(make_terrain: Maker) -> None:
     ground = make_terrain(evaluation=block(10))
-    found = on(ground, np.array([0.10, 0.0]), lambda points: points[:, 0] > 0.095)
+    found = search_on(ground, np.array([0.10, 0.0]), lambda points: points[:, 0] > 0.095)
     assert isinstance(found, Foothold)
     assert found.p_world[0] == pytest.approx(0.10)
 
 
-def test_the_refusal_has_the_same_words(make_terrain: Maker) -> None:
-    none = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 4.0)), np.zeros(2))
+def test_evaluation_layer_gives_same_reasons(make_terrain: Maker) -> None:
+    none = search_on(make_terrain(evaluation=lambda x, y: np.full_like(x, 4.0)), np.zeros(2))
     assert isinstance(none, NoFoothold)
     assert f"{len(OFFSETS)} too steep or too near an edge" in none.reason
-    unseen = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 127.0)), np.zeros(2))
+    unseen = search_on(make_terrain(evaluation=lambda x, y: np.full_like(x, 127.0)), np.zeros(2))
     assert isinstance(unseen, NoFoothold)
     assert f"{len(OFFSETS)} not seen" in unseen.reason
 
 
-def test_level_ground_without_a_map_is_good_on_either_layer() -> None:
+def test_flat_terrain_is_good_on_both_layers() -> None:
     flat = flat_terrain(0, np.zeros(2), 0.0)
     for ground in (flat, replace(flat, layer="evaluation")):
-        found = nearest_foothold(ground, np.array([0.123, -0.2]), OFFSETS, NOBODY, 0.06, everywhere)
+        found = nearest_foothold(ground, np.array([0.123, -0.2]), OFFSETS, NO_OTHER_FEET, 0.06, everywhere)
         assert isinstance(found, Foothold)
         assert found.moved == 0.0

@@ -43,32 +43,32 @@ def unit(angle: float) -> Array:
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_leg_owns_the_direction_it_points_in(leg: int) -> None:
+def test_leg_is_active_in_its_own_direction(leg: int) -> None:
     towards = REST[leg, :2] / np.linalg.norm(REST[leg, :2])
     assert active_sextant(towards, REST) == leg
 
 
-def test_the_active_leg_is_the_one_with_the_least_angle_to_the_motion() -> None:
+def test_active_leg_has_least_angle_to_motion() -> None:
     bearings = np.arctan2(REST[:, 1], REST[:, 0])
     for heading in np.linspace(-np.pi, np.pi, 73):
         apart = np.abs((bearings - heading + np.pi) % (2 * np.pi) - np.pi)
         assert apart[active_sextant(unit(heading), REST)] == pytest.approx(apart.min())
 
 
-def test_sideways_the_middle_legs_lead() -> None:
+def test_middle_legs_are_active_in_sideways_motion() -> None:
     assert LEGS[active_sextant(np.array([0.0, 1.0]), REST)] == "left middle"
     assert LEGS[active_sextant(np.array([0.0, -1.0]), REST)] == "right middle"
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
-def test_from_rest_the_tripod_of_the_active_leg_begins(heading: float) -> None:
+def test_first_tripod_from_rest_contains_active_leg(heading: float) -> None:
     along = directions(unit(heading), 0.0, REST)
     swing = swinging(TRIPOD, along, REST)
     assert swing.sum() == 3
     assert swing[active_sextant(unit(heading), REST)]
 
 
-def walked(gait: Gait, velocity: tuple[float, float], yaw_rate: float, steps: int) -> list[NDArray[np.bool_]]:
+def simulate_walk(gait: Gait, velocity: tuple[float, float], yaw_rate: float, steps: int) -> list[NDArray[np.bool_]]:
     """Return the swing legs of each step of a walk on unobstructed ground.
 
     The walk goes straight, turns on the spot or follows an arc.
@@ -87,29 +87,29 @@ def walked(gait: Gait, velocity: tuple[float, float], yaw_rate: float, steps: in
 
 
 @pytest.mark.parametrize(("velocity", "yaw_rate"), MOTIONS)
-def test_tripods_alternate_however_the_robot_moves(velocity: tuple[float, float], yaw_rate: float) -> None:
-    for before, after in pairwise(walked(TRIPOD, velocity, yaw_rate, 8)):
+def test_tripods_alternate_in_any_motion(velocity: tuple[float, float], yaw_rate: float) -> None:
+    for before, after in pairwise(simulate_walk(TRIPOD, velocity, yaw_rate, 8)):
         np.testing.assert_array_equal(after, ~before)
 
 
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS)
 @pytest.mark.parametrize(("velocity", "yaw_rate"), MOTIONS[::3])
-def test_in_every_cycle_each_leg_swings_once_and_stands_for_the_duty_factor(
+def test_each_leg_swings_once_per_cycle_with_gait_duty_factor(
     gait: Gait, velocity: tuple[float, float], yaw_rate: float
 ) -> None:
     n = len(gait.groups)
-    sets = np.array(walked(gait, velocity, yaw_rate, 4 * n))
+    sets = np.array(simulate_walk(gait, velocity, yaw_rate, 4 * n))
     for begin in range(3 * n + 1):
         np.testing.assert_array_equal(sets[begin : begin + n].sum(axis=0), 1)
     np.testing.assert_allclose((~sets).mean(axis=0), gait.duty)
 
 
-def test_duty_factors_are_those_of_the_gaits() -> None:
+def test_gait_duty_factors() -> None:
     assert {name: gait.duty for name, gait in GAITS.items()} == pytest.approx({"tripod": 1 / 2, "ripple": 2 / 3, "wave": 5 / 6})
 
 
 @given(st.sampled_from(sorted(GAITS)), st.lists(st.floats(-0.05, 0.05), min_size=6, max_size=6), st.sampled_from(MOTIONS))
-def test_every_group_is_named_once_the_hindmost_first(
+def test_swing_order_has_each_group_once_rearmost_first(
     name: str, behind: list[float], motion: tuple[tuple[float, float], float]
 ) -> None:
     gait, along = GAITS[name], directions(np.array(motion[0]), motion[1], REST)  # type: ignore[index]
@@ -124,7 +124,7 @@ def test_every_group_is_named_once_the_hindmost_first(
 
 
 @pytest.mark.parametrize("name", GAITS)
-def test_a_change_of_gait_at_any_step_goes_on_with_whoever_is_behind(name: str) -> None:
+def test_gait_change_does_not_swing_foremost_leg_first(name: str) -> None:
     """Check that a leg that has just swung is not first in another gait."""
     along = directions(unit(0.0), 0.0, REST)
     just = np.arange(6) == 0
@@ -134,14 +134,14 @@ def test_a_change_of_gait_at_any_step_goes_on_with_whoever_is_behind(name: str) 
 
 
 @pytest.mark.parametrize("heading", HEADINGS[::3])
-def test_the_tripod_that_is_behind_swings_whoever_is_active(heading: float) -> None:
+def test_rear_tripod_swings_regardless_of_active_leg(heading: float) -> None:
     along = directions(unit(heading), 0.0, REST)
     for behind in (EVEN, ~EVEN):
         feet = REST - np.where(behind[:, None], 0.02, 0.0) * [np.cos(heading), np.sin(heading), 0.0]
         np.testing.assert_array_equal(swinging(TRIPOD, along, feet), behind)
 
 
-def test_directions_are_those_of_a_rigid_body() -> None:
+def test_foot_directions_match_rigid_body_motion() -> None:
     velocity, yaw_rate = np.array([0.05, -0.02]), 0.4
     dt = 1e-6
     moved = from_xyz_rpy((*velocity * dt, 0.0), (0.0, 0.0, yaw_rate * dt))
@@ -151,13 +151,13 @@ def test_directions_are_those_of_a_rigid_body() -> None:
     assert np.linalg.norm(along, axis=1).max() == pytest.approx(1.0)
 
 
-def test_no_motion_has_no_direction() -> None:
+def test_zero_motion_has_zero_directions() -> None:
     np.testing.assert_array_equal(directions(np.zeros(2), 0.0, REST), 0.0)
     assert swinging(TRIPOD, np.zeros((6, 2)), REST).sum() == 3
 
 
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS)
-def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None:
+def test_nominal_touchdown_is_symmetric_about_rest_over_stance(gait: Gait) -> None:
     """Check that feet land half a stance ahead of rest and lift half a stance behind.
 
     Seen from the body, both places are symmetric about rest.
@@ -173,7 +173,7 @@ def test_feet_land_so_that_the_body_passes_over_their_middle(gait: Gait) -> None
 
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.3, 0.3), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
-def test_steps_add_up(x: float, y: float, turn: float, a: float, b: float) -> None:
+def test_extrapolated_steps_are_additive(x: float, y: float, turn: float, a: float, b: float) -> None:
     """Check that a + b steps turn and travel as far as a steps and then b steps."""
     T, travel = from_xyz_rpy((0.3, -0.1, 0.1), (0.0, 0.0, 0.7)), np.array([x, y])
     both = extrapolate_pose(extrapolate_pose(T, travel, turn, a), travel, turn, b)

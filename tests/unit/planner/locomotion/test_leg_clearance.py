@@ -50,7 +50,7 @@ def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = T
     return StepMotion(start, np.where(swing[:, None], apply(T_end, rest) + half, start), T_start, T_end, swing)
 
 
-def asked(way: StepMotion, ground: Terrain) -> Array | LegCollision:
+def required_clearance(way: StepMotion, ground: Terrain) -> Array | LegCollision:
     return find_clearances(way, LOW, MARGIN, FOOT_MARGIN, HIGHEST, PROFILE, ground)
 
 
@@ -64,19 +64,21 @@ def ridge(make_terrain: Maker, height: float, until: float = 0.08) -> Terrain:
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.15, 0.15), st.booleans(), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
 @settings(max_examples=40)
-def test_level_and_sloping_ground_raises_nothing(travel: float, yaw: float, even: bool, along: float, across: float) -> None:
+def test_level_and_sloping_ground_need_no_extra_clearance(
+    travel: float, yaw: float, even: bool, along: float, across: float
+) -> None:
     way = step(travel, yaw, even=even)
-    np.testing.assert_array_equal(asked(way, FLAT), LOW)
+    np.testing.assert_array_equal(required_clearance(way, FLAT), LOW)
     tilt = from_xyz_rpy((0.0, 0.0, 0.0), (np.arctan(across), -np.arctan(along), 0.0))
     slope = np.array([-tilt[0, 2], -tilt[1, 2]]) / tilt[2, 2]
     leaning = StepMotion(apply(tilt, way.start), apply(tilt, way.end), tilt @ way.T_start, tilt @ way.T_end, way.swing)
-    np.testing.assert_array_equal(asked(leaning, plane_terrain(0, np.zeros(2), 0.0, slope)), LOW)
+    np.testing.assert_array_equal(required_clearance(leaning, plane_terrain(0, np.zeros(2), 0.0, slope)), LOW)
 
 
-def test_a_foot_is_lifted_where_its_shank_would_cut_a_ridge_beside_its_way(make_terrain: Maker) -> None:
+def test_foot_is_lifted_higher_if_tibia_would_hit_ridge(make_terrain: Maker) -> None:
     lifts = []
     for height in (0.04, 0.07, 0.08):
-        found = asked(step(out=0.045), ridge(make_terrain, height))
+        found = required_clearance(step(out=0.045), ridge(make_terrain, height))
         assert not isinstance(found, LegCollision)
         np.testing.assert_array_equal(np.delete(found, MIDDLE), np.delete(LOW, MIDDLE))
         lifts.append(found[MIDDLE])
@@ -84,33 +86,33 @@ def test_a_foot_is_lifted_where_its_shank_would_cut_a_ridge_beside_its_way(make_
     assert lifts[0] < lifts[1] < lifts[2] <= HIGHEST
 
 
-def test_a_step_that_no_lift_clears_is_refused_by_leg_link_and_place(make_terrain: Maker) -> None:
-    high = asked(step(out=0.045), ridge(make_terrain, 0.10))
-    where_it_lands = asked(step(out=0.045), ridge(make_terrain, 0.07, until=0.3))
+def test_collision_without_sufficient_lift_names_leg_link_and_place(make_terrain: Maker) -> None:
+    high = required_clearance(step(out=0.045), ridge(make_terrain, 0.10))
+    where_it_lands = required_clearance(step(out=0.045), ridge(make_terrain, 0.07, until=0.3))
     for found in (high, where_it_lands):
         assert isinstance(found, LegCollision)
         assert found.leg == MIDDLE
         assert found.reason.startswith("right middle leg: its tibia would touch the ground at (0.")
 
 
-def test_a_foothold_beside_which_the_shank_has_no_room_is_none(make_terrain: Maker) -> None:
+def test_foothold_without_room_for_tibia_is_refused(make_terrain: Maker) -> None:
     way = step(out=0.045)
     feet = way.end[[MIDDLE, MIDDLE]] + [[0.0, 0.0, 0.0], [-0.13, 0.0, 0.0]]
     ground = make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.1), 0.07, 0.0))
     np.testing.assert_array_equal(stands_clear(MIDDLE, feet, way.T_end, MARGIN, PROFILE, ground), [False, True])
 
 
-def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_terrain: Maker) -> None:
+def test_step_that_pushes_stance_leg_into_block_is_refused(make_terrain: Maker) -> None:
     """Check a standing foot whose femur moves with the body."""
     way = step(even=False)
     block = make_terrain(lambda x, y: np.where((x > 0.165) & (x < 0.2) & (y > 0.09) & (y < 0.12), 0.125, 0.0))
-    found = asked(way, block)
+    found = required_clearance(way, block)
     assert isinstance(found, LegCollision)
     assert found.reason.startswith("left front leg: its femur would touch")
     assert not way.swing[found.leg]
 
 
-def test_a_foot_that_its_folded_leg_pushes_outwards_as_it_rises_needs_room_there(make_terrain: Maker) -> None:
+def test_foot_of_folded_leg_needs_room_outwards_when_rising(make_terrain: Maker) -> None:
     body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
     out = PROFILE.links.coxa + np.array([0.01, 0.03, 0.07])  # [m] distances of the feet from the right middle leg's coxa
     feet = apply(body @ PROFILE.T_body_coxa[MIDDLE], np.column_stack([out, np.zeros(3), np.zeros(3)]))
@@ -129,12 +131,12 @@ def test_a_foot_that_its_folded_leg_pushes_outwards_as_it_rises_needs_room_there
     assert room(-0.02) == [True, True, True]
 
 
-def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: Maker) -> None:
+def test_unseen_ground_and_existing_contact_do_not_block_step(make_terrain: Maker) -> None:
     wall = ridge(make_terrain, 0.10)
     wall.map.elevation[wall.map.elevation > 0.0] = np.nan
-    np.testing.assert_array_equal(asked(step(out=0.045), wall), LOW)
+    np.testing.assert_array_equal(required_clearance(step(out=0.045), wall), LOW)
     sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # the map has the robot stand knee-deep in the ground
-    assert not isinstance(asked(step(), sunk), LegCollision)
+    assert not isinstance(required_clearance(step(), sunk), LegCollision)
 
 
 def folded(make_terrain: Maker, block: float) -> tuple[StepMotion, Terrain]:
@@ -150,14 +152,14 @@ def folded(make_terrain: Maker, block: float) -> tuple[StepMotion, Terrain]:
     return StepMotion(start, end, way.T_start, way.T_end, way.swing), ground
 
 
-def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(make_terrain: Maker) -> None:
+def test_step_that_pushes_foot_of_folded_leg_into_block_is_refused(make_terrain: Maker) -> None:
     """Check a foot lifted next to a block, as on rubble with seed 46.
 
     It came too near its coxa, and the leg pushed the body away.
     """
     way, level = folded(make_terrain, 0.0)
-    np.testing.assert_array_equal(asked(way, level), LOW)
-    found = asked(*folded(make_terrain, 0.034))
+    np.testing.assert_array_equal(required_clearance(way, level), LOW)
+    found = required_clearance(*folded(make_terrain, 0.034))
     assert isinstance(found, LegCollision)
     assert found.leg == 0
     assert found.reason.startswith("left front leg: its foot would be pushed against the ground at (0.1")
@@ -166,7 +168,7 @@ def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(ma
     np.testing.assert_array_equal(lifted, LOW)
 
 
-def test_samples_lie_on_the_links_that_kinematics_has() -> None:
+def test_link_samples_match_forward_kinematics() -> None:
     rng = np.random.default_rng(3)
     q = body_inverse(PROFILE, PROFILE.rest_feet() + rng.uniform(-0.02, 0.02, (20, 6, 3)))
     _, hip, knee, foot = np.moveaxis(leg_points(PROFILE, q), -2, 0)
@@ -177,7 +179,7 @@ def test_samples_lie_on_the_links_that_kinematics_has() -> None:
 
 
 @pytest.mark.parametrize("rise", [-0.04, 0.0, 0.04])
-def test_the_shape_of_a_swing_joins_its_ends(rise: float) -> None:
+def test_swing_shape_connects_start_and_end(rise: float) -> None:
     start, end = np.zeros((1, 3)), np.array([[0.1, 0.0, rise]])
     shape = swing_shape(start, end, np.array([0.05]))
     np.testing.assert_array_equal(shape[[0, -1]], [start, end])

@@ -14,26 +14,26 @@ from tests.unit.planner.test_service import Rig
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 
 
-def heard(**changes: Any) -> ActuatorState:
+def actuator_state_with(**changes: Any) -> ActuatorState:
     return replace(Rig().state, **changes)
 
 
-def lost(at: tuple[float, float], stamp_ns: int = 5) -> ActuatorState:
+def ground_not_found_at(at: tuple[float, float], stamp_ns: int = 5) -> ActuatorState:
     """Return a state in which the third leg found no ground at a place {odom}."""
     touch, stamps = np.zeros((6, 3)), np.full(6, -1, dtype=np.int64)
     touch[2], stamps[2] = (*at, -0.05), stamp_ns
-    return heard(touch=touch, touch_ns=stamps, touch_carries=np.zeros(6, dtype=bool))
+    return actuator_state_with(touch=touch, touch_ns=stamps, touch_carries=np.zeros(6, dtype=bool))
 
 
-def test_without_findings_the_map_stays_what_it_is() -> None:
+def test_map_is_unchanged_without_missing_ground() -> None:
     holes = MissingGround()
-    holes.update(heard(), np.eye(4))
+    holes.update(actuator_state_with(), np.eye(4))
     assert holes.marked(FLAT) is FLAT
 
 
-def test_a_hole_is_refused_with_what_is_near_and_nothing_else() -> None:
+def test_missing_ground_is_refused_only_nearby() -> None:
     holes = MissingGround()
-    holes.update(lost((0.2, 0.1)), from_xyz_rpy((0.1, 0.0, 0.0), np.zeros(3)))
+    holes.update(ground_not_found_at((0.2, 0.1)), from_xyz_rpy((0.1, 0.0, 0.0), np.zeros(3)))
     marked = holes.marked(FLAT)
     near, far = np.array([[0.3, 0.1], [0.32, 0.12]]), np.array([[0.3, 0.16], [0.2, 0.1]])
     assert (marked.suitability(near) == NONE).all()
@@ -44,14 +44,14 @@ def test_a_hole_is_refused_with_what_is_near_and_nothing_else() -> None:
     assert holes.marked(FLAT) is marked
 
 
-def test_a_finding_counts_once_and_ground_that_was_found_is_no_hole() -> None:
+def test_missing_ground_is_stored_once_and_carrying_ground_is_not() -> None:
     holes = MissingGround()
     for _ in range(5):
-        holes.update(lost((0.2, 0.1)), np.eye(4))
+        holes.update(ground_not_found_at((0.2, 0.1)), np.eye(4))
     assert len(holes.places) == 1
-    carries = replace(lost((0.4, 0.1), 9), touch_carries=np.ones(6, dtype=bool))
+    carries = replace(ground_not_found_at((0.4, 0.1), 9), touch_carries=np.ones(6, dtype=bool))
     holes.update(carries, np.eye(4))
     assert len(holes.places) == 1
-    holes.update(lost((0.5, 0.1), 12), np.eye(4))
+    holes.update(ground_not_found_at((0.5, 0.1), 12), np.eye(4))
     np.testing.assert_allclose(holes.places, [[0.2, 0.1], [0.5, 0.1]])
     assert holes.marked(FLAT).suitability(np.array([[0.5, 0.1]]))[0] == NONE

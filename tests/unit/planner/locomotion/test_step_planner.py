@@ -55,7 +55,7 @@ def stride(at: StepStart, terrain: Terrain = FLAT) -> PlannedStep:
     return found
 
 
-def walkable(found: PlannedStep, at: StepStart) -> None:
+def check_walkable(found: PlannedStep, at: StepStart) -> None:
     """Check the properties of every step."""
     feet = apply(inverse(found.body_goal), found.touchdown)
     assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
@@ -76,10 +76,10 @@ def walkable(found: PlannedStep, at: StepStart) -> None:
 
 @given(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-0.2, 0.2), st.booleans())
 @settings(max_examples=40)
-def test_on_level_ground_it_does_what_is_commanded(vx: float, vy: float, yaw_rate: float, even: bool) -> None:
+def test_step_on_level_ground_follows_command(vx: float, vy: float, yaw_rate: float, even: bool) -> None:
     at = standing(command(vx, vy, yaw_rate), TRIPOD if even else ~TRIPOD)
     found = stride(at)
-    walkable(found, at)
+    check_walkable(found, at)
     turn = (
         float(np.clip(yaw_rate * PROFILE.stance.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg])))
         * found.share
@@ -92,12 +92,12 @@ def test_on_level_ground_it_does_what_is_commanded(vx: float, vy: float, yaw_rat
     np.testing.assert_allclose(found.touchdown[at.swing, 2], PROFILE.foot.radius, atol=1e-6)
 
 
-def test_moderate_commands_are_walked_whole() -> None:
+def test_moderate_command_gives_full_stride() -> None:
     assert stride(standing()).share == 1.0
     assert stride(standing()).moved == 0
 
 
-def test_a_step_is_never_longer_than_allowed() -> None:
+def test_stride_and_turn_are_limited() -> None:
     found = stride(standing(command(5.0, 0.0, 9.0)))
     assert np.linalg.norm(found.body_goal[:2, 3]) <= PROFILE.stance.stride + 1e-9
     assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.max_turn_deg) + 1e-9
@@ -105,7 +105,7 @@ def test_a_step_is_never_longer_than_allowed() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
-def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> None:
+def test_patchy_ground_gives_acceptable_footholds_or_reason(seed: int) -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0)
     ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * ACCEPTABLE
     at = standing()
@@ -113,13 +113,13 @@ def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> Non
     if isinstance(found, NoStep):
         assert found.reason
         return
-    walkable(found, at)
+    check_walkable(found, at)
     landed = found.touchdown[at.swing, :2]
     assert (ground.scores(landed) <= ACCEPTABLE).all()
     assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= PROFILE.stance.search_radius + 0.01
 
 
-def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
+def test_stride_is_shortened_towards_edge_before_refusal(make_terrain: Maker) -> None:
     """Check that steps become shorter towards an abyss, until there is none."""
     shares = []
     for edge in np.arange(0.34, 0.10, -0.01):
@@ -132,7 +132,7 @@ def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
     assert len(set(shares)) > 2
 
 
-def test_the_words_are_those_of_the_whole_stride(make_terrain: Maker) -> None:
+def test_reason_is_that_of_full_stride(make_terrain: Maker) -> None:
     nothing = make_terrain(score=lambda x, y: np.full_like(x, np.nan))
     found = PLANNER.plan(standing(), nothing)
     assert isinstance(found, NoStep)
@@ -141,7 +141,7 @@ def test_the_words_are_those_of_the_whole_stride(make_terrain: Maker) -> None:
     assert "not seen" in found.reason
 
 
-def test_a_body_off_its_feet_is_named() -> None:
+def test_body_off_its_feet_is_reported() -> None:
     feet = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))
     away = from_xyz_rpy((0.11, 0.0, HEIGHT), np.zeros(3))
     found = PLANNER.plan(standing(command(0.01), T=away, feet=feet), FLAT)
@@ -150,7 +150,7 @@ def test_a_body_off_its_feet_is_named() -> None:
 
 
 @pytest.mark.parametrize("rise", [0.02, 0.04, -0.03])
-def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, rise: float) -> None:
+def test_body_follows_ground_height_at_limited_rate(make_terrain: Maker, rise: float) -> None:
     ground = make_terrain(lambda x, y: np.full_like(x, rise))
     found = stride(standing(command(0.02)), ground)
     allowed = np.clip(rise, -PROFILE.stance.max_climb, PROFILE.stance.max_climb)
@@ -179,7 +179,7 @@ def climbs(planner: StepPlanner, ground: Terrain) -> list[PlannedStep]:
         found = planner.plan(at, ground)
         if isinstance(found, NoStep):
             break
-        walkable(found, at)
+        check_walkable(found, at)
         strides.append(found)
         at = StepStart(found.body_goal, found.touchdown, ~at.swing, at.command)
     return strides
@@ -198,14 +198,14 @@ def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tre
     assert lean_deg(strides[0]) == 0.0
 
 
-def test_high_stairs_need_a_body_that_leans(make_terrain: Maker) -> None:
+def test_high_stairs_need_leaning_body(make_terrain: Maker) -> None:
     ground = staircase(make_terrain, 0.06, 0.25)
     level = climbs(StepPlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
     assert level[-1].body_goal[0, 3] < 1.0
     assert max(map(lean_deg, climbs(PLANNER, ground))) > 3.0
 
 
-def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None:
+def test_body_is_lowered_gradually_for_low_standing_legs() -> None:
     body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
     feet = apply(body, PROFILE.rest_feet(HEIGHT))
     heights = []
@@ -214,7 +214,7 @@ def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None
         at = standing(command(0.01), T=body, feet=feet.copy())
         found = PLANNER.plan(at, FLAT)
         if isinstance(found, PlannedStep):
-            walkable(found, at)
+            check_walkable(found, at)
             heights.append(found.body_goal[2, 3])
     assert heights[0] == pytest.approx(HEIGHT)
     assert heights == sorted(heights, reverse=True)
@@ -222,24 +222,24 @@ def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None
     assert heights[-1] >= PROFILE.stance.body_height_range[0]
 
 
-def test_legs_that_must_reach_down_make_it_stoop_too(make_terrain: Maker) -> None:
+def test_body_is_lowered_or_pitched_for_low_touchdowns(make_terrain: Maker) -> None:
     high = 0.12
     down = make_terrain(lambda x, y: np.where(x > 0.17, -0.09, 0.0), lambda x, y: np.where(np.abs(x - 0.17) < 0.03, 9.0, 0.0))
     T = from_xyz_rpy((0.0, 0.0, high), np.zeros(3))
     at = standing(command(0.10, height=high), T=T, feet=apply(T, PROFILE.rest_feet(high)))
     found = stride(at, down)
-    walkable(found, at)
+    check_walkable(found, at)
     assert found.touchdown[0, 2] < -0.05
     assert found.body_goal[2, 3] < high or rpy_from_rotation(found.body_goal[:3, :3])[1] > 0.0
 
 
 @pytest.mark.parametrize(("asked", "why"), [(command(height=0.25), "body height"), (command(lift=0.2), "lift of")])
-def test_commands_that_no_ground_allows_are_named(asked: VelocityCommand, why: str) -> None:
+def test_infeasible_command_is_reported(asked: VelocityCommand, why: str) -> None:
     assert why in PLANNER.validation_error(asked)
     assert PLANNER.validation_error(command()) == ""
 
 
-def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> None:
+def test_foothold_search_uses_map_resolution(make_terrain: Maker) -> None:
     """Check a single good place that lies between the cells of a coarser map."""
     fine = flat_terrain(0, np.zeros(2), 0.0, half_size=0.6, resolution=0.005)
     wanted = stride(standing(), fine).touchdown[0, :2]
@@ -255,12 +255,12 @@ def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> 
     assert stride(standing()).moved == 0  # and a coarser map works again
 
 
-def test_commanded_height_is_approached() -> None:
+def test_body_approaches_commanded_height_at_limited_rate() -> None:
     found = stride(standing(command(0.0, height=HEIGHT + 0.02)))
     assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, PROFILE.stance.max_climb))
 
 
-def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None:
+def test_foot_is_lifted_over_obstacle_on_its_path(make_terrain: Maker) -> None:
     at = standing(command(0.1))
     plain = stride(at)
     middle = (at.feet[0, :2] + plain.touchdown[0, :2]) / 2
@@ -271,7 +271,7 @@ def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None
     assert found.clearance[2] == pytest.approx(at.command.lift)
 
 
-def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
+def test_obstacle_higher_than_max_lift_blocks_step(make_terrain: Maker) -> None:
     at = standing(command(0.05))
     foot = at.feet[0, :2]
     # A wall around the foot, so near that no step is short enough to end before it, and bad footholds around it.
@@ -287,7 +287,7 @@ def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_the_body_goes_no_further_than_its_legs_have_room(make_terrain: Maker, even: bool) -> None:
+def test_body_travel_is_limited_by_leg_clearance(make_terrain: Maker, even: bool) -> None:
     """Check posts next to the front feet that only a femur would touch.
 
     The femur moves with the body.
@@ -299,7 +299,7 @@ def test_the_body_goes_no_further_than_its_legs_have_room(make_terrain: Maker, e
 
 
 @pytest.mark.parametrize("heading", np.radians([30.0, 90.0, -135.0]))
-def test_plans_do_not_depend_on_where_and_which_way_the_world_lies(heading: float) -> None:
+def test_step_is_invariant_to_world_position_and_heading(heading: float) -> None:
     """Check that the step is the same in {body} on moved and turned level ground."""
     T = from_xyz_rpy((0.31, -0.17, HEIGHT), (0.0, 0.0, heading))
     here, there = stride(standing(command(0.06, 0.02, 0.1))), stride(standing(command(0.06, 0.02, 0.1), T=T))
@@ -309,12 +309,12 @@ def test_plans_do_not_depend_on_where_and_which_way_the_world_lies(heading: floa
     np.testing.assert_allclose(inverse(T) @ there.body_goal, inverse(T_start) @ here.body_goal, atol=1e-9)
 
 
-def test_retargeting_on_the_same_map_changes_nothing() -> None:
+def test_retarget_on_same_map_changes_nothing() -> None:
     found = stride(standing())
     np.testing.assert_allclose(PLANNER.retarget(found, FLAT).touchdown, found.touchdown, atol=1e-9)
 
 
-def test_retargeting_moves_only_the_foot_whose_ground_turned_out_bad(make_terrain: Maker) -> None:
+def test_retarget_moves_only_foot_on_bad_ground(make_terrain: Maker) -> None:
     found = stride(standing())
     bad = found.touchdown[2, :2]
     newer = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0))
@@ -327,7 +327,7 @@ def test_retargeting_moves_only_the_foot_whose_ground_turned_out_bad(make_terrai
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
-def test_retargeted_feet_stay_in_reach_until_they_are_to_leave(seed: int) -> None:
+def test_retargeted_feet_stay_in_reach_until_next_step(seed: int) -> None:
     found, ground = stride(standing(command(0.1))), flat_terrain(0, np.zeros(2), 0.0)
     ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.9] = 2.0 * ACCEPTABLE
     moved = PLANNER.retarget(found, ground)
@@ -336,19 +336,19 @@ def test_retargeted_feet_stay_in_reach_until_they_are_to_leave(seed: int) -> Non
         assert within[found.swing].all()
 
 
-def test_retargeting_follows_the_height(make_terrain: Maker) -> None:
+def test_retarget_follows_ground_height(make_terrain: Maker) -> None:
     found = stride(standing())
     moved = PLANNER.retarget(found, make_terrain(lambda x, y: np.full_like(x, 0.012)))
     np.testing.assert_allclose(moved.touchdown[TRIPOD, 2] - found.touchdown[TRIPOD, 2], 0.012, atol=1e-6)
 
 
-def test_retargeting_keeps_its_foothold_when_the_map_has_nothing_better(make_terrain: Maker) -> None:
+def test_retarget_keeps_foothold_without_better_one(make_terrain: Maker) -> None:
     found = stride(standing())
     nothing = make_terrain(score=lambda x, y: np.full_like(x, 9.0))
     np.testing.assert_array_equal(PLANNER.retarget(found, nothing).touchdown, found.touchdown)
 
 
-def test_retargeting_takes_no_way_that_asks_for_more_lift(make_terrain: Maker) -> None:
+def test_retarget_refuses_path_that_needs_more_lift(make_terrain: Maker) -> None:
     at = standing(command(0.1))
     found = stride(at)
     middle, bad = (at.feet[0, :2] + found.touchdown[0, :2]) / 2, found.touchdown[0, :2]
@@ -361,7 +361,7 @@ def test_retargeting_takes_no_way_that_asks_for_more_lift(make_terrain: Maker) -
     assert np.abs(PLANNER.retarget(found, make_terrain(score=spoilt)).touchdown[0] - found.touchdown[0]).max() > 0.01
 
 
-def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
+def test_step_moved_by_pose_correction_is_unchanged_in_body_frame() -> None:
     found, T = stride(standing(command(0.06, 0.01, 0.1))), from_xyz_rpy((0.02, -0.01, 0.004), (0.0, 0.0, 0.03))
     moved = found.moved_by(T)
     for name in ("touchdown", "start"):
@@ -380,7 +380,7 @@ def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
     ("velocity", "yaw_rate"),
     [((1.0, 0.0), 0.0), ((-1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.7, -0.7), 0.0), ((0.0, 0.0), 0.15), ((0.8, 0.0), -0.1)],
 )
-def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
+def test_every_gait_walks_in_any_direction_and_turns_on_the_spot(
     gait: GaitName, velocity: tuple[float, float], yaw_rate: float
 ) -> None:
     """Check a sequence of steps on level ground.
@@ -410,7 +410,7 @@ def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
     assert np.linalg.norm(body[:2, 3]) <= np.linalg.norm(asked.velocity) * way + 1e-9
 
 
-def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
+def test_speed_limit_of_gait_is_reported() -> None:
     slow = command(0.05)
     assert PLANNER.describe_slowdown(slow, stride(standing(slow))) == ""
     fast = replace(command(0.10), gait="wave")
@@ -418,7 +418,7 @@ def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
     assert re.fullmatch(r", speed limited to \d\.\d of 10\.0 cm/s \(leg reach and joint speed in the wave gait\)", words)
 
 
-def test_who_asks_for_more_speed_never_gets_less() -> None:
+def test_higher_commanded_speed_never_gives_lower_speed() -> None:
     speeds = []
     for asked in (command(v, height=PROFILE.stance.body_height, lift=0.025) for v in (0.08, 0.1, PROFILE.stance.max_speed)):
         body = from_xyz_rpy((0.0, 0.0, asked.body_height), np.zeros(3))
@@ -438,7 +438,7 @@ def wide_flat(body: Array) -> Terrain:
     return flat_terrain(0, body[:2, 3], 0.0)
 
 
-def test_legs_that_step_instead_of_others_say_why() -> None:
+def test_step_of_other_legs_reports_reason() -> None:
     due, others = standing(command(0.05)), standing(command(0.05), ~TRIPOD)
     bad = stride(due).touchdown[0, :2]
     x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
@@ -450,7 +450,7 @@ def test_legs_that_step_instead_of_others_say_why() -> None:
     assert PLANNER.choose([others, due], FLAT)[0].instead == ""  # type: ignore[union-attr]
 
 
-def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherwise() -> None:
+def test_search_radius_is_widened_only_when_no_legs_find_step() -> None:
     """Check one leg of each group amid ground without footholds.
 
     The ground extends a little beyond the first search radius.
@@ -470,7 +470,7 @@ def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherw
 
 
 @given(st.sets(st.integers(0, 2 * len(SHARES) - 1)))
-def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set[int]) -> None:
+def test_refused_choices_are_skipped_and_others_tried_in_order(refused: set[int]) -> None:
     situations = [standing(command(0.05), swing) for swing in (TRIPOD, ~TRIPOD)]
     found, way = PLANNER.choose(situations, FLAT, refused)
     left = [k for k in range(2 * len(SHARES)) if k not in refused]
@@ -489,7 +489,7 @@ def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[Step
     return [StepStart(body, feet, swing, asked) for swing in order]
 
 
-def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> None:
+def test_stretched_robot_gathers_feet_by_steps_on_the_spot() -> None:
     """Check a stance left by short steps of always the same legs.
 
     The ground for the other legs is unseen.
@@ -504,7 +504,7 @@ def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> 
     found, way = PLANNER.gather(at, FLAT)
     assert isinstance(found, PlannedStep)
     assert way >= len(at) * len(SHARES), "no way of `choose` has its number"
-    walkable(found, next(one for one in at if (one.swing == found.swing).all()))
+    check_walkable(found, next(one for one in at if (one.swing == found.swing).all()))
     np.testing.assert_allclose(found.body_goal[:2, 3], body[:2, 3])
     other, _ = PLANNER.gather(at, FLAT, {way})
     assert isinstance(other, NoStep) or (other.swing != found.swing).all(), "what was refused is not tried again"
@@ -513,7 +513,7 @@ def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> 
 
 @given(st.lists(st.floats(-0.02, 0.02), min_size=12, max_size=12))
 @settings(max_examples=25)
-def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[float]) -> None:
+def test_gathering_steps_end_with_all_feet_near_rest(off: list[float]) -> None:
     body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
     rest = apply(body, PROFILE.rest_feet(HEIGHT))
     feet = rest + np.column_stack([np.reshape(off, (6, 2)), np.zeros(6)])
@@ -529,9 +529,7 @@ def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[floa
 
 @given(st.floats(0.0, 0.12), st.floats(0.02, 0.06), st.floats(-0.01, 0.01))
 @settings(max_examples=25)
-def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
-    height: float, before: float, aside: float
-) -> None:
+def test_swing_clears_obstacle_before_touchdown(height: float, before: float, aside: float) -> None:
     """Check the clearance before a touchdown; a step that needs too much lift is none."""
     at = standing(command(0.1))
     x0, y0 = stride(at).touchdown[2, :2] - [before, aside]
@@ -547,7 +545,7 @@ def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
         assert found.clearance[swing].max() <= PROFILE.stance.max_lift
 
 
-def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> None:
+def test_higher_lift_takes_longer_step(make_terrain: Maker) -> None:
     low, high = (stride(standing(command(0.05, lift=lift))) for lift in (0.02, 0.08))
     assert low.duration == PROFILE.stance.step_s
     assert high.duration > low.duration
@@ -556,9 +554,7 @@ def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> Non
 
 
 @pytest.mark.parametrize("off", [0.03, 0.04])
-def test_the_body_makes_room_for_a_folded_leg_before_its_foot_is_pushed_against_what_stands_there(
-    make_terrain: Maker, off: float
-) -> None:
+def test_body_shifts_to_give_folded_leg_clearance_from_riser(make_terrain: Maker, off: float) -> None:
     """Check a left front foot near its coxa and right before a riser.
 
     The actuator refuses the other legs' step.

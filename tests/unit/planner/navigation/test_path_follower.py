@@ -89,7 +89,7 @@ def walled(x: Array, y: Array) -> Array:
     return np.where((np.abs(x - 0.8) < 0.1) & (y > -0.9) & (y < 0.3), 0.3, 0.0)
 
 
-def beside_edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+def edge_score(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
     def score(x: Array, y: Array) -> Array:
         around = np.array([height(x + dx, y + dy) for dx in (-0.02, 0.02) for dy in (-0.02, 0.02)])
         return np.where(np.ptp(around, axis=0) > 0.01, 9.0, 0.0)
@@ -97,7 +97,7 @@ def beside_edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Ar
     return score
 
 
-def test_it_walks_straight_and_ends_within_the_tolerance(make_terrain: Maker) -> None:
+def test_straight_walk_ends_within_goal_tolerance(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((0.7, 0.3)))
     assert robot.words[-1] == "at the goal (0.7, 0.3)"
     assert np.linalg.norm(robot.T[:2, 3] - (0.7, 0.3)) <= 0.03
@@ -107,7 +107,7 @@ def test_it_walks_straight_and_ends_within_the_tolerance(make_terrain: Maker) ->
     assert not len(robot.pilot.path)
 
 
-def test_it_stays_where_it_has_arrived(make_terrain: Maker) -> None:
+def test_robot_stays_at_reached_goal(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((0.3, 0.0)))
     robot.T[:2, 3] += (0.02, 0.01)  # the estimate moves a little
     assert robot.step(goal((0.3, 0.0))).commands == ()  # type: ignore[union-attr]
@@ -115,8 +115,8 @@ def test_it_stays_where_it_has_arrived(make_terrain: Maker) -> None:
     assert robot.words[-1] == "at the goal (0.6, 0.0)"
 
 
-def test_around_a_wall_it_goes_with_room_to_spare_and_faces_its_way(make_terrain: Maker) -> None:
-    robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6)).walk(goal((1.4, 0.0)))
+def test_robot_walks_around_wall_with_clearance(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(walled, edge_score(walled), half=1.6)).walk(goal((1.4, 0.0)))
     assert robot.words[-1].startswith("at the goal")
     track = np.array(robot.track)[:, :2]
     reach = np.linalg.norm(PROFILE.rest_feet()[:, :2], axis=1).max()
@@ -126,7 +126,7 @@ def test_around_a_wall_it_goes_with_room_to_spare_and_faces_its_way(make_terrain
     assert (moves[:, 1] > 0).any(), "it went the short way around"
 
 
-def test_where_there_is_no_way_it_says_why_at_once_and_stands(make_terrain: Maker) -> None:
+def test_missing_path_is_reported_immediately_and_robot_stands(make_terrain: Maker) -> None:
     def pen(x: Array, y: Array) -> Array:
         off = np.maximum(np.abs(x), np.abs(y))
         return np.where(off < 0.8, 0.0, np.where(off < 0.9, 0.3, np.nan))
@@ -143,7 +143,7 @@ def test_where_there_is_no_way_it_says_why_at_once_and_stands(make_terrain: Make
     assert robot.words[-1].startswith("at the goal"), "it tries again when the map changes"
 
 
-def test_where_it_does_not_get_on_it_takes_another_way(make_terrain: Maker) -> None:
+def test_stalled_robot_takes_other_path(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     robot.walk(goal((1.2, 0.0)), steps=3)
     robot.held = True
@@ -159,14 +159,14 @@ def test_where_it_does_not_get_on_it_takes_another_way(make_terrain: Maker) -> N
 
 
 @pytest.mark.parametrize("edge", [0.4, 0.63, 1.2])
-def test_where_it_only_steps_to_and_fro_it_says_so_in_the_end(edge: float, make_terrain: Maker) -> None:
+def test_oscillating_walk_is_reported_as_stuck(edge: float, make_terrain: Maker) -> None:
     to = replace(goal((1.4, 0.0)), speed=0.12)
     robot = Robot(make_terrain(half=1.9), stands=lambda T: bool(T[0, 3] < edge)).walk(to, steps=300)
     assert robot.ended
     assert "the robot got stuck before: no " in robot.words[-1]
 
 
-def test_where_it_only_turns_to_and_fro_it_says_so_too(make_terrain: Maker) -> None:
+def test_oscillating_turn_is_reported_as_stuck(make_terrain: Maker) -> None:
     def seen(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) < 0.58, 0.0, np.nan)
 
@@ -178,7 +178,7 @@ def test_where_it_only_turns_to_and_fro_it_says_so_too(make_terrain: Maker) -> N
     assert "the robot got stuck before: no " in robot.words[-1]
 
 
-def test_what_it_says_of_where_it_got_stuck_is_of_there(make_terrain: Maker) -> None:
+def test_stuck_reason_is_that_of_last_stall(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     robot.step(goal((1.2, 0.0)))
     robot.pilot.note("left front leg: long ago")
@@ -188,7 +188,7 @@ def test_what_it_says_of_where_it_got_stuck_is_of_there(make_terrain: Maker) -> 
     assert robot.words[-1].endswith("the robot got stuck before: no motion for 4 s")
 
 
-def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) -> None:
+def test_robot_turns_to_face_unseen_ground_before_walking(make_terrain: Maker) -> None:
     def seen(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) < 0.58, 0.0, np.nan)
 
@@ -202,7 +202,7 @@ def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) ->
     assert not robot.T[:2, 3].any()
 
 
-def test_over_ground_that_it_has_seen_it_walks_while_it_turns_to_what_it_has_not(make_terrain: Maker) -> None:
+def test_robot_walks_on_seen_ground_while_turning_to_unseen_ground(make_terrain: Maker) -> None:
     def seen(x: Array, y: Array) -> Array:
         return np.where(x < 0.9, 0.0, np.nan)
 
@@ -214,9 +214,7 @@ def test_over_ground_that_it_has_seen_it_walks_while_it_turns_to_what_it_has_not
 
 
 @pytest.mark.parametrize(("yaw", "left"), [(30.0, False), (150.0, True)])
-def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
-    yaw: float, left: bool, make_terrain: Maker
-) -> None:
+def test_robot_turns_first_to_nearer_unseen_part_of_path(yaw: float, left: bool, make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         """Return a wall across the straight way, with unseen ground at its left end.
 
@@ -225,7 +223,7 @@ def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
         wall = (x > -0.4) & (y > -0.6) & (y < -0.5)
         return np.where((x < -0.7) | (y < -0.9), np.nan, np.where(wall, 0.3, 0.0))
 
-    robot = Robot(make_terrain(height, beside_edges(height), half=1.9), yaw=np.radians(yaw))
+    robot = Robot(make_terrain(height, edge_score(height), half=1.9), yaw=np.radians(yaw))
     robot.walk(goal((0.5, -1.1)), steps=4)
     assert robot.pilot.path[:, 0].min() < -0.6, "around the wall"
     turned = np.degrees(yaw_of(robot.T)) - yaw
@@ -234,12 +232,12 @@ def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
 
 
 @pytest.mark.parametrize("yaw", [-40.0, 40.0])
-def test_of_two_ways_that_it_has_not_seen_it_looks_at_the_one_that_it_nearly_faces(yaw: float, make_terrain: Maker) -> None:
+def test_unseen_path_nearest_to_heading_is_preferred(yaw: float, make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         wall = (x > 0.8) & (x < 0.9) & (np.abs(y) < 0.6)
         return np.where(np.abs(y) > 0.6, np.nan, np.where(wall, 0.3, 0.0))
 
-    robot = Robot(make_terrain(height, beside_edges(height), half=1.9), yaw=np.radians(yaw))
+    robot = Robot(make_terrain(height, edge_score(height), half=1.9), yaw=np.radians(yaw))
     for _ in range(2):  # after a third look the ground would count as a hole
         robot.step(goal((1.8, 0.0)))
         way = robot.pilot.path
@@ -247,7 +245,7 @@ def test_of_two_ways_that_it_has_not_seen_it_looks_at_the_one_that_it_nearly_fac
 
 
 @pytest.mark.parametrize("speed", [0.03, 0.5])
-def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make_terrain: Maker) -> None:
+def test_speed_is_limited_by_goal_and_robot(speed: float, make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     to = Goal(0, np.array([[1.0, 0.0]]), 0.03, speed, 0.10, 0.04)
     found = robot.step(to)
@@ -260,15 +258,15 @@ def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make
     ("odd", "words"),
     [({"tolerance": 0.0}, "tolerance"), ({"speed": -0.1}, "speed"), ({"waypoints": np.full((1, 2), 1e300)}, "within")],
 )
-def test_a_goal_that_makes_no_sense_is_refused_in_words(odd: dict[str, Any], words: str, make_terrain: Maker) -> None:
+def test_invalid_goal_is_refused_with_reason(odd: dict[str, Any], words: str, make_terrain: Maker) -> None:
     found = Robot(make_terrain(half=1.28)).step(replace(goal((0.5, 0.0)), **odd))
     assert isinstance(found, NoPath)
     assert words in found.reason
     assert "expected, found" in found.reason
 
 
-def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
-    robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6))
+def test_goal_inside_wall_is_refused_with_reason(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(walled, edge_score(walled), half=1.6))
     found = robot.step(goal((0.8, -0.3)))
     assert isinstance(found, NoPath)
     assert found.reason.startswith("no path to (0.8, -0.3): a step of more than 6 cm")
@@ -276,7 +274,7 @@ def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
     assert isinstance(robot.step(goal((0.0, -0.3))), MotionCommand), "another goal is another matter"
 
 
-def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: Maker) -> None:
+def test_goals_behind_robot_and_outside_map_are_approached(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((-0.6, 0.1)))
     assert robot.words[-1] == "at the goal (-0.6, 0.1)"
     robot = Robot(make_terrain(half=1.9, origin=(1.6, 0.0))).walk(goal((3.3, 0.0)))
@@ -286,7 +284,7 @@ def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: M
     assert abs(robot.T[1, 3]) < 0.05
 
 
-def test_a_pose_that_is_suddenly_far_from_the_way_costs_no_memory(make_terrain: Maker) -> None:
+def test_pose_jump_far_from_path_uses_bounded_memory(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     robot.step(goal((1.0, 0.0)))
     robot.T = from_xyz_rpy((9e5, 0.0, 0.1), np.zeros(3))
@@ -299,7 +297,7 @@ def test_a_pose_that_is_suddenly_far_from_the_way_costs_no_memory(make_terrain: 
     assert most < 10e6
 
 
-def test_as_many_waypoints_as_a_goal_holds_are_passed_in_their_order(make_terrain: Maker) -> None:
+def test_max_number_of_waypoints_is_passed_in_order(make_terrain: Maker) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, MAX_WAYPOINTS)
     corners = [(0.5 * float(np.sin(a)), 0.5 - 0.5 * float(np.cos(a))) for a in angle]
     robot = Robot(make_terrain(half=1.6)).walk(goal(*corners), steps=300)
@@ -308,7 +306,7 @@ def test_as_many_waypoints_as_a_goal_holds_are_passed_in_their_order(make_terrai
     assert all(np.linalg.norm(track - corner, axis=1).min() < 0.13 for corner in corners)
 
 
-def test_led_away_by_somebody_else_it_finds_its_way_from_there(make_terrain: Maker) -> None:
+def test_path_is_replanned_after_robot_was_moved_away(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     robot.step(goal((1.0, 0.0)))
     robot.T = from_xyz_rpy((0.0, 5.0, 0.1), np.zeros(3))

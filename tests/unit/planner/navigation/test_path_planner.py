@@ -55,7 +55,7 @@ def reference(cost: Array, start: tuple[int, int]) -> Array:
     return best
 
 
-def price(cost: Array, cells: Array) -> float:
+def path_cost(cost: Array, cells: Array) -> float:
     return sum(
         float(np.hypot(*(b - a)) * (cost[tuple(a)] + cost[tuple(b)]) / 2) for a, b in pairwise(np.asarray(cells, dtype=int))
     )
@@ -73,7 +73,7 @@ def grounds(draw: st.DrawFn) -> Array:
 
 @settings(max_examples=80, deadline=None)
 @given(grounds())
-def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) -> None:
+def test_path_is_cheapest_or_none_like_brute_force(cost: Array) -> None:
     ground, end = cost_map(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
     best = reference(cost, (0, 0))
     cells, reached = cheapest_cells(ground.cost, ground.room, (0, 0), end)
@@ -84,7 +84,7 @@ def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) ->
     assert np.isfinite(cost[tuple(cells.T)]).all()
     assert tuple(cells[0]) == (0, 0)
     assert tuple(cells[-1]) == end
-    assert price(cost, cells) == pytest.approx(best[end])
+    assert path_cost(cost, cells) == pytest.approx(best[end])
     for a, b in pairwise(cells):
         assert np.abs(b - a).max() == 1
         assert np.isfinite([cost[a[0], b[1]], cost[b[0], a[1]]]).all(), "no corner is cut"
@@ -92,18 +92,18 @@ def test_the_way_is_the_cheapest_and_is_none_where_there_is_none(cost: Array) ->
 
 @settings(max_examples=40, deadline=None)
 @given(grounds())
-def test_the_way_back_costs_the_same(cost: Array) -> None:
+def test_reverse_path_has_equal_cost(cost: Array) -> None:
     ground, end = cost_map(cost), (cost.shape[0] - 1, cost.shape[1] - 1)
     there, _ = cheapest_cells(ground.cost, ground.room, (0, 0), end)
     back, _ = cheapest_cells(ground.cost, ground.room, end, (0, 0))
     assert (there is None) == (back is None)
     if there is not None and back is not None:
-        assert price(cost, there) == pytest.approx(price(cost, back))
+        assert path_cost(cost, there) == pytest.approx(path_cost(cost, back))
 
 
 @settings(max_examples=80, deadline=None)
 @given(grounds())
-def test_straightened_it_is_no_dearer_and_crosses_nothing_closed(cost: Array) -> None:
+def test_straightened_path_costs_no_more_and_avoids_closed_cells(cost: Array) -> None:
     ground = cost_map(cost)
     cells, _ = cheapest_cells(ground.cost, ground.room, (0, 0), (cost.shape[0] - 1, cost.shape[1] - 1))
     if cells is None:
@@ -117,7 +117,7 @@ def test_straightened_it_is_no_dearer_and_crosses_nothing_closed(cost: Array) ->
         assert np.isfinite(ground.at(ground.cost, line)).mean() > 0.9
 
 
-def test_over_open_ground_it_is_straight_and_ends_at_the_goal() -> None:
+def test_path_over_open_ground_is_straight_to_goal() -> None:
     start, goal = np.array([0.11, 0.12]), np.array([1.83, 0.77])
     way = find_path(cost_map(np.ones((40, 20))), start, goal, 0.03)
     assert isinstance(way, PlannedPath)
@@ -125,14 +125,14 @@ def test_over_open_ground_it_is_straight_and_ends_at_the_goal() -> None:
     assert way.cost == pytest.approx(float(np.linalg.norm(goal - start)))
 
 
-def test_within_a_cell_it_is_straight_too() -> None:
+def test_path_within_one_cell_is_straight() -> None:
     start, goal = np.array([0.11, 0.12]), np.array([0.14, 0.12])
     way = find_path(cost_map(np.ones((40, 20))), start, goal, 0.03)
     assert isinstance(way, PlannedPath)
     np.testing.assert_array_equal(way.corners, [start, goal])
 
 
-def test_what_is_dear_is_gone_around_if_that_is_cheaper() -> None:
+def test_costly_ground_is_bypassed_if_detour_is_cheaper() -> None:
     cost = np.ones((40, 40))
     cost[18:22, 5:35] = 30.0
     way = find_path(cost_map(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
@@ -145,7 +145,7 @@ def test_what_is_dear_is_gone_around_if_that_is_cheaper() -> None:
 
 
 @pytest.mark.parametrize("kind", [STEP, BARE, HOLE])
-def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int) -> None:
+def test_missing_path_names_obstacle_and_place(kind: int) -> None:
     cost = np.ones((40, 20))
     cost[27:29] = np.inf
     stops = np.where(np.isinf(cost), kind, OPEN)
@@ -157,7 +157,7 @@ def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int)
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_widest_way_is_the_one_that_is_left_when_all_narrower_cells_are_closed(seed: int) -> None:
+def test_widest_path_matches_connectivity_threshold(seed: int) -> None:
     rng = np.random.default_rng(seed)
     room = np.where(rng.random((8, 9)) < 0.3, 0.0, rng.random((8, 9)))
     start, end = (0, 0), (7, 8)
@@ -181,7 +181,7 @@ def test_the_widest_way_is_the_one_that_is_left_when_all_narrower_cells_are_clos
 
 
 @pytest.mark.parametrize("open_cells", [1, 3, 7])
-def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -> None:
+def test_too_narrow_opening_is_reported_with_required_width(open_cells: int) -> None:
     cost, first = np.ones((40, 20)), 6
     cost[27:29] = np.inf
     cost[27:29, first : first + open_cells] = 1.0
@@ -196,7 +196,7 @@ def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -
     )
 
 
-def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_do() -> None:
+def test_blocked_goal_is_reported_unless_tolerance_reaches_free_cell() -> None:
     cost = np.ones((40, 20))
     cost[28:30] = np.inf
     start, goal = np.array([0.5, 0.5]), np.array([1.43, 0.5])
@@ -208,7 +208,7 @@ def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_d
     assert way.corners[-1][0] < 1.4
 
 
-def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_not_through_the_wall() -> None:
+def test_path_leaves_closed_start_directly_and_not_through_wall() -> None:
     cost = np.ones((40, 20))
     cost[20] = np.inf
     stops = np.where(np.isinf(cost), STEP, OPEN)
@@ -223,13 +223,13 @@ def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_no
     assert isinstance(find_path(ground, np.array([0.93, 0.5]), np.array([1.8, 0.5]), 0.03), NoPath)
 
 
-def test_a_goal_beyond_the_cells_is_walked_towards() -> None:
+def test_path_to_goal_outside_map_ends_at_map_border() -> None:
     way = find_path(cost_map(np.ones((40, 20))), np.array([0.5, 0.5]), np.array([9.0, 0.5]), 0.03)
     assert isinstance(way, PlannedPath)
     assert 1.9 < way.corners[-1][0] <= 2.0
 
 
-def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
+def test_path_stays_within_allowed_distance_of_straight_line() -> None:
     cost = np.ones((40, 60))
     cost[18:22, 10:50] = np.inf
     start, goal = np.array([0.5, 1.5]), np.array([1.5, 1.5])
@@ -241,7 +241,7 @@ def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
     assert OBSTACLE_NAMES[FAR] in found.reason
 
 
-def test_the_cost_of_a_way_to_a_place_far_away_takes_no_memory() -> None:
+def test_cost_of_very_long_path_uses_bounded_memory() -> None:
     ground = cost_map(np.ones((4, 4)))
     tracemalloc.start()
     cost = cost_of(ground, np.array([[0.1, 0.1], [1e6, 0.1]]))

@@ -20,7 +20,7 @@ def update(progress: StallDetector, t: float, left: float, error: float = 0.0, p
     return progress.update(round(t * S), moving if place is None else place, left, error, SPEED)
 
 
-def test_who_comes_nearer_gets_on_however_slowly_and_who_stands_does_not() -> None:
+def test_slow_approach_is_progress_and_standing_is_stall() -> None:
     progress = StallDetector()
     assert not any(update(progress, t, 9.0 - 0.02 * t) for t in range(200))
     place = np.array([1.0, 2.0, 3.0])
@@ -29,7 +29,7 @@ def test_who_comes_nearer_gets_on_however_slowly_and_who_stands_does_not() -> No
     assert words[4] == "no motion for 4 s"
 
 
-def test_who_turns_to_where_it_should_face_gets_on_at_each_place() -> None:
+def test_turn_towards_desired_heading_is_progress() -> None:
     progress, t = StallDetector(), 0
     for left in (3.0, 2.5, 2.0):
         for error in np.radians(np.arange(170.0, 0.0, -3.0)):
@@ -37,14 +37,14 @@ def test_who_turns_to_where_it_should_face_gets_on_at_each_place() -> None:
             assert not update(progress, t, left, float(error))
 
 
-def test_a_detour_is_no_standstill() -> None:
+def test_longer_path_after_path_change_is_not_stall() -> None:
     progress = StallDetector()
     assert not any(update(progress, t, 3.0 - 0.1 * t) for t in range(20))
     progress.changed = True
     assert not any(update(progress, 20 + t, 6.0 - 0.1 * t, max(2.0 - 0.2 * t, 0.0)) for t in range(60))
 
 
-def test_a_longer_way_that_nobody_gave_is_one() -> None:
+def test_longer_path_without_path_change_is_stall() -> None:
     progress = StallDetector()
     assert not any(update(progress, t, 3.0 - 0.1 * t) for t in range(20))
     words = [update(progress, 20 + t, 6.0 - 0.1 * t) for t in range(20)]
@@ -53,7 +53,7 @@ def test_a_longer_way_that_nobody_gave_is_one() -> None:
 
 @given(st.floats(0.06, 3.0), st.floats(0.2, 3.0), st.floats(2.0, 40.0))
 @settings(max_examples=30)
-def test_two_ways_by_turns_lead_nowhere(way: float, turn: float, period: float) -> None:
+def test_alternation_between_two_paths_is_stall(way: float, turn: float, period: float) -> None:
     progress = StallDetector()
     for t in np.arange(0.0, 6 * (2 * period + 17.0), 0.5):
         progress.changed = True
@@ -63,7 +63,7 @@ def test_two_ways_by_turns_lead_nowhere(way: float, turn: float, period: float) 
     pytest.fail("it goes on for ever")
 
 
-def test_a_pause_is_no_standstill() -> None:
+def test_pause_between_updates_is_not_stall() -> None:
     progress, place = StallDetector(), np.zeros(3)
     assert not update(progress, 0.0, 3.0, 0.0, place)
     assert not update(progress, 3600.0, 3.0, 0.0, place)
@@ -71,12 +71,12 @@ def test_a_pause_is_no_standstill() -> None:
     assert update(progress, 3603.0, 3.0, 0.0, place)
 
 
-def test_who_is_asked_to_walk_slowly_may() -> None:
+def test_slow_commanded_speed_is_not_stall() -> None:
     progress = StallDetector()
     assert not any(progress.update(t * S, np.array([0.005 * t, 0.0, 0.0]), 3.0 - 0.005 * t, 0.0, 0.005) for t in range(100))
 
 
-def test_time_without_data_is_not_time_without_progress() -> None:
+def test_time_without_data_does_not_count_as_stall() -> None:
     progress, place = StallDetector(), np.zeros(3)
     for second in range(60):
         progress.pause()

@@ -29,7 +29,7 @@ NOWHERE = np.zeros((0, 2))
 Maker = Callable[..., Terrain]
 
 
-def crossed(terrain: Terrain, stuck: Array = NOWHERE) -> CostMap:
+def cost_map_of(terrain: Terrain, stuck: Array = NOWHERE) -> CostMap:
     ground = LocalGroundMap()
     ground.add_map(terrain, HERE, CAMERA, 0.0)
     return ground.cost_map(SIZE, CostWeights(), np.zeros(3), stuck, 0.08)
@@ -50,13 +50,13 @@ def edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], A
     return score
 
 
-def across(depth: float, width: float) -> Callable[[Array, Array], Array]:
+def ditch_height(depth: float, width: float) -> Callable[[Array, Array], Array]:
     """Return level ground with a ditch across, from x = 0.6 m on."""
     return lambda x, y: np.where((x > 0.602) & (x < 0.602 + width), -depth, 0.0)
 
 
-def test_level_ground_costs_what_it_is_long(make_terrain: Maker) -> None:
-    found = crossed(make_terrain(half=1.28))
+def test_level_ground_has_unit_cost(make_terrain: Maker) -> None:
+    found = cost_map_of(make_terrain(half=1.28))
     assert kinds(found) == {OPEN}
     assert found.cost[found.cell(np.zeros(2))] == pytest.approx(1.0)
 
@@ -64,11 +64,11 @@ def test_level_ground_costs_what_it_is_long(make_terrain: Maker) -> None:
 @pytest.mark.parametrize(
     ("rise", "stops"), [(0.03, OPEN), (0.05, OPEN), (0.08, STEP), (0.3, STEP), (-0.05, OPEN), (-0.2, STEP)]
 )
-def test_a_step_is_crossed_and_a_wall_is_not(rise: float, stops: int, make_terrain: Maker) -> None:
+def test_low_step_is_traversable_and_wall_is_not(rise: float, stops: int, make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         return np.where(x > 0.6, rise, 0.0)
 
-    found = crossed(make_terrain(height, edges(height), half=1.28))
+    found = cost_map_of(make_terrain(height, edges(height), half=1.28))
     assert kinds(found) == {OPEN, stops}
     at = found.cell(np.array([0.62 if rise > 0 else 0.58, 0.0]))
     assert found.stops[at] == stops
@@ -77,15 +77,15 @@ def test_a_step_is_crossed_and_a_wall_is_not(rise: float, stops: int, make_terra
     assert np.isfinite(found.cost[found.cell(np.array([0.30, 0.0]))])
 
 
-def test_a_slope_is_no_wall(make_terrain: Maker) -> None:
+def test_slope_is_traversable(make_terrain: Maker) -> None:
     assert np.tan(np.radians(20.0)) * 0.15 < MAX_STEP_M
-    assert kinds(crossed(make_terrain(lambda x, y: np.tan(np.radians(20.0)) * x, half=1.28))) == {OPEN}
+    assert kinds(cost_map_of(make_terrain(lambda x, y: np.tan(np.radians(20.0)) * x, half=1.28))) == {OPEN}
 
 
 @pytest.mark.parametrize(("width", "open_"), [(0.06, True), (0.10, True), (0.40, False)])
-def test_a_ditch_that_feet_step_over_is_crossed_and_a_wide_one_is_not(width: float, open_: bool, make_terrain: Maker) -> None:
-    height = across(0.3, width)
-    found = crossed(make_terrain(height, edges(height), half=1.28))
+def test_narrow_ditch_is_traversable_and_wide_one_is_not(width: float, open_: bool, make_terrain: Maker) -> None:
+    height = ditch_height(0.3, width)
+    found = cost_map_of(make_terrain(height, edges(height), half=1.28))
     assert (kinds(found) == {OPEN}) is open_
     row = found.cost[:, found.cell(np.zeros(2))[1]]
     assert np.isinf(row).any() != open_
@@ -96,7 +96,7 @@ def test_a_ditch_that_feet_step_over_is_crossed_and_a_wide_one_is_not(width: flo
     ("half", "beside", "open_"), [(0.15, -0.4, False), (0.22, -0.4, True), (0.22, 0.3, False), (0.35, 0.3, True)]
 )
 @pytest.mark.parametrize("shows", [True, False])
-def test_between_holes_there_is_room_where_there_is_none_between_walls(
+def test_lane_between_holes_may_be_narrower_than_between_walls(
     half: float, beside: float, open_: bool, shows: bool, make_terrain: Maker
 ) -> None:
     """Check a lane along x between ground that is too high, too low or not shown.
@@ -115,7 +115,7 @@ def test_between_holes_there_is_room_where_there_is_none_between_walls(
     assert np.isfinite(found.cost[found.cell(np.array([0.7, 0.0]))]) == open_
 
 
-def test_a_wall_is_no_hole_to_a_robot_on_top_of_it(make_terrain: Maker) -> None:
+def test_required_space_on_top_of_wall_is_that_next_to_hole(make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         return np.where(x > 0.6, 0.3, 0.0)
 
@@ -129,18 +129,18 @@ def test_a_wall_is_no_hole_to_a_robot_on_top_of_it(make_terrain: Maker) -> None:
     assert (found.needs[below], found.needs[above]) == (SIZE.half_width, SIZE.beside_hole)
 
 
-def test_ground_that_carries_no_foot_over_more_than_a_step_is_closed(make_terrain: Maker) -> None:
-    wide = crossed(make_terrain(score=lambda x, y: np.where((x > 0.5) & (x < 0.9), 9.0, 0.0), half=1.28))
+def test_wide_stretch_without_footholds_is_closed(make_terrain: Maker) -> None:
+    wide = cost_map_of(make_terrain(score=lambda x, y: np.where((x > 0.5) & (x < 0.9), 9.0, 0.0), half=1.28))
     assert kinds(wide) == {OPEN, BARE}
-    narrow = crossed(make_terrain(score=lambda x, y: np.where((x > 0.5) & (x < 0.6), 9.0, 0.0), half=1.28))
+    narrow = cost_map_of(make_terrain(score=lambda x, y: np.where((x > 0.5) & (x < 0.6), 9.0, 0.0), half=1.28))
     assert kinds(narrow) == {OPEN}
 
 
-def test_what_is_not_seen_is_dear_and_open_but_beside_the_robot_dearest(make_terrain: Maker) -> None:
+def test_unseen_ground_is_open_but_costly_most_near_robot(make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         return np.where(y > 0.3, np.nan, 0.0)
 
-    found = crossed(make_terrain(height, height, half=1.28))
+    found = cost_map_of(make_terrain(height, height, half=1.28))
     assert kinds(found) == {OPEN}
     seen, far, beside = (found.cost[found.cell(np.array(place))] for place in ((0.9, -0.6), (0.9, 0.9), (0.0, 0.4)))
     assert seen == pytest.approx(1.0)
@@ -149,7 +149,7 @@ def test_what_is_not_seen_is_dear_and_open_but_beside_the_robot_dearest(make_ter
 
 
 @pytest.mark.parametrize("yaw", [-2.0, 0.0, 1.0, 3.0])
-def test_what_is_not_seen_is_dearer_the_further_the_robot_must_turn_to_it(yaw: float, make_terrain: Maker) -> None:
+def test_cost_of_unseen_ground_grows_with_turn_angle(yaw: float, make_terrain: Maker) -> None:
     def height(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) > 0.55, np.nan, 0.0)
 
@@ -164,7 +164,7 @@ def test_what_is_not_seen_is_dearer_the_further_the_robot_must_turn_to_it(yaw: f
     assert found.cost[at] == pytest.approx(1.0), "seen ground costs the same in every heading"
 
 
-def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it(make_terrain: Maker) -> None:
+def test_unseen_ground_in_view_is_hole_unless_occluded(make_terrain: Maker) -> None:
     def hole(x: Array, y: Array) -> Array:
         return np.where((x > 0.8) & (x < 1.1) & (np.abs(y) < 0.2), np.nan, 0.0)
 
@@ -179,13 +179,13 @@ def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it
         assert kinds(found) == expected
 
 
-def test_where_it_got_stuck_is_closed(make_terrain: Maker) -> None:
-    found = crossed(make_terrain(half=1.28), np.array([[0.5, 0.0]]))
+def test_place_of_stall_is_closed(make_terrain: Maker) -> None:
+    found = cost_map_of(make_terrain(half=1.28), np.array([[0.5, 0.0]]))
     assert kinds(found) == {OPEN, STUCK}
     assert np.isinf(found.cost[found.cell(np.array([0.4, 0.1]))])
 
 
-def test_what_was_seen_is_kept_when_the_map_moves_on(make_terrain: Maker) -> None:
+def test_seen_ground_is_kept_when_map_moves(make_terrain: Maker) -> None:
     ground = LocalGroundMap()
 
     def wall(x: Array, y: Array) -> Array:
@@ -202,8 +202,8 @@ def test_what_was_seen_is_kept_when_the_map_moves_on(make_terrain: Maker) -> Non
 
 @pytest.mark.parametrize("cells", [1, 2, 7])
 @pytest.mark.parametrize("at", [0.0, 0.013, -1.0])
-def test_maps_of_a_few_cells_tell_little_and_break_nothing(cells: int, at: float, make_terrain: Maker) -> None:
+def test_maps_of_few_cells_are_accepted(cells: int, at: float, make_terrain: Maker) -> None:
     whole = make_terrain(half=0.1, origin=(at, at)).map
     names = ("elevation", "variance", "score", "assumed", "evaluation")
-    found = crossed(Terrain(replace(whole, **{name: getattr(whole, name)[:cells, :cells] for name in names})))
+    found = cost_map_of(Terrain(replace(whole, **{name: getattr(whole, name)[:cells, :cells] for name in names})))
     assert found.unseen.mean() > 0.99
