@@ -40,12 +40,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Parse the arguments of a command; exit with a message if they are invalid."""
     parser = ArgumentParser(prog=PROGRAM, description="Benchmarks, fault injection and fuzzing of Sextant.")
     add = command_adder(parser.add_subparsers(required=True, metavar="COMMAND"))
-    _add_benches(add)
+    _add_peers(add)
+    _add_access(add)
+    _add_robot(add)
     _add_campaigns(add)
     return parser.parse_whole(argv)
 
 
-def _add_benches(add: AddCommand) -> None:
+def _add_peers(add: AddCommand) -> None:
     one = add("accuracy", bench_accuracy, "measure pose and map errors of the real services on rebuilt scenes")
     one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help="parallel processes (default %(default)s)")
     _add_bench(one)
@@ -66,6 +68,8 @@ def _add_benches(add: AddCommand) -> None:
     )
     _add_bench(one)
 
+
+def _add_access(add: AddCommand) -> None:
     one = add("access", bench_access, "publish unauthorised messages through a secured router, and count those that pass")
     one.add_argument(
         "--messages", type=values.positive, default=10_000, metavar="N", help="messages of each kind (default %(default)s)"
@@ -91,6 +95,9 @@ def _add_benches(add: AddCommand) -> None:
     one.add_argument("--lockstep", action="store_true", help="run on simulated time, in this process")
     one.add_argument("--seed", type=values.natural, default=1, help="random seed (default %(default)s)")
     _add_out_and_json(one)
+
+
+def _add_robot(add: AddCommand) -> None:
     one = add(
         "bus",
         bench_bus,

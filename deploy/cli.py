@@ -100,7 +100,6 @@ def _parser() -> ArgumentParser:
     one.add_argument("--keys", dest="key_folder", metavar="DIR", help=words)
     one.add_argument("--robot", default="phantomx_mk2", help="robot whose servos and camera are checked (default %(default)s)")
     one.add_argument("--json", action="store_true", help="print the result as JSON")
-
     return parser
 
 

@@ -11,6 +11,10 @@ from typing import TYPE_CHECKING
 
 from sextant.deploy.terminal.output import complain as complain
 from sextant.deploy.terminal.output import say as say
+from sextant.deploy.terminal.run_command import FAILED as FAILED
+from sextant.deploy.terminal.run_command import INTERRUPTED as INTERRUPTED
+from sextant.deploy.terminal.run_command import SUCCESS as SUCCESS
+from sextant.deploy.terminal.run_command import WRONG_INPUT as WRONG_INPUT
 from sextant.shared.errors import SextantError
 
 if TYPE_CHECKING:
@@ -19,7 +23,6 @@ if TYPE_CHECKING:
     from sextant.shared.wire.transport import Endpoints
 
 ROUTER = "tcp/127.0.0.1:7447"  # of the robot, by default
-SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 class InputError(SextantError, ValueError):

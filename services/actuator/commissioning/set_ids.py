@@ -33,7 +33,9 @@ ALL_IDS = range(dxl.MAX_ID + 1)
 USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))
 _SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: the return delay identifies new servos
 _LEAVE = "q"
-_NOBODY = "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
+_NO_ANSWER_ADVICE = (
+    "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
+)
 _UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
 
 
@@ -155,9 +157,9 @@ def verdict(
     names = {i: name for i, name in profile.servo_names.items() if i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
     wrong = problems(names, heard, dxl.MODEL_NAMED[profile.servo.model])
-    missing, nobody = [i for i in names if i not in heard], []
+    missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
-        missing, nobody = [], [Problem(f"none of {len(names)} servos answers", _NOBODY)]
+        missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
         wrong = {i: problem for i, problem in wrong.items() if i not in names}
     for rate, seen in found:
         if rate != BAUD_RATE:
@@ -171,7 +173,7 @@ def verdict(
             and (words := health_problem(seen, profile.battery.warn_voltage))
         ):
             wrong[i] = Problem(f"{named(i, names)} {words}", "correct this before anything moves")
-    return [*nobody, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
+    return [*unanswered, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
 
 
 def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:

@@ -111,7 +111,7 @@ def expected_heights(grid: PassageGrid, view_poses: Array, camera: Camera, reach
 
     Args:
         grid: Map of the strip.
-        looked_from: (k, 4, 4) optical poses of the views so far, with the present one last.
+        view_poses: (k, 4, 4) optical poses of the views so far, with the present one last.
         camera: Intrinsics and range.
         reach: [m] maximum horizontal distance of scan points from the camera.
         level: [m] {world} height of the ground under the robot.
@@ -182,7 +182,7 @@ def best_view(
         grid: Map of the strip.
         heights: (nx, ny) [m] {world} expected heights of the wanted cells.
         wanted: (nx, ny) mask of the cells to be seen.
-        looked_from: (k, 4, 4) optical poses of the views so far.
+        view_poses: (k, 4, 4) optical poses of the views so far.
         poses: (m, 4, 4) feasible body poses, in order of preference among equally good ones.
         camera: Camera with its mounting pose.
         reach: [m] maximum horizontal distance of scan points from the camera.

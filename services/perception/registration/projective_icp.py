@@ -221,8 +221,8 @@ class Registration:
             confirmed = self._acceptance.legless or (
                 isinstance(better, _Aligned) and self._is_confirmed(error_twist(better.T, T_expected))
             )
-            if isinstance(better, _Aligned) and not confirmed:
-                pass  # wait for the next search to confirm it: a passing person is gone by then
+            if isinstance(better, _Aligned) and not confirmed:  # a passing person is gone at the next search
+                reason = reason and f"{reason}; a better pose waits for a second search"
             elif isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
             elif reason:

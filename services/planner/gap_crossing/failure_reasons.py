@@ -34,7 +34,7 @@ class FailureReason(NamedTuple):
 
     words: str
     unseen: bool  # whether unknown ground is the cause
-    leg: int  # the leg whose test fails, NOBODY for the whole robot
+    leg: int  # the leg whose test fails, WHOLE_ROBOT for no single leg
 
 
 def describe_fault(found: NDArray[np.int64], repair: float) -> str:

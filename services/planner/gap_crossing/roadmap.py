@@ -68,7 +68,7 @@ class NoSection:
     expanded: int
     fails: dict[str, int]  # how often each test failed
     steps: tuple[PassageStep, ...] = ()  # to the furthest configuration, for display only; the robot does not execute them
-    leg: int = WHOLE_ROBOT  # the leg whose test fails there, NOBODY for the whole robot
+    leg: int = WHOLE_ROBOT  # the leg whose test fails there, WHOLE_ROBOT for no single leg
     closer: SectionPlan | None = None  # a section towards the unknown ground, to a place from which more of it may be seen
 
 
