@@ -11,7 +11,7 @@ from benchmarks.fuzz import message_corpus, recording_mutators
 from benchmarks.fuzz.file_targets import file_targets
 from benchmarks.fuzz.mutators import broken, odd, odd_table
 from benchmarks.fuzz.target import Target
-from sextant.deploy.ros2 import cdr
+from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
 from sextant.services.console.config import Settings
 from sextant.services.console.web import requests
@@ -153,19 +153,22 @@ def _take_wire(data: bytes, expected: frozenset[type[bridge_protocol.Message]]) 
 
 
 def _of_twist(kind: str) -> Target:
-    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    twist: dict[str, Any] = {"linear": {**zero, "x": 0.1}, "angular": {**zero, "z": 0.2}}
-    if kind == TWIST_STAMPED:
-        twist = {"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base_link"}, "twist": twist}
+    twist = ros.Twist(ros.Vector3(0.1, 0.0, 0.0), ros.Vector3(0.0, 0.0, 0.2))
+    stamped = ros.TwistStamped(ros.Header(ros.Time(1, 2), "base_link"), twist)
 
     def take(data: bytes) -> bool:
         try:
             read_twist(kind, data)
-        except cdr.CdrError:
+        except ros.CdrError:
             return False
         return True
 
-    return Target(f"ROS 2, {kind.rpartition('/')[2]}", (cdr.encode(kind, twist),), _broken_behind(4), take)
+    return Target(
+        f"ROS 2, {kind.rpartition('/')[2]}",
+        (ros.encode(kind, stamped if kind == TWIST_STAMPED else twist),),
+        _broken_behind(4),
+        take,
+    )
 
 
 # -------------------------------------------------------------------------------------------------------------- the page

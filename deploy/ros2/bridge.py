@@ -7,9 +7,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sextant.deploy.ros2 import cdr, converted
+from sextant.deploy.ros2 import converted
 from sextant.deploy.ros2.clock import TimeOfDay
 from sextant.deploy.ros2.lead import Lead
+from sextant.deploy.ros2.message_types import CdrError, TwistStamped, decode, encode
 from sextant.deploy.ros2.names import Node, attachment, gid
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -87,10 +88,10 @@ class Outlet:
         """Return whether there is a subscriber; otherwise no message need be made."""
         return self._publisher.wanted()
 
-    def publish(self, value: converted.Value) -> None:
+    def publish(self, message: object) -> None:
         """Publish one message."""
         self._sent += 1
-        self._publisher.send(cdr.encode(self._kind, value), attachment(self._sent, self._wall(), self._gid))
+        self._publisher.send(encode(self._kind, message), attachment(self._sent, self._wall(), self._gid))
 
 
 class Bridge:
@@ -210,7 +211,7 @@ class Bridge:
         self._time.learn(message.stamp_ns, self._wall())
         return self._time.of(message.stamp_ns)
 
-    def _publish(self, topic: str, make: Callable[..., converted.Value], *arguments: Any) -> None:
+    def _publish(self, topic: str, make: Callable[..., object], *arguments: Any) -> None:
         outlet = self._outlets[topic]
         if outlet.wanted():
             outlet.publish(make(*arguments))
@@ -223,7 +224,7 @@ class Bridge:
     def _take_twist(self, kind: str, payload: bytes, now_ns: int) -> None:
         try:
             velocity, yaw_rate = read_twist(kind, payload)
-        except cdr.CdrError as error:
+        except CdrError as error:
             self.refused += 1
             if str(error) != self.last_refusal:
                 self.last_refusal = str(error)
@@ -241,10 +242,10 @@ def read_twist(kind: str, payload: bytes) -> tuple[Array, float]:
         CdrError: It is malformed or not finite.
     """
     if len(payload) > MAX_TWIST_BYTES:
-        raise cdr.CdrError(f"{kind}: at most {MAX_TWIST_BYTES} bytes expected, found {len(payload)}")
-    found = cdr.decode(kind, payload)
-    twist = found["twist"] if kind == TWIST_STAMPED else found
-    linear, angular = twist["linear"], twist["angular"]
-    if not all(math.isfinite(number) for part in (linear, angular) for number in part.values()):
-        raise cdr.CdrError(f"{kind}: finite numbers expected, found {linear} and {angular}")
-    return np.array([linear["x"], linear["y"]]), angular["z"]
+        raise CdrError(f"{kind}: at most {MAX_TWIST_BYTES} bytes expected, found {len(payload)}")
+    found = decode(kind, payload)
+    twist = found.twist if isinstance(found, TwistStamped) else found
+    linear, angular = ((part.x, part.y, part.z) for part in (twist.linear, twist.angular))
+    if not all(map(math.isfinite, (*linear, *angular))):
+        raise CdrError(f"{kind}: finite numbers expected, found linear {linear}, angular {angular}")
+    return np.array(linear[:2]), angular[2]

@@ -11,7 +11,7 @@ from typing import Literal
 
 import xxhash
 
-from sextant.deploy.ros2.interface import type_hash
+from sextant.deploy.ros2.message_types import type_hash
 
 Kind = Literal["MP", "MS"]  # a publisher, a subscription
 _ATTACHMENT = struct.Struct("<qqB16s")  # number, time, length of the gid, gid

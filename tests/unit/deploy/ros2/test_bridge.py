@@ -15,11 +15,10 @@ import zenoh
 import zenoh.ext
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.ros2 import cdr
+from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import (
     MAX_TWIST_BYTES,
     PICTURES,
@@ -30,9 +29,8 @@ from sextant.deploy.ros2.bridge import (
     Bridge,
     read_twist,
 )
-from sextant.deploy.ros2.definitions import DEFINITIONS
-from sextant.deploy.ros2.interface import type_hash
 from sextant.deploy.ros2.lead import Lead, Walk
+from sextant.deploy.ros2.message_types import decode, encode, type_hash
 from sextant.deploy.ros2.names import Node, dds_name, gid
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
@@ -58,18 +56,14 @@ from tests.support.states import actuator_state
 MS, S = 1_000_000, 1_000_000_000
 PROFILE = load_profile("phantomx_mk2")
 WALL = 1_700_000_000 * S
-PEER = get_typestore(Stores.ROS2_KILTED)
-for grid_map_type in ("grid_map_msgs/msg/GridMapInfo", "grid_map_msgs/msg/GridMap"):
-    PEER.register(get_types_from_msg(DEFINITIONS[grid_map_type], grid_map_type))
-ZERO = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
-def twist(x: float = 0.05, turn: float = 0.1) -> dict[str, Any]:
-    return {"linear": {**ZERO, "x": x}, "angular": {**ZERO, "z": turn}}
+def twist(x: float = 0.05, turn: float = 0.1) -> ros.Twist:
+    return ros.Twist(ros.Vector3(x, 0.0, 0.0), ros.Vector3(0.0, 0.0, turn))
 
 
-def stamped(found: dict[str, Any]) -> dict[str, Any]:
-    return {"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base_link"}, "twist": found}
+def stamped(found: ros.Twist) -> ros.TwistStamped:
+    return ros.TwistStamped(ros.Header(ros.Time(1, 2), "base_link"), found)
 
 
 def robot_messages(now_ns: int) -> list[Message]:
@@ -149,8 +143,8 @@ class Bench:
         self.wire.receivers[self.node.key(topic, kind)](payload)
 
     def sent(self, topic: str, kind: str) -> list[Any]:
-        """Return the messages of a topic as another CDR implementation reads them."""
-        return [PEER.deserialize_cdr(payload, kind) for payload, _ in self.wire.publishers[self.node.key(topic, kind)].sent]
+        """Return the decoded messages of a topic."""
+        return [decode(kind, payload) for payload, _ in self.wire.publishers[self.node.key(topic, kind)].sent]
 
 
 def test_published_topics_decode_to_robot_values() -> None:
@@ -197,7 +191,7 @@ def test_twist_and_twist_stamped_drive_robot_equally() -> None:
         bench = Bench()
         bench.hear(*robot_messages(bench.now))
         bench.beat()
-        bench.publish(kind, cdr.encode(kind, value))
+        bench.publish(kind, encode(kind, value))
         (order,) = bench.beat()
         assert isinstance(order, ModeCommand)
         assert (order.mode, order.holder) == ("walk", "ros2")
@@ -214,7 +208,7 @@ def test_fuzzed_twist_is_finite_or_refused(data: bytes, kind: str) -> None:
     for head in (b"", b"\0\1\0\0", b"\0\0\0\0"):
         try:
             velocity, turn = read_twist(kind, head + data)
-        except cdr.CdrError as error:
+        except ros.CdrError as error:
             assert str(error).startswith(f"{kind}: ")  # noqa: PT017
         else:
             assert np.isfinite([*velocity, turn]).all()
@@ -241,15 +235,15 @@ def test_non_finite_twist_component_is_refused(number: float) -> None:
             bench = Bench()
             bench.hear(*robot_messages(bench.now))
             value = twist()
-            value[part] = {**value[part], axis: number}
-            bench.publish(TWIST, cdr.encode(TWIST, value))
+            setattr(getattr(value, part), axis, number)
+            bench.publish(TWIST, encode(TWIST, value))
             assert bench.beat() == []
             assert "finite numbers expected" in bench.bridge.last_refusal
 
 
 def test_oversized_payload_is_refused() -> None:
     bench = Bench()
-    bench.publish(TWIST, cdr.encode(TWIST, twist()) + bytes(MAX_TWIST_BYTES))
+    bench.publish(TWIST, encode(TWIST, twist()) + bytes(MAX_TWIST_BYTES))
     assert bench.beat() == []
     assert f"at most {MAX_TWIST_BYTES} bytes expected" in bench.bridge.last_refusal
 
@@ -260,7 +254,7 @@ def test_oversized_payload_is_refused() -> None:
 class RosNode:
     """A ROS 2 node as rmw_zenoh would have it.
 
-    It uses plain Zenoh and another reader of CDR.
+    It uses plain Zenoh.
     """
 
     def __init__(self, endpoint: str, domain: int):
@@ -274,13 +268,12 @@ class RosNode:
         def hear(sample: zenoh.Sample) -> None:
             assert sample.attachment is not None
             assert len(sample.attachment.to_bytes()) == 33
-            self.heard.setdefault(topic, []).append(PEER.deserialize_cdr(sample.payload.to_bytes(), kind))
+            self.heard.setdefault(topic, []).append(decode(kind, sample.payload.to_bytes()))
 
         self.session.declare_subscriber(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", hear)
 
     def publish(self, topic: str, kind: str, message: Any) -> None:
-        payload = bytes(PEER.serialize_cdr(message, kind, little_endian=True))
-        self.session.put(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", payload)
+        self.session.put(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", encode(kind, message))
 
     def graph(self) -> list[str]:
         """Return all tokens of the domain, which a node queries at its start."""
@@ -356,12 +349,8 @@ def test_ros_node_discovers_reads_and_drives_robot_over_zenoh(router: str) -> No
                 assert sum("/MS/%/%/sextant/" in token for token in tokens) == len(SUBSCRIBED)
                 assert all(token.split("/")[2] == wire.id for token in tokens)
 
-                types = PEER.types
-                forward = types["geometry_msgs/msg/Vector3"](0.06, 0.0, 0.0)
-                turn = types["geometry_msgs/msg/Vector3"](0.0, 0.0, -0.2)
-
                 def drive() -> bool:
-                    node.publish("cmd_vel", TWIST, types["geometry_msgs/msg/Twist"](forward, turn))
+                    node.publish("cmd_vel", TWIST, twist(0.06, -0.2))
                     return any(v.velocity.any() for v in robot.velocities)
 
                 eventually(drive, "a velocity", 20.0)
@@ -380,7 +369,7 @@ def test_ros_node_discovers_reads_and_drives_robot_over_zenoh(router: str) -> No
             node.session.close()  # type: ignore[no-untyped-call]
     assert said[0] == "a Twist drives the robot"
     assert "no Twist for 0.3 s" in said[1]
-    assert "bytes expected" in said[2]
+    assert "a message in plain CDR expected, found 11 bytes" in said[2]
 
 
 def test_ros2_command_prints_topics_and_ends_on_ctrl_c(

@@ -7,7 +7,7 @@ import zenoh.ext
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.deploy.ros2.interface import type_hash
+from sextant.deploy.ros2.message_types import type_hash
 from sextant.deploy.ros2.names import Node, attachment, dds_name, gid
 
 STRING = "std_msgs/msg/String"
