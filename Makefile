@@ -13,7 +13,7 @@ install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(V
 	then echo "No package index is reachable, so $(VENV) cannot be set up: connect this machine, or set PIP_INDEX_URL to a mirror ($(VENV)/pip.log)." >&2; \
 	else cat $(VENV)/pip.log >&2; fi; exit 2; }
 
-.PHONY: demo test check compiled live others format clean
+.PHONY: demo test check compiled live others campaign format clean
 
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
@@ -26,10 +26,15 @@ test:
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
 
 live: $(VENV)/.installed-dev
-	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m live
+	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign"
 
 others: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --give-way=$(VENV)/.live
+	$(BIN)/python -m pytest -q -m "not live and not campaign" -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+		--give-way=$(VENV)/.live
+
+# What is rare and long: one test after the other, since some are live.
+campaign: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q -m campaign
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

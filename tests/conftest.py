@@ -7,6 +7,8 @@ from hypothesis import settings
 
 from tests.support.idle import give_way_to, is_giving_way
 
+_WALKS = Path(__file__).parent / "walk"
+
 settings.register_profile("seeded", derandomize=True, deadline=None)
 settings.load_profile("seeded")
 
@@ -28,6 +30,16 @@ def pytest_runtest_setup() -> None:
     is_giving_way()
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run whole walks first, so that no long test is left to one worker at the end."""
-    items.sort(key=lambda item: "walk" not in item.path.parts)
+    """Mark walks, live tests and campaigns as slow; run slow files first.
+
+    So no worker runs a long file alone at the end.
+    """
+    slow_files = set()
+    for item in items:
+        if item.path.parent == _WALKS or item.get_closest_marker("live") or item.get_closest_marker("campaign"):
+            item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("slow"):
+            slow_files.add(item.path)
+    items.sort(key=lambda item: (item.path.parent != _WALKS, item.path not in slow_files))
