@@ -10,7 +10,7 @@ from sextant.shared.wire.access import ROUTER_OF, refusal_here
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
-_KEPT_BACK = f" may not publish {topics.MODE.key}"  # text of a router's refusal (`sextant.deploy.security.refusals`)
+_ON_THE_WAY = "each router on the way needs keys of a role that may send operator/mode (docs/access.md)"
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
@@ -56,7 +56,6 @@ class Order:
         self._robot = RobotClockEstimate()
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # last state before the order
-        self._routers = RouterRefusals()
 
     def doing(self) -> str:
         """Return the progress of the order as text."""
@@ -80,7 +79,7 @@ class Order:
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
         obeyed = self._what in STOPS or (state is not None and state.lease == self._holder)
-        if (why := self._routers.look(inbox)) and not obeyed:
+        if (why := router_refusal(inbox)) and not obeyed:
             self._end(why)
         self._heard = self._heard or state
         if void := self._robot.see(now, None if state is None else state.stamp_ns):
@@ -112,7 +111,9 @@ class Order:
         elif self._done(state):
             self.finished = self._what != "walk"
         elif since_ns > _PATIENCE_NS:
-            self._end(f"{_PATIENCE_NS * 1e-9:.0f} s after the order the mode is {state.mode}: {state.reason}")
+            unanswered = self._what not in STOPS and state.lease != self._holder
+            hint = f"; the order may not have arrived: {_ON_THE_WAY}" if unanswered else ""
+            self._end(f"{_PATIENCE_NS * 1e-9:.0f} s after the order the mode is {state.mode}: {state.reason}{hint}")
 
     def _done(self, state: ActuatorState) -> bool:
         """Return whether a state since the order shows that it was executed."""
@@ -125,28 +126,17 @@ class Order:
         self.finished, self.failed = True, why
 
 
-class RouterRefusals:
-    """Detects that a router on the way refuses commands to move, by the health messages of the routers.
+def router_refusal(inbox: Inbox) -> str:
+    """Return why this machine's router refuses commands to move, or an empty text.
 
-    A router's health is trusted only under the key of the router's role.
+    Its health message states its role, and is trusted only under the key of that role.
     """
-
-    def __init__(self) -> None:
-        self._before: dict[str, int] = {}  # messages refused by the router of each role, in its first health message
-
-    def look(self, inbox: Inbox) -> str:
-        """Read the health messages that have arrived; return why commands to move were refused, or an empty text."""
-        found = ""
-        for role, topic in topics.HEALTH_OF.items():
-            for health in inbox.drain(topic):
-                if health.service != f"{ROUTER_OF}{role}":
-                    continue
-                before = self._before.setdefault(role, health.refused)
-                if why := refusal_here([role], [topics.MODE]):
-                    found = why
-                elif health.refused > before and health.last_refusal.endswith(_KEPT_BACK):
-                    found = f"the {health.service} {health.last_refusal}; use the keys of another role (docs/access.md)"
-        return found
+    roles = (
+        role
+        for role, topic in topics.HEALTH_OF.items()
+        if any(health.service == f"{ROUTER_OF}{role}" for health in inbox.drain(topic))
+    )
+    return refusal_here(roles, [topics.MODE])
 
 
 def refusal(what: What, holder: str, state: ActuatorState) -> str:

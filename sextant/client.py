@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.robot_clock import RobotClockEstimate
-from sextant.deploy.send_command import SETTLED, STOPS, RouterRefusals, refusal
+from sextant.deploy.send_command import SETTLED, STOPS, refusal, router_refusal
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire import topics
@@ -315,7 +315,6 @@ class Commander:
         self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
         self._may_lead, self._take = may_lead, take
         self._robot = RobotClockEstimate()
-        self._routers = RouterRefusals()
         self._holder = ""  # of the lease, in the newest state
         self._command: tuple[Command, int] | None = None  # and its sequence number: the robot's time [ns] when it was given
         self._motion: VelocityCommand | Goal | None = None
@@ -365,7 +364,7 @@ class Commander:
             due = list(self._due(tick.stamp_ns)) if self._robot.known else []
         yield from due
         with self.changed:
-            self.refused_by_router = self._routers.look(inbox) or self.refused_by_router
+            self.refused_by_router = router_refusal(inbox) or self.refused_by_router
             self.status = None
             if state is not None:
                 planner = inbox.fresh(topics.PLANNER_STATUS, _SILENT_S)

@@ -17,18 +17,18 @@ from types import FrameType
 
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
 from sextant.deploy.provenance import version
-from sextant.deploy.security import refusals, router_security
-from sextant.deploy.security.access_log import CaughtOutput, RouterHealthReporter, link_to, publish
+from sextant.deploy.security import router_security
 from sextant.deploy.security.connect_probe import ConnectProbe
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.peer_handshake import PeerHandshake
+from sextant.deploy.security.router_health import RefusedConnections, RouterHealthReporter, link_to, publish
 from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.shared.runtime.process_priority import allow_many_files, switch_often
 from sextant.shared.runtime.shutdown import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
 from sextant.shared.runtime.watchdog import Watchdog
 from sextant.shared.wire.access import AccessError
-from sextant.shared.wire.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
+from sextant.shared.wire.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink
 
 _WARN_S = 30.0  # [s] between two warnings that it is open to any client
 _LOOK_S = 0.1
@@ -83,24 +83,20 @@ def _tell(words: str) -> None:
 def _host(gated: router_security.Gate, role: str, starts: Sequence[str], told_to_stop: Callable[[], bool]) -> None:
     """Host the router until it is stopped.
 
-    With access control it logs refused clients; while it is open to any client it warns repeatedly. With a role it also
-    connects
-    to the machines of the other roles.
+    With access control it logs refused connections; while it is open to any client it warns repeatedly. With a role it also
+    connects to the machines of the other roles.
     """
     awake = _Awake()  # before any client can connect here
     with contextlib.ExitStack() as stack:
         beats: list[Callable[[], None]] = []
         machine_role = gated.role(offboard=role == "offboard" or (not role and bool(gated.upstream)))
-        caught = stack.enter_context(CaughtOutput()) if gated.guarded else None
-        if caught:
-            log_to_stdout(refusals.LEVELS)
-        connections = refusals.RefusedConnections()
-        router = stack.enter_context(hosted(gated, connections.add))
-        if caught or role:
+        refused = RefusedConnections()
+        router = stack.enter_context(hosted(gated, refused.add))
+        if gated.guarded or role:
             link = stack.enter_context(link_to(gated.own, gated.namespace))
-        if caught:
+        if gated.guarded:
             stack.enter_context(ConnectProbe(gated.knock, lambda: router.chained, _tell))
-            beats.append(_Guard(gated, caught, link, machine_role, connections).beat)
+            beats.append(_Guard(gated, refused, link, machine_role).beat)
         if role:
             machine = f"{socket.gethostname()}-{os.getpid()}"
             beats.append(PeerHandshake(link, machine, role, version(), starts, time.monotonic_ns, _tell, machine_role).beat)
@@ -121,24 +117,16 @@ def _host(gated: router_security.Gate, role: str, starts: Sequence[str], told_to
 
 
 class _Guard:
-    """Logs refused clients, and warns while the router is open to any client."""
+    """Logs refused connections, and warns while the router is open to any client."""
 
-    def __init__(
-        self,
-        gated: router_security.Gate,
-        caught: CaughtOutput,
-        link: ZenohLink,
-        role: str,
-        refused: refusals.RefusedConnections,
-    ):
+    def __init__(self, gated: router_security.Gate, refused: RefusedConnections, link: ZenohLink, role: str):
         self._warning, self._due_s = gated.warning(), 0.0
         doing = f"listening on {', '.join(gated.listen)}" + (f"; {self._warning}" if self._warning else "")
-        send = publish(link, role)
-        self._keeper = RouterHealthReporter(caught.take, send, gated.name, gated.namespace, doing, sys.stderr, refused.take)
+        self._health = RouterHealthReporter(refused, publish(link, role), gated.name, doing)
 
     def beat(self) -> None:
         """Do what is due."""
-        if told := self._keeper.look(time.monotonic_ns()):
+        if told := self._health.beat(time.monotonic_ns()):
             _tell(told)
         if self._warning and time.monotonic() >= self._due_s:
             _tell(self._warning)

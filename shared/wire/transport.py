@@ -214,14 +214,6 @@ def _close(sessions: list[zenoh.Session], pumps: Sequence["_Pump"] = ()) -> None
         pump.join(max(0.0, until - time.monotonic()))
 
 
-def log_to_stdout(levels: str) -> None:
-    """Make Zenoh log to standard output for the rest of the process.
-
-    `levels` has the syntax of RUST_LOG; the environment variable RUST_LOG takes precedence.
-    """
-    zenoh.init_log_from_env_or(levels)
-
-
 class Router:
     """Zenoh router in this process, in place of zenohd; a context manager.
 
