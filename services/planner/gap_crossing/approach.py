@@ -13,9 +13,10 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.settings import PassageSettings
-from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, GapCrossing, Outcome, Wait, WorldStance
+from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, GapCrossing, Outcome, Wait
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, same_goal
 from sextant.services.planner.navigation.path_planner import NoPath
+from sextant.services.planner.robot_estimate import WorldStance
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile

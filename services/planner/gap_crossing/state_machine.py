@@ -19,11 +19,12 @@ from sextant.services.planner.gap_crossing.sections import goal_behind, without
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.validated_map import is_near, validation_error
 from sextant.services.planner.locomotion.step_planner import PlannedStep, time_to_swing
+from sextant.services.planner.robot_estimate import WorldStance, is_resting
 from sextant.services.planner.terrain import GOOD
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.runtime.stopwatch import stopwatch_ns
-from sextant.shared.wire.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
+from sextant.shared.wire.messages import ActuatorState, PassageMap, PassagePlan, PassageRequest
 
 STRIP = (2.7, 1.0)  # [m] length and width of the requested map; Masri 2016, section 4.4
 BEHIND = 0.5  # [m] of the map behind the body
@@ -48,14 +49,6 @@ _YIELDED = 0.055  # [m] around a foot without ground, where ground counts as no 
 _SUNK = 0.012  # [m] from the mapped ground down to a standing foot, from which the ground has given way
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WorldStance:
-    """Robot as it is, or as it will be when the running step is over."""
-
-    body: Array  # (4, 4) {world}
-    feet: Array  # (6, 3) [m] {world} foot centres
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +182,7 @@ class GapCrossing:
             map_: Newest map of the strip.
             refused: Why the actuator refused the last step, or "".
         """
-        resting = _rests(state)
+        resting = is_resting(state)
         self._since_ns = (state.stamp_ns if self._since_ns < 0 else self._since_ns) if resting else -1
         self._record_missing_ground(state)
         anew, self._newest_step = state.step < self._newest_step, state.step
@@ -399,7 +392,7 @@ class GapCrossing:
         If it is complete, or the feet are not where planned, stop and look again.
         """
         assert self._field is not None
-        resting = _rests(state)
+        resting = is_resting(state)
         done = state.step - self._base  # number of steps of the section that have begun or are over
         why = self._astray(standing, min(done, len(self._steps)))
         if why and resting and done > 0 and not self._astray(standing, done - 1):
@@ -468,11 +461,6 @@ class GapCrossing:
         assert self._field is not None
         T, edges = self._field.T_world_strip, self._roadmap.edges
         return make_plan_message(stamp_ns, self._section, found, T, self._goal, edges, self._planning_ns * 1e-9)
-
-
-def _rests(state: ActuatorState) -> bool:
-    """Return whether no step is executed and no foot searches for ground."""
-    return state.phase >= 1.0 and state.mode is Mode.HOLD
 
 
 Outcome = NextStep | Wait | Completed | CannotCross

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.locomotion.step_planner import SHARES, NoStep
-from sextant.services.planner.navigation.path_follower import MotionCommand
+from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, StepPlanner
+from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.service import Planner
 from sextant.services.planner.terrain import Terrain, flat_terrain
@@ -477,12 +477,12 @@ def test_refused_step_towards_goal_is_not_repeated(monkeypatch: pytest.MonkeyPat
     rig.command, rig.goal = None, towards((1.0, 0.0))
     straight = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
     turning = replace(straight, yaw_rate=0.3)
-    choose = rig.planner._strides.choose
+    choose = StepPlanner.choose
     blocked = NoStep("the ground forbids it")
     monkeypatch.setattr(
-        rig.planner._strides, "choose", lambda at, *more: (blocked, 0) if at[0].command.yaw_rate else choose(at, *more)
+        StepPlanner, "choose", lambda self, at, *more: (blocked, 0) if at[0].command.yaw_rate else choose(self, at, *more)
     )
-    monkeypatch.setattr(rig.planner._pilot, "lead", lambda *_: MotionCommand((turning, straight), "to a goal"))
+    monkeypatch.setattr(PathFollower, "lead", lambda *_: MotionCommand((turning, straight), "to a goal"))
     first, again, *others = refused(rig, 100)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
     assert len(others) > 3
@@ -536,41 +536,6 @@ def test_accepted_step_resets_refusals() -> None:
     rig.plans(1, phase=0.1, refused="")
     rig.finish(plan)
     assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s, abs=1e-6)
-
-
-def test_refused_revision_does_not_replace_running_plan() -> None:
-    rig = Rig()
-    first = rig.plans(10)[-1]
-    rig.begin(first)
-    rig.plans(1, phase=0.1)
-    (second,) = rig.plans(1, phase=0.6)
-    third = rig.plans(12, phase=0.7)[-1]
-    assert (third.step, third.revision) == (2, second.revision + 1)
-    rig.plans(1, phase=0.8, refused="out of reach", refused_ns=third.stamp_ns)
-    rig.finish(first)
-    rig.begin(second)
-    rig.plans(1, phase=0.0)
-    assert rig.planner._running is not None
-    assert rig.planner._running.plan.revision == second.revision
-    assert rig.planner._refusals.count == 0  # the accepted plan was waiting
-
-
-def test_running_step_is_retargeted_once_per_map(make_terrain: Maker) -> None:
-    rig = Rig()
-    first = rig.plans(10)[-1]
-    rig.begin(first)
-    searches: list[object] = []
-    retarget = rig.planner._strides.retarget
-    rig.planner._strides.retarget = lambda *args: (searches.append(args), retarget(*args))[1]  # type: ignore[method-assign]
-    terrain = rig.planner._terrain
-    kept = make_terrain()
-    rig.planner._terrain = lambda *_: kept  # type: ignore[method-assign]
-    rig.plans(5, phase=0.2)
-    assert len(searches) == 1
-    kept = make_terrain()
-    rig.plans(5, phase=0.2)
-    assert len(searches) == 2
-    rig.planner._terrain = terrain  # type: ignore[method-assign]
 
 
 def towards(*waypoints: tuple[float, float]) -> Goal:
@@ -807,15 +772,15 @@ def test_repeated_refusals_by_actuator_count_as_stall() -> None:
     assert "stuck" in rig.planner.doing()
 
 
-def test_view_pose_is_robot_pose_at_map_stamp() -> None:
+def test_view_pose_is_robot_pose_at_map_stamp(monkeypatch: pytest.MonkeyPatch) -> None:
     rig, seen = Rig(), list[tuple[int, float]]()
     rig.command, rig.goal = None, GOAL
 
-    def lead(_goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoPath:
+    def lead(_: PathFollower, _goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoPath:
         seen.append((now_ns, float(looked[0, 3])))
         return NoPath("looking")
 
-    rig.planner._pilot.lead = lead  # type: ignore[method-assign, assignment]
+    monkeypatch.setattr(PathFollower, "lead", lead)
     begun_ns = rig.now_ns + 20 * MS
     for cycle in range(40):
         assert rig.pose is not None
@@ -914,7 +879,13 @@ def test_blind_walking_continues_when_no_other_step_is_possible(monkeypatch: pyt
         assert rig.pose is not None
         rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
     stretched = NoStep("right rear leg: its foot would be out of reach at the end of the step")
-    monkeypatch.setattr(rig.planner._strides, "choose", lambda *_: (stretched, 0))
+    choose = StepPlanner.choose
+    by_touch = Settings().touch_step_s
+    monkeypatch.setattr(
+        StepPlanner,
+        "choose",
+        lambda self, at, *more: choose(self, at, *more) if self.duration(at[0].command) == by_touch else (stretched, 0),
+    )
     sent = rig.plans(40)
     assert sent, rig.status().reason
     assert sent[-1].stop

@@ -13,8 +13,9 @@ import pytest
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.approach import START_DISTANCE_M, GapCrossingController
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
-from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome, WorldStance
+from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome
 from sextant.services.planner.navigation.path_follower import MotionCommand
+from sextant.services.planner.robot_estimate import WorldStance
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.robot.profiles import load_profile

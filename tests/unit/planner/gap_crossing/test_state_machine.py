@@ -18,9 +18,9 @@ from sextant.services.planner.gap_crossing.state_machine import (
     NextStep,
     Outcome,
     Wait,
-    WorldStance,
 )
 from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.robot_estimate import WorldStance
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN, Mode, PassageMap

@@ -1,0 +1,86 @@
+"""Step selection: the first feasible command, and revisions of the running step."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.plan_tracking import PlanTracker
+from sextant.services.planner.locomotion.step_planner import StepPlanner
+from sextant.services.planner.locomotion.step_selection import StepSelector
+from sextant.services.planner.robot_estimate import RobotEstimate
+from sextant.services.planner.terrain import Terrain, flat_terrain
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.service import Stages
+from sextant.shared.wire.messages import BodyPose, Mode, VelocityCommand
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.11
+BODY = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+FLAT = flat_terrain(0, np.zeros(2), 0.0)
+AHEAD = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+TOO_HIGH = replace(AHEAD, body_height=0.25)
+Maker = Callable[..., Terrain]
+
+
+def robot() -> RobotEstimate:
+    """Return a robot that stands on level ground before its first step."""
+    state = actuator_state(PROFILE, stamp_ns=10**9, feet=PROFILE.rest_feet(HEIGHT), T_odom_body=BODY, body_ref=BODY)
+    return RobotEstimate(state, BodyPose(0, BODY, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6))))
+
+
+@pytest.fixture
+def plans() -> PlanTracker:
+    return PlanTracker(PROFILE.foot.radius)
+
+
+@pytest.fixture
+def steps(plans: PlanTracker) -> StepSelector:
+    return StepSelector(PROFILE, Settings(), plans, Stages())
+
+
+def test_first_feasible_command_gives_the_step(steps: StepSelector) -> None:
+    decision = steps.select((TOO_HIGH, AHEAD), robot(), FLAT)
+    assert decision.state == "stepping"
+    assert decision.step is not None
+    assert decision.step.number == 1
+    assert decision.step.variant[0] == 1, "the index of the second command"
+
+
+def test_reason_is_that_of_the_last_command(steps: StepSelector) -> None:
+    decision = steps.select((AHEAD, TOO_HIGH), robot(), flat_terrain(0, np.full(2, 9.0), 0.0))
+    assert decision.state == "blocked"
+    assert decision.step is None
+    assert "body height" in decision.reason
+    assert decision.retry_s == Settings().revise_s, "the search for the first command takes time"
+
+
+def test_advice_to_turn_is_for_a_steering_operator_alone(steps: StepSelector, make_terrain: Maker) -> None:
+    aside = replace(AHEAD, velocity=np.array([0.0, 0.06]))
+    unseen = make_terrain(lambda x, y: np.full_like(x, np.nan), lambda x, y: np.full_like(x, np.nan))
+    by_goal, steered = (steps.select((aside,), robot(), unseen, steered=steered) for steered in (False, True))
+    assert steered.reason == f"{by_goal.reason}; the ground there is unseen: turn left first to see it"
+
+
+def test_running_step_is_retargeted_once_per_map(
+    steps: StepSelector, plans: PlanTracker, make_terrain: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_rest = robot()
+    decision = steps.select((AHEAD,), at_rest, FLAT)
+    assert decision.step is not None
+    plan = plans.send(at_rest.state, decision.step)
+    swinging = {"mode": Mode.WALK, "step": 1, "phase": 0.2, "swing": plan.swing, "plan_ns": plan.stamp_ns}
+    running = RobotEstimate(replace(at_rest.state, **swinging), at_rest.pose)
+    plans.update(running.state)
+    searches: list[object] = []
+    retarget = StepPlanner.retarget
+    monkeypatch.setattr(StepPlanner, "retarget", lambda *args: (searches.append(args), retarget(*args))[1])
+    for number in (1, 2):
+        terrain = make_terrain()
+        for _ in range(5):
+            assert steps.retarget(running, terrain) is None, "all places are equal"
+        assert len(searches) == number
