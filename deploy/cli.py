@@ -160,6 +160,7 @@ def _add_walks(add: AddCommand) -> None:
     one = add("demo", demo, "simulate a walk over low steps, or across a gap, over Zenoh")
     one.add_argument("course", nargs="?", choices=tuple(DEMOS), default="steps", help="course to walk (default %(default)s)")
     _add_seed_and_out(one)
+    _add_params(one)
 
     one = add("run", run, "run a scenario and write a folder with report.json, pictures and recording.mcap")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
@@ -177,6 +178,12 @@ def _add_walks(add: AddCommand) -> None:
     _add_keys(one)
     one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # id of the launcher's process
     _add_seed_and_out(one)
+    _add_params(one)
+
+
+def _add_params(one: argparse.ArgumentParser) -> None:
+    words = "parameter of a service, e.g. planner.costmap.max_step_m=0.07, see docs/parameters.md; repeatable"
+    one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help=words)
 
 
 def _add_campaigns(add: AddCommand) -> None:
@@ -189,6 +196,7 @@ def _add_campaigns(add: AddCommand) -> None:
         "`sextant trials table` prints tables of stored trials without running anything; see `sextant trials table --help`."
     )
     one.add_argument("--blind", action="store_true", help="also run the baseline without a map, and compare")
+    _add_params(one)
     one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help="parallel processes (default %(default)s)")
     one.add_argument("--out", metavar="DIR", help="folder to write to; seeds stored there are not run again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
@@ -254,7 +262,11 @@ def _add_role(one: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument(
-        "--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="setting of one service; repeatable"
+        "--set",
+        action="append",
+        default=[],
+        metavar="SERVICE.KEY=VALUE",
+        help="setting or parameter of a service; repeatable",
     )
 
 

@@ -85,23 +85,26 @@ def warm_up(progress: "Progress") -> None:
 
 
 def asked_scenario(arguments: argparse.Namespace) -> "Scenario":
-    """Return the requested scenario with the requested robot, gait and link."""
+    """Return the requested scenario with the requested robot, gait, link and parameters."""
     from sextant.shared.scenario.scenario import load_scenario
 
     return as_asked(arguments)(load_scenario(arguments.scenario))
 
 
 def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"]:
-    """Return a function that applies the requested robot, gait and link to a scenario."""
+    """Return a function that applies the requested robot, gait, link and parameters to a scenario."""
+    from sextant.deploy import params
     from sextant.services.planner.locomotion.gait import GAITS
 
     robot, link = asked_robot(arguments), _asked_link(getattr(arguments, "link", ""))
+    assignments = getattr(arguments, "set", ())
 
     def asked(scenario: "Scenario") -> "Scenario":
         if robot:
             scenario = replace(scenario, robot=robot)
         if link.exists:
             scenario = replace(scenario, link=link)
+        scenario = params.assigned(scenario, assignments)
         if getattr(arguments, "bridge", False):
             scenario = replace(scenario, bridge=True)
         if arguments.gait:

@@ -30,6 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--lockstep runs in one process and connects to no router; leave --connect out")
     if arguments.bridge and arguments.connect:
         raise InputError("--bridge is for services that this command starts; leave --connect out")
+    if arguments.set and arguments.connect:
+        raise InputError("--set is for services that this command starts; give it to the `sextant up` that starts them")
     if arguments.record_depth and not arguments.lockstep:
         raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
     if arguments.slow_down and (arguments.lockstep or arguments.connect):
@@ -103,6 +105,8 @@ def _run_live(arguments: argparse.Namespace) -> int:
     scenario = asked_scenario(arguments)
     if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
         raise InputError(f"{scenario.name} injects faults into services that this command starts; leave --connect out")
+    if arguments.connect and scenario.params:
+        raise InputError(f"{scenario.name} has [params] for services that this command starts; leave --connect out")
     progress = open_progress(arguments.json)
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
     from sextant.deploy.terminal.interrupts import Interrupts

@@ -179,6 +179,7 @@ class Report:
     late_s: float = 0.0  # [s] of the run in which services had inputs that were too old, because of a slow computer or link
     input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input": the input is a topic key or "beat"
     missed_beats: dict[str, int] = field(default_factory=dict)  # missed cycles of each service with its own clock
+    params: dict[str, Any] = field(default_factory=dict)  # all parameters of the services; empty if they were started elsewhere
 
 
 def without_timing(report: Report) -> Report:
@@ -192,6 +193,7 @@ def as_table(report: Report) -> dict[str, Any]:
     """Return the report as nested dictionaries, rounded, with sorted stages."""
     table: dict[str, Any] = plain(report)
     table["stages_ms"] = dict(sorted(table["stages_ms"].items()))
+    table["params"] = report.params  # exact
     return table
 
 
@@ -275,6 +277,8 @@ def _check(value: object, hint: Any, where: str, problems: list[str]) -> None:
     elif hint == bool | None:
         if value is not None and not isinstance(value, bool):
             problems.append(f"{place}: true, false or null expected, found {_shown(value)}")
+    elif hint is Any:
+        return
     elif hint is float:
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
             problems.append(f"{place}: a number or null expected, found {_shown(value)}")

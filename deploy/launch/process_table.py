@@ -4,18 +4,23 @@ The launcher, the systemd units and compose.yaml are made from this table.
 """
 
 import difflib
+import importlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from sextant.deploy import params
+from sextant.deploy.params import SystemParams
 from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.shared.params import Params
+from sextant.shared.runtime.process import load_settings
 from sextant.shared.scenario.scenario import MapOptions, Scenario
 from sextant.shared.wire.transport import Endpoints
 
-Value = str | int | float | bool
+Value = str | int | float | bool | list[Any]
 Role = Literal["all", "onboard", "offboard", "sim"]
 
 BUS_PORT = 7450  # TCP port of the simulated servo bus in compose
@@ -50,6 +55,7 @@ class Choices:
     lift: float = 0.04  # [m] lift of swing feet when an operator drives the robot
     console_port: int = 8080  # TCP port of the operator page
     recordings: str = "recordings"  # folder for the operator's recordings
+    params: SystemParams = field(default_factory=SystemParams)
     camera: str = ""  # device that replaces the profile's: "openni2", "realsense", or a recorded folder
 
 
@@ -95,7 +101,12 @@ def _mapper(choices: Choices) -> dict[str, Value]:
 
 
 def _planner(choices: Choices) -> dict[str, Value]:
-    return {"blind": choices.blind, "footholds": choices.footholds}
+    return {"blind": choices.blind, "footholds": choices.footholds, **_tuned(choices.params.planner)}
+
+
+def _tuned(of: Params) -> dict[str, Value]:
+    """Return dotted key -> value of the parameters that differ from their defaults."""
+    return params.flat(params.changes(of))
 
 
 def _console(choices: Choices) -> dict[str, Value]:
@@ -181,6 +192,9 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
     """Return the settings that a scenario gives the processes.
 
     `source` is the name or the path of the scenario.
+
+    Raises:
+        ConfigError: Parameters of the scenario are invalid.
     """
     return Choices(
         robot=scenario.robot,
@@ -195,6 +209,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         pose_error=scenario.pose_error,
         map=scenario.map,
         lift=scenario.walk.lift,
+        params=params.of_scenario(scenario),
     )
 
 
@@ -254,7 +269,7 @@ def further_settings(assignments: Iterable[str], processes: Sequence[Process]) -
     """Return process name -> assignments `key=value`, from texts SERVICE.KEY=VALUE.
 
     Raises:
-        ValueError: A text is malformed, or its process is not started.
+        ValueError: A text is malformed, its process is not started, or has no such setting.
     """
     names = [p.name for p in processes]
     extra: dict[str, tuple[str, ...]] = {}
@@ -266,6 +281,10 @@ def further_settings(assignments: Iterable[str], processes: Sequence[Process]) -
             near = difflib.get_close_matches(service, names, n=1)
             raise ValueError(f"no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}")
         extra[service] = (*extra.get(service, ()), rest)
+    for process in processes:
+        if process.name in extra:
+            config = importlib.import_module(f"{process.module}.config")
+            load_settings(config.Settings, None, extra[process.name], process.name)
     port = tuple(rest for rest in extra.get("actuator", ()) if re.match(r"port\s*=", rest))
     if port and "stop" in names:  # the estop process uses the same servos
         extra["stop"] = (*port, *extra.get("stop", ()))
@@ -347,7 +366,7 @@ def assignment(key: str, value: Value) -> str:
     """Return `key=value` for `--set`, quoted only where TOML would misread it."""
     if isinstance(value, bool):
         return f"{key}={str(value).lower()}"
-    if isinstance(value, int | float):
+    if isinstance(value, int | float | list):
         return f"{key}={value}"
     try:
         tomllib.loads(f"{key}={value}")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from sextant.deploy import params
 from sextant.deploy.evaluation.stage_times import rounded, stages_ms
 from sextant.deploy.figures import layers_picture
 from sextant.deploy.replay.error import ReplayError
@@ -23,6 +24,7 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
 from sextant.shared.files import whole_files
+from sextant.shared.files.input_file import parse_json
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import Lockstep
@@ -393,6 +395,15 @@ def _planner_settings(recording: Recording) -> PlannerSettings:
     usual = PlannerSettings()
     blind = recording.about.get("walk.blind", str(usual.blind)) == "True"
     try:
-        return PlannerSettings(blind=blind, footholds=recording.about.get("walk.footholds", usual.footholds))  # type: ignore[arg-type]
+        footholds = recording.about.get("walk.footholds", usual.footholds)
+        return params.settings(PlannerSettings, _params(recording).planner, blind=blind, footholds=footholds)
     except ValueError as error:
         raise ReplayError(f"{recording.path}: its walk options are invalid: {error}") from None
+
+
+def _params(recording: Recording) -> params.SystemParams:
+    """Return the parameters of a recorded run; those of old recordings are the defaults."""
+    try:
+        return params.read(parse_json(recording.path, recording.about.get("params", "{}").encode()), "its parameters")
+    except ValueError as error:
+        raise ReplayError(f"{recording.path}: {error}") from None

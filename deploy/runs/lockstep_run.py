@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from sextant.deploy import params
 from sextant.deploy.evaluation.report import Report
 from sextant.deploy.runs.pose_error import MODELS, NoisyPerception
 from sextant.deploy.runs.run_observers import RECORDING, RunObservers, about, clear
@@ -78,6 +79,7 @@ class LockstepRun:
             _rehearse_passage(scenario.robot)  # compile now, so that no planning time includes compilation
         self.scenario = scenario
         self.attendance = RunObservers(profile, scenario, seed)
+        tuned = params.of_scenario(scenario)
         self._lockstep: Lockstep | None = None
         self._socket: _Socket | None = None
         looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
@@ -95,7 +97,7 @@ class LockstepRun:
             "actuator": self._actuator(profile, scenario, simulator, Latch.of_port(stop_port) if stop_port else None),
             "perception": lambda: _perception(profile, looks, scenario, seed),
             "mapper": lambda: Mapper(profile, _map_settings(scenario)),
-            "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
+            "planner": lambda: Planner(profile, _planner_settings(scenario, tuned)),
         }
         if stop_port:
             makers["stop"] = lambda: EmergencyStop(profile, StopSettings(stop_port))
@@ -283,6 +285,11 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
 def _perception(profile: RobotProfile, settings: PerceptionSettings, scenario: Scenario, seed: int) -> Service:
     perception = Perception(profile, settings)
     return perception if scenario.pose_error == "none" else NoisyPerception(perception, MODELS[scenario.pose_error], seed)
+
+
+def _planner_settings(scenario: Scenario, tuned: params.SystemParams) -> PlannerSettings:
+    walk = scenario.walk
+    return params.settings(PlannerSettings, tuned.planner, blind=walk.blind, footholds=walk.footholds)
 
 
 def _map_settings(scenario: Scenario) -> MapperSettings:

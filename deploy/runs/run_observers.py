@@ -1,16 +1,18 @@
 """Observers of a run: operator, scorer and monitor; and the run's files."""
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
+from sextant.deploy import params
 from sextant.deploy.evaluation import report as reports
 from sextant.deploy.evaluation.report import Report, StageTime
 from sextant.deploy.evaluation.scorer import Scorer
 from sextant.deploy.runs.operator import Operator
 from sextant.deploy.terminal.progress import Monitor
-from sextant.shared.files import whole_files
+from sextant.shared.files import config, whole_files
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.lateness import SlowComputer
@@ -32,6 +34,8 @@ class RunObservers:
         self.scorer = Scorer(profile, scenario, seed)
         self.monitor = Monitor(scenario.goal.distance, SlowComputer(live, linked or scenario.link.exists))
         self._operator_done_s: float | None = None
+        # The parameters of services that were started elsewhere are not known.
+        self.params = {} if linked else config.as_table(params.of_scenario(scenario))
 
     def services(self) -> Mapping[str, Service]:
         """Return the three services by name."""
@@ -77,6 +81,7 @@ class RunObservers:
             late_s=round(lateness.late_s, 3),
             input_ages_s=lateness.ages(),
             missed_beats=dict(sorted(lateness.missed_beats.items())),
+            params=self.params,
         )
         if ended_by:
             report = replace(report, success=False, reason=ended_by)
@@ -132,8 +137,9 @@ def clear(out: Path) -> None:
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
     """Return the metadata of a recording.
 
-    It includes the map size and the planner's settings, which a replay uses too.
+    It includes the map size, the planner's settings and the parameters that were changed, which a replay uses too.
     """
     size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
     walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
-    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk}
+    tuned = {"params": json.dumps(scenario.params)}
+    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk, **tuned}

@@ -1,13 +1,25 @@
 """Settings of the planner."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams
+from sextant.shared.files import config
+from sextant.shared.params import Params
+
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class PlannerParams(Params):
+    """Parameters of the planner."""
+
+    costmap: CostmapParams = field(default_factory=CostmapParams)
+    path_follower: PathFollowerParams = field(default_factory=PathFollowerParams)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings(PlannerParams):
     """Settings of stepping; the defaults let the robot walk."""
 
     blind: bool = False  # blind baseline: no map is read, the ground is the plane of the standing feet
@@ -32,6 +44,7 @@ class Settings:
     revise_s: float = 0.20  # [s] between revisions of a plan
 
     def __post_init__(self) -> None:
+        config.verify(self)
         if not self.retarget_until < self.plan_from:
             raise ValueError(f"retarget_until below plan_from expected, found {self.retarget_until} and {self.plan_from}")
         if not 0.8 <= self.touch_step_s <= 4.0:

@@ -19,6 +19,8 @@ from sextant.shared.files import input_file
 from sextant.shared.spelling import hint, nearest
 
 T = TypeVar("T")
+N = TypeVar("N", int, float)
+_RANGE = "range"  # key of a field's metadata
 _MOST_SHOWN = 30  # problems shown per configuration
 
 
@@ -72,6 +74,16 @@ def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check,
     return tuple(map(of, keys.split()))
 
 
+def ranged(default: N, low: float, high: float) -> N:
+    """Declare a number of a dataclass with its default and its allowed range, ends included."""
+    return dataclasses.field(default=default, metadata={_RANGE: (low, high)})
+
+
+def range_of(field: dataclasses.Field[Any]) -> tuple[float, float] | None:
+    """Return the range of a field that `ranged` declares, else None."""
+    return cast("tuple[float, float] | None", field.metadata.get(_RANGE))
+
+
 def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
     """Return a check on several values together; `keys` are separated by spaces.
 
@@ -94,7 +106,7 @@ def verify(made: Any) -> None:
         ValueError: A check failed; the text lists all errors.
     """
     values = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
-    misfits = _misfits(type(made).checks, values)
+    misfits = _misfits(_checks_of(type(made)), values)
     if misfits:
         raise ValueError("; ".join(map(_words, misfits)))
 
@@ -150,6 +162,31 @@ def as_table(value: object) -> Any:
     return value
 
 
+def assign(table: dict[str, Any], assignments: Iterable[str]) -> None:
+    """Set values of a table by `key=value` texts; the values are in TOML notation.
+
+    A dotted key sets one value of a nested table, not the whole table. A word without quotes is a text.
+
+    Raises:
+        ConfigError: An assignment is malformed.
+    """
+    for assignment in assignments:
+        key, equals, value = assignment.partition("=")
+        parts = [part.strip() for part in key.split(".")]
+        if not equals or not all(part.isidentifier() for part in parts):
+            raise ConfigError("--set", [f"key=value expected, found {assignment!r}"])
+        try:
+            parsed = input_file.parse_toml(Path("--set"), f"value = {value}".encode(errors="replace"))
+        except input_file.FileError:
+            parsed = {}
+        inner = table
+        for part in parts[:-1]:
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise ConfigError("--set", [f"{key}: {part} is not a table"])
+        inner[parts[-1]] = parsed["value"] if len(parsed) == 1 else value
+
+
 _INVALID = object()
 
 
@@ -171,6 +208,19 @@ def _known(value: object) -> bool:
     if isinstance(value, tuple):
         return all(map(_known, value))
     return value is not _INVALID and not isinstance(value, _Partial)
+
+
+def _checks_of(schema: type[Any]) -> tuple[Check, ...]:
+    """Return the checks of a schema: the ranges of its numbers, then its `checks`."""
+    found: list[Check] = []
+    for field in dataclasses.fields(schema):
+        if limits := range_of(field):
+            found += _within(field.name, *limits)
+    return (*found, *getattr(schema, "checks", ()))
+
+
+def _within(key: str, low: float, high: float) -> tuple[Check, ...]:
+    return each(key, lambda value: low <= value <= high, f"{low:g} to {high:g}")
 
 
 def _misfits(checks: Iterable[Check], values: dict[str, object]) -> list[Misfit]:
@@ -210,7 +260,7 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING and name not in misspelt:
             problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
     given = dict(values)
-    misfits = _misfits((*getattr(schema, "checks", ()), *also), values)
+    misfits = _misfits((*_checks_of(schema), *also), values)
     problems += [_join(where, _words(misfit)) for misfit in misfits]
     if len(problems) > before:
         return _Partial(values)
@@ -296,6 +346,8 @@ def _members(hint: Any) -> tuple[Any, ...]:
 def _type_words(hint: Any) -> str:
     if get_origin(hint) is tuple:
         return "a list"
+    if get_origin(hint) is dict:
+        return "a table"
     words: dict[Any, str] = {
         float: "a number", int: "a whole number", str: "a text", bool: "true or false", date: "a date as in 2026-07-30",
     }  # fmt: skip

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from sextant.shared.files import config, input_file
+from sextant.shared.files import config
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import clock
@@ -153,12 +153,10 @@ def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int],
     return lambda: robot.ahead_s
 
 
-def load_settings(schema: type[S], path: str | None, assignments: Sequence[str]) -> S:
+def load_settings(schema: type[S], path: str | None, assignments: Sequence[str], source: str = "settings") -> S:
     """Read the settings of a service from a TOML file and `key=value` assignments.
 
-    The values of assignments are in TOML notation.
-
-    The assignments override the file.
+    The values of assignments are in TOML notation. They override the file.
 
     Raises:
         ConfigError: The settings are invalid; the text lists all errors.
@@ -166,23 +164,8 @@ def load_settings(schema: type[S], path: str | None, assignments: Sequence[str])
     table: dict[str, Any] = {}
     if path is not None:
         table = config.as_table(config.load(Path(path), schema))
-    for assignment in assignments:
-        key, equals, value = assignment.partition("=")
-        parts = [part.strip() for part in key.split(".")]
-        if not equals or not all(part.isidentifier() for part in parts):
-            raise config.ConfigError("--set", [f"key=value expected, found {assignment!r}"])
-        try:
-            parsed = input_file.parse_toml(Path("--set"), f"value = {value}".encode(errors="replace"))
-        except input_file.FileError:
-            parsed = {}
-        item = parsed["value"] if len(parsed) == 1 else value  # a word without quotes is a text
-        inner = table
-        for part in parts[:-1]:  # a dotted key changes one value of a nested table, not the whole table
-            inner = inner.setdefault(part, {})
-            if not isinstance(inner, dict):
-                raise config.ConfigError("--set", [f"{key}: {part} is not a table"])
-        inner[parts[-1]] = item
-    return config.build(table, schema, "settings")
+    config.assign(table, assignments)
+    return config.build(table, schema, source)
 
 
 def assignments(settings: object) -> list[str]:

@@ -171,13 +171,16 @@ class GapCrossingController:
         start = self._start(goal, standing, terrain)
         if isinstance(start, str):
             return start
-        self._crossing_line, self._approach, self._turning_ns = (start, target.copy()), PathFollower(self._profile), -1
+        self._crossing_line, self._approach, self._turning_ns = (start, target.copy()), self._follower(), -1
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
         if float(np.linalg.norm(start - xy)) < _START_TOLERANCE_M and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
             # The robot may stand on pillars, where a turn is difficult, so it crosses straight ahead.
             self._crossing_line, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         return ""
+
+    def _follower(self) -> PathFollower:
+        return PathFollower(self._profile, self._settings.costmap, self._settings.path_follower)
 
     def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> MotionCommand | Outcome | None:
         """Return the next action to face a place and come to rest, or None when done.
@@ -206,7 +209,7 @@ class GapCrossingController:
         """Return the start (2,) [m] {world} of the crossing, or why there is none."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         ground = float(standing.feet[:, 2].mean()) - self._profile.foot.radius
-        gap = detect_gap(terrain, xy, target, ground)
+        gap = detect_gap(terrain, xy, target, ground, self._settings.costmap.max_step_m)
         if isinstance(gap, str):
             return xy.copy() if self.ordered(goal) else gap
         ahead = np.array([np.cos(gap.heading), np.sin(gap.heading)])

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.planner.navigation.traversability import MAX_STEP_M
 from sextant.services.planner.terrain import ACCEPTABLE, Terrain
 from sextant.shared.geometry import Array
 
@@ -24,7 +23,7 @@ class GapEdge:
     heading: float  # [rad] {world} of the line across
 
 
-def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float) -> GapEdge | str:
+def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float, max_step_m: float) -> GapEdge | str:
     """Return the first gap on a straight line, or why there is none.
 
     Args:
@@ -32,6 +31,7 @@ def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float) -> Gap
         xy: (2,) [m] {world} position of the robot.
         target: (2,) [m] {world} goal.
         ground: [m] {world} ground height under the robot.
+        max_step_m: [m] height above that ground, from which an obstacle is a wall.
     """
     way = target - xy
     length = float(np.linalg.norm(way))
@@ -44,7 +44,7 @@ def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float) -> Gap
     ahead = way / length
     places = xy + along[:, None, None] * ahead + across[:, None] * np.array([-ahead[1], ahead[0]])
     heights = terrain.heights(places)
-    wall = (heights > ground + MAX_STEP_M).mean(axis=1) > _HIGHER
+    wall = (heights > ground + max_step_m).mean(axis=1) > _HIGHER
     bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
     known = np.isfinite(heights).mean(axis=1) > _KNOWN
     if not (bare & known).any():

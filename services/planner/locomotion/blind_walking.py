@@ -13,18 +13,13 @@ import numpy as np
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import leaning, slope_under
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
-from sextant.services.planner.navigation.traversability import BLIND_RADIUS_M
 from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_through
 from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import VelocityCommand
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
-_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = (
-    BLIND_RADIUS_M,
-    BLIND_RADIUS_M + 0.35,
-    0.15,
-)  # [m] region of the ground ahead that must be seen
+_SEEN_LENGTH_M, _SEEN_ASIDE_M = 0.35, 0.15  # [m] region of the ground ahead that must be seen: length and half width
 _SEEN = 0.4  # [1] share of it that must be seen
 _LEVEL = 0.10  # [m] maximum difference between its median height and the plane of the feet
 _FOLLOWED = 0.3  # [1] share by which the body follows the slope of the newest feet in each step
@@ -70,14 +65,16 @@ class BlindStepPlanner:
         """
         xy, height, slope = plane_through(feet - [0.0, 0.0, self._profile.foot.radius])
         ahead = np.array([np.cos(course), np.sin(course)])
-        along, aside = np.meshgrid(np.arange(_SEEN_FROM, _SEEN_TO, 0.02), np.arange(-_SEEN_ASIDE, _SEEN_ASIDE + 1e-9, 0.02))
+        radius = self._settings.costmap.blind_radius_m
+        ranges = np.arange(radius, radius + _SEEN_LENGTH_M, 0.02)
+        along, aside = np.meshgrid(ranges, np.arange(-_SEEN_ASIDE_M, _SEEN_ASIDE_M + 1e-9, 0.02))
         beyond = put_down + along[..., None] * ahead + aside[..., None] * np.array([-ahead[1], ahead[0]])
         above = terrain.heights(beyond) - height - (beyond - xy) @ slope
         if np.isfinite(above).mean() < _SEEN or abs(float(np.nanmedian(above))) > _LEVEL:
             return None
         m = terrain.map
         x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
-        near = np.hypot(x[:, None] - put_down[0], y - put_down[1]) < _SEEN_FROM
+        near = np.hypot(x[:, None] - put_down[0], y - put_down[1]) < radius
         unseen = near & ~np.isfinite(m.elevation)
         plane = height + slope[0] * (x[:, None] - xy[0]) + slope[1] * (y - xy[1])
         filled = replace(

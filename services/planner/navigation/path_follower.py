@@ -12,12 +12,11 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 
 from sextant.services.planner.locomotion.gait import GAITS
+from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams
 from sextant.services.planner.navigation.path_planner import NoPath, PlannedPath, cost_of, find_path
 from sextant.services.planner.navigation.stall_detection import StallDetector
 from sextant.services.planner.navigation.traversability import (
-    BLIND_RADIUS_M,
     CostMap,
-    CostWeights,
     LocalGroundMap,
     RequiredSpace,
 )
@@ -26,31 +25,8 @@ from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
 
-_SPARE = 0.045  # [m] margin between the feet and an obstacle
-_LIKED = 0.20  # [m] preferred additional margin
-_DETOUR = 1.5  # [m] maximum distance from the straight line between two waypoints
 _FURTHEST = 1e4  # [m] maximum coordinate of a waypoint
-_REPLAN_NS = 500_000_000  # [ns] minimum time between two path searches
-_PASSED = 0.10  # [m] minimum radius within which an intermediate waypoint counts as passed
-_LOOK_AHEAD = 0.25  # [m] along the path, to the point that the robot walks to
-_FACE = 0.45  # [m] along the path, to the point that it faces if the path is seen
-_FORESIGHT = 1.4  # [m] along the path, within which it looks at unseen ground
 _AHEAD = 10.0  # [m] along the path, within which the ground is checked; beyond the size of any map
-_VEILED = 0.02  # [1] share of unseen ground under the robot, from which a place on the path counts as unseen
-_HALT = 0.35  # [m] distance to such a place, below which the robot turns before it walks
-_TURN_FIRST = radians(50.0)  # heading error, above which the robot turns before it walks
-_TURN_GAIN = 1.2  # [1/s]
-_TURN = 0.21  # [rad/s] maximum yaw rate
-_SWITCH_COST_RATIO = 0.85  # [1] relative cost below which a new path replaces the current one
-_OFF_WAY = 0.20  # [m] from the current path, beyond which a new one replaces it at any cost
-_STUCK_AHEAD = 0.08  # [m] from the feet along the path to the place that counts as impassable
-_STUCK_RADIUS = 0.08  # [m] radius of an impassable place
-_NEW_FACING_RAD = radians(20.0)  # heading change, from which the robot faces another place
-_FACED = radians(6.0)  # heading error, below which the robot looks at a place
-_TURN_ABOUT = radians(90.0)  # heading error to the first unseen place, from which it looks at one with a smaller error instead
-_IN_SIGHT = radians(25.0)  # heading error, up to which a place is in the image
-_SIGHT = 1.3  # [m] range at which ground is visible
-_MUST_SEE_DISTANCE_M = BLIND_RADIUS_M + 0.20  # [m] distance to a place that must be in the image before the robot walks on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,16 +60,16 @@ class _ActiveGoal:
 class PathFollower:
     """Follows the path to one goal at a time."""
 
-    def __init__(self, profile: RobotProfile):
+    def __init__(self, profile: RobotProfile, costmap: CostmapParams, params: PathFollowerParams):
         """Initialize for a robot."""
-        self._profile = profile
+        self._profile, self._params = profile, params
         feet = profile.rest_feet()
-        half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # the robot must be able to turn
+        half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + params.margin_m  # the robot must be able to turn
         # Next to a hole the outermost feet may stand closer, by the radius of the foothold search.
-        closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + _SPARE
-        self._size = RequiredSpace(half, min(closer, half), half + _LIKED)
-        self._prices = CostWeights()
-        self._ground = LocalGroundMap()
+        closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + params.margin_m
+        self._size = RequiredSpace(half, min(closer, half), half + params.preferred_margin_m)
+        self._blind_radius_m = costmap.blind_radius_m
+        self._ground = LocalGroundMap(costmap)
         self._active_goal: _ActiveGoal | None = None
 
     @property
@@ -115,7 +91,7 @@ class PathFollower:
         invalid_reason = validation_error(goal)
         if invalid_reason:
             return NoPath(invalid_reason)
-        xy = body[:2, 3]
+        params, xy = self._params, body[:2, 3]
         # 1. For a new goal, discard the state of the old one.
         if self._active_goal is None or not same_goal(goal, self._active_goal.goal):
             self._active_goal = _ActiveGoal(goal, xy.copy())
@@ -123,7 +99,7 @@ class PathFollower:
         active_goal.goal = goal
         # 2. Select the next waypoint.
         target = goal.waypoints[active_goal.leg]
-        while active_goal.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
+        while active_goal.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, params.passed_m):
             active_goal.begin, active_goal.way, active_goal.map, active_goal.progress = target, None, None, StallDetector()
             active_goal.leg += 1
             target = goal.waypoints[active_goal.leg]
@@ -133,12 +109,12 @@ class PathFollower:
         if active_goal.arrived:
             active_goal.way = None
             return MotionCommand((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
-        if _off(active_goal.begin, target, xy) > _DETOUR:
+        if _off(active_goal.begin, target, xy) > params.detour_m:
             active_goal.begin = xy.copy()  # another client has moved it
-        # 3. Plan the path again if the map has changed and `_REPLAN_NS` has passed, or if there is no progress.
+        # 3. Plan the path again if the map has changed and `replan_s` has passed, or if there is no progress.
         if active_goal.way is not None:
             self._watch(active_goal, target, body, now_ns)
-        changed = active_goal.map is not terrain.map and now_ns - active_goal.planned_ns >= _REPLAN_NS
+        changed = active_goal.map is not terrain.map and now_ns - active_goal.planned_ns >= round(params.replan_s * 1e9)
         if active_goal.map is None or changed:
             active_goal.map, active_goal.planned_ns = terrain.map, now_ns
             self._ground.add_map(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
@@ -176,7 +152,8 @@ class PathFollower:
         if not words:
             return
         # The first place ahead that is free for the body, so that the robot takes another path and never this one again.
-        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, min(_extent(way), _AHEAD), active_goal.cost_map.edge)
+        nearest = self._size.half_width + self._params.stuck_ahead_m
+        ahead = np.arange(nearest, min(_extent(way), _AHEAD), active_goal.cost_map.edge)
         places = np.array([*(_along(way, d) for d in ahead), way[-1]])
         free = np.isfinite(active_goal.cost_map.at(active_goal.cost_map.cost, places))
         active_goal.stuck.append(places[int(np.argmax(free))])
@@ -186,8 +163,8 @@ class PathFollower:
     def _plan(self, active_goal: _ActiveGoal, place: Array, target: Array) -> None:
         """Plan the path; keep the current one unless the new one is clearly cheaper."""
         xy, stuck = place[:2], np.array(active_goal.stuck).reshape(-1, 2)
-        cost_map = self._ground.cost_map(self._size, self._prices, place, stuck, _STUCK_RADIUS)
-        cost_map = cost_map.beside(active_goal.begin, target, _DETOUR)
+        cost_map = self._ground.cost_map(self._size, place, stuck, self._params.stuck_radius_m)
+        cost_map = cost_map.beside(active_goal.begin, target, self._params.detour_m)
         found = find_path(cost_map, xy, target, active_goal.goal.tolerance)
         active_goal.cost_map, active_goal.found = cost_map, found
         if isinstance(found, NoPath):
@@ -198,7 +175,7 @@ class PathFollower:
             old, off = _rest(active_goal.way.corners, xy)
             cost = cost_of(cost_map, old)
             same_end = _length(old[-1] - found.corners[-1]) < cost_map.edge  # the known ground may reach further now
-            if same_end and off < _OFF_WAY and found.cost > _SWITCH_COST_RATIO * cost:
+            if same_end and off < self._params.off_path_m and found.cost > self._params.switch_cost_ratio * cost:
                 active_goal.way = PlannedPath(old, cost)
                 return
         active_goal.way, active_goal.progress.changed = found, True
@@ -206,27 +183,28 @@ class PathFollower:
     def _follow(self, active_goal: _ActiveGoal, target: Array, body: Array, now_ns: int) -> MotionCommand:
         """Follow the path, facing it."""
         assert active_goal.way is not None
-        goal, xy, yaw = active_goal.goal, body[:2, 3], yaw_of(body)
+        params, goal, xy, yaw = self._params, active_goal.goal, body[:2, 3], yaw_of(body)
         way, _ = _rest(active_goal.way.corners, xy)
         left = _extent(way)
-        to = _along(way, _LOOK_AHEAD) - xy
+        to = _along(way, params.look_ahead_m) - xy
         course = atan2(to[1], to[0])
         # Face the unseen part of the path and stop before it. Over seen ground the robot may walk sideways while it turns.
         veiled_at, veiled = self._veiled(active_goal, way, yaw)
         if veiled is None:
-            facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
+            facing, turn_first_deg = _along(way, params.face_m) - xy, params.turn_first_deg
         else:
             facing = veiled - xy
-            turn_first = _FACED if veiled_at < _HALT else _IN_SIGHT if _length(facing) < _MUST_SEE_DISTANCE_M else pi
-        error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
-        active_goal.progress.changed |= abs(_wrapped(yaw + error - active_goal.facing)) > _NEW_FACING_RAD
+            near = _length(facing) < self._blind_radius_m + params.must_see_m
+            turn_first_deg = params.faced_deg if veiled_at < params.halt_m else params.in_sight_deg if near else 180.0
+        error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > params.look_ahead_m else 0.0
+        active_goal.progress.changed |= abs(_wrapped(yaw + error - active_goal.facing)) > radians(params.new_facing_deg)
         active_goal.facing = yaw + error
-        turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
+        turn = min(max(params.turn_gain * error, -params.turn_rate_rad_s), params.turn_rate_rad_s)
         # A step goes no further than to the look-ahead point, and not past a corner.
         speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s(goal))
         velocity = speed * np.array([cos(course - yaw), sin(course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
-        if abs(error) > turn_first:
+        if abs(error) > radians(turn_first_deg):
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
         # Ground that is too close to be seen becomes visible from further back, or from the side.
         for away in (pi, pi / 2, -pi / 2):
@@ -243,26 +221,26 @@ class PathFollower:
         ground, unless the robot would have to turn far for it and another place needs a smaller turn. It is None if there is no
         such ground.
         """
-        cost_map = active_goal.cost_map
+        params, cost_map = self._params, active_goal.cost_map
         assert cost_map is not None
         distance = np.arange(0.0, min(_extent(way), _AHEAD) + cost_map.edge, cost_map.edge)
         places = np.array([_along(way, d) for d in distance])
         reach = np.arange(-self._size.half_width, self._size.half_width + cost_map.edge, cost_map.edge)
         under = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
         first, looks = np.inf, list[tuple[float, Array]]()
-        for k in np.flatnonzero(cost_map.at(cost_map.veiled, places) > _VEILED):
+        for k in np.flatnonzero(cost_map.at(cost_map.veiled, places) > params.unseen_share):
             ground = places[k] + under
             off = np.linalg.norm(ground - way[0], axis=1)
-            hidden = cost_map.at(cost_map.unseen, ground) & (off > BLIND_RADIUS_M)
-            if not hidden.any() or (distance[k] > _FORESIGHT and not looks):
+            hidden = cost_map.at(cost_map.unseen, ground) & (off > self._blind_radius_m)
+            if not hidden.any() or (distance[k] > params.foresight_m and not looks):
                 continue
             place = ground[hidden].mean(axis=0)
             turn = abs(_wrapped(atan2(*(place - way[0])[::-1]) - yaw))
             if not looks:
                 first = float(distance[k])
-                if turn < _TURN_ABOUT:
+                if turn < radians(params.turn_about_deg):
                     return first, place
-            if not looks or (_length(place - way[0]) < _SIGHT and turn > _IN_SIGHT):
+            if not looks or (_length(place - way[0]) < params.sight_m and turn > radians(params.in_sight_deg)):
                 looks.append((turn, place))
         return first, min(looks, key=lambda look: look[0])[1] if looks else None
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.navigation.traversability import FAR, OBSTACLE_NAMES, OPEN, CostMap
+from sextant.services.planner.navigation.traversability import FAR, OPEN, CostMap
 from sextant.services.planner.terrain import MAX_SAMPLED_LINE_M
 from sextant.shared.geometry import Array
 
@@ -173,10 +173,10 @@ def describe_enclosure(cost_map: CostMap, reached: NDArray[np.bool_]) -> str:
     said = []
     for kind in sorted(set(np.unique(kinds).tolist()) - {OPEN}, key=lambda k: (k == FAR, -int((kinds == k).sum()))):
         if kind == FAR:
-            said.append(OBSTACLE_NAMES[FAR])
+            said.append(cost_map.obstacle_name(FAR))
             continue
         where = cost_map.centres(np.argwhere(kinds == kind))
-        said.append(f"{OBSTACLE_NAMES[kind]} {_extent(where)}")
+        said.append(f"{cost_map.obstacle_name(kind)} {_extent(where)}")
     return "; ".join(said) or "the end of the mapped ground"
 
 
@@ -241,7 +241,7 @@ def _around(cost_map: CostMap, cell: tuple[int, int]) -> str:
     if not len(stops):
         return "nothing"
     i, j = stops[int(np.argmin(((stops - cell) ** 2).sum(axis=1)))]
-    return f"{OBSTACLE_NAMES[int(cost_map.stops[i, j])]} at {_place(cost_map.centres(np.array([[i, j]]))[0])}"
+    return f"{cost_map.obstacle_name(int(cost_map.stops[i, j]))} at {_place(cost_map.centres(np.array([[i, j]]))[0])}"
 
 
 def _clipped(cost_map: CostMap, start: Array, goal: Array) -> Array:

@@ -26,45 +26,22 @@ from sextant.services.planner.navigation.downsampled_map import (
     over_square,
     wide,
 )
+from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, inverse
 from sextant.shared.robot.profile import Camera
 
-EDGE = 0.05  # [m] cell edge
 _CELLS = 128  # cells of the kept window, along each axis
-MAX_STEP_M = 0.065  # [m] maximum height difference of neighbouring cells for the legs
-_SEEN = 0.25  # [1] minimum known share of a seen cell
-_BARE = 0.8  # [1] share of a cell without a foothold in reach, from which the cell is bare
-_NARROW = 2  # cells; minimum width of bare ground that stops feet
-_BRIDGED = 5  # cells; maximum width of low ground that is stepped over
-_LOOKS = 3  # looks at a place without a measurement, from which it is a hole
-_NEAREST, _FURTHEST = 1.15, 1.10  # share of the camera's minimum range, and [m]: the range in which ground is visible
-_FRAME = 0.84  # [1] share of the image's width and height in which ground is visible
-_SHADOW = 0.01  # [m] below the top of an obstacle, from which a place behind it is hidden
-BLIND_RADIUS_M = 0.55  # [m] from the body, within which the camera sees nothing in any direction
 
 OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops the robot at a cell
-OBSTACLE_NAMES = (
+_OBSTACLES = (
     "",
-    f"a step of more than {int(MAX_STEP_M * 100)} cm",
+    "a step of more than {step_cm} cm",
     "no foothold",
     "a hole, or ground without measurements",
     "a place where the robot got stuck",
     "the maximum detour from the straight line",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class CostWeights:
-    """Additional cost per metre."""
-
-    rough: float = 1.5  # for a footprint in which no cell carries a foot; less if some do
-    bare: float = 6.0  # if no foothold is in reach
-    relief: float = 2.0  # if the ground changes by the maximum height difference
-    near: float = 3.0  # at `half_width` from an obstacle, falling to zero at `wide`
-    unseen: float = 1.0
-    behind: float = 2.0  # additional cost of unseen ground directly behind the robot; less for a smaller turn to look at it
-    beside: float = 40.0  # for unseen ground too close to be looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +68,11 @@ class CostMap:
     stops: NDArray[np.int8]  # (n, m) obstacle kind, OPEN where the ground is passable
     unseen: Mask  # (n, m)
     veiled: Array  # (n, m) [1] share of unseen ground under a robot at the cell
+    max_step_m: float = CostmapParams().max_step_m  # [m] from which a height difference stops the robot
+
+    def obstacle_name(self, kind: int) -> str:
+        """Return an obstacle kind of `stops` as text."""
+        return _OBSTACLES[kind].format(step_cm=int(self.max_step_m * 100))
 
     def cell(self, xy: Array) -> tuple[int, int]:
         """Return the cell of a place (2,) [m] {world}, clipped to the map."""
@@ -128,10 +110,11 @@ class CostMap:
 class LocalGroundMap:
     """Ground around the robot from all maps, kept while it is within 3.2 m."""
 
-    def __init__(self) -> None:
+    def __init__(self, params: CostmapParams):
         """Start without ground."""
+        self._params = params
         self._first: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
-        self._edge = EDGE
+        self._edge = params.cell_m
         self._layers = _nothing()
 
     def add_map(self, terrain: Terrain, T_world_body: Array, camera: Camera, floor: float) -> None:
@@ -143,7 +126,7 @@ class LocalGroundMap:
             camera: The camera of the scan.
             floor: [m] {world} ground height under the robot.
         """
-        block = max(1, round(EDGE / terrain.map.resolution))
+        block = max(1, round(self._params.cell_m / terrain.map.resolution))
         edge = block * terrain.map.resolution
         if edge != self._edge:
             self._edge = edge
@@ -162,51 +145,50 @@ class LocalGroundMap:
             self._layers[name][here][anew] = layer[there][anew]
         # The robot steps over narrow low ground.
         mind = self._layers
-        floor_beside = closed(mind["low"], _BRIDGED)
+        floor_beside = closed(mind["low"], self._params.bridged_cells)
         mind["rise"] = mind["high"] - lowest_around(floor_beside)
         mind["fall"] = -lowest_around(-mind["high"]) - floor_beside
         self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
-    def cost_map(self, size: RequiredSpace, prices: CostWeights, place: Array, stuck: Array, stuck_radius: float) -> CostMap:
+    def cost_map(self, size: RequiredSpace, place: Array, stuck: Array, stuck_radius: float) -> CostMap:
         """Return the traversability map.
 
         Args:
             size: Space that the robot needs.
-            prices: Additional costs.
             place: (3,) [m, m, rad] {world} robot pose. Unseen ground next to it cannot be looked at, ground behind it only
                 after a turn.
             stuck: (k, 2) [m] {world} places without progress.
             stuck_radius: [m] around them.
         """
-        seen = self._layers
-        unseen = seen["known"] < _SEEN
+        params, seen = self._params, self._layers
+        unseen = seen["known"] < params.seen_share
         stops = np.zeros(unseen.shape, dtype=np.int8)
         # 1. Ground that rises or falls by more than legs can take: its upper edge.
         rise = seen["rise"]
-        stops[rise > MAX_STEP_M] = STEP
+        stops[rise > params.max_step_m] = STEP
         # 2. Ground without a foothold in reach, and holes, unless feet can step across.
-        stops[wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
-        stops[wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
+        stops[wide(~unseen & (seen["bare"] > params.bare_share), params.bare_width_cells) & (stops == OPEN)] = BARE
+        stops[wide(unseen & (seen["looks"] >= params.hole_looks), params.bare_width_cells) & (stops == OPEN)] = HOLE
         centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
         for shut in stuck:
             stops[(np.linalg.norm(centres - shut, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
         room, needs = self._room(stops, size)
         # 3. Positions of the body: cost of the ground under its feet, and higher cost near obstacles.
         off = centres - place[:2]
-        near = np.linalg.norm(off, axis=2) < BLIND_RADIUS_M
+        near = np.linalg.norm(off, axis=2) < params.blind_radius_m
         aside = np.abs((np.arctan2(off[..., 1], off[..., 0]) - place[2] + np.pi) % (2.0 * np.pi) - np.pi) / np.pi
-        relief = np.clip(np.nan_to_num(rise) / MAX_STEP_M, 0.0, 1.0)
+        relief = np.clip(np.nan_to_num(rise) / params.max_step_m, 0.0, 1.0)
         ground_price = np.where(
             unseen,
-            np.where(near, prices.beside, prices.unseen + prices.behind * aside),
-            prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
+            np.where(near, params.beside_cost, params.unseen_cost + params.behind_cost * aside),
+            params.rough_cost * (1.0 - seen["footing"]) + params.bare_cost * seen["bare"] + params.relief_cost * relief**2,
         )
         beyond = np.maximum((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0)
         under = round(size.half_width / self._edge)
-        cost = 1.0 + mean_around(ground_price, under) + prices.near * beyond**2
+        cost = 1.0 + mean_around(ground_price, under) + params.near_cost * beyond**2
         cost[room < needs] = np.inf
         veiled = mean_around(unseen.astype(np.float64), under)
-        return CostMap(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled)
+        return CostMap(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled, params.max_step_m)
 
     def _room(self, stops: NDArray[np.int8], size: RequiredSpace) -> tuple[Array, Array]:
         """Return distances (n, m) [m] to obstacles and the required distances (n, m) [m].
@@ -214,13 +196,14 @@ class LocalGroundMap:
         Of all obstacles, the one that leaves the least room counts. A step in the ground is a wall for a robot below it, which
         keeps away from its upper edge. It is a hole for a robot above it, which keeps away from its lower edge.
         """
-        seen, reach = self._layers, int(np.ceil(size.half_width / self._edge))
+        seen, max_step_m = self._layers, self._params.max_step_m
+        reach = int(np.ceil(size.half_width / self._edge))
         tops = over_square(np.where(stops == STEP, seen["high"], -np.inf), reach, reach, np.maximum, -np.inf)
-        below = tops > np.nan_to_num(seen["low"], nan=-np.inf) + MAX_STEP_M
+        below = tops > np.nan_to_num(seen["low"], nan=-np.inf) + max_step_m
         kinds = (
             (stops == STUCK, size.half_width),
             (stops == STEP, np.where(below, size.half_width, 0.0)),
-            ((stops == BARE) | (stops == HOLE) | (seen["fall"] > MAX_STEP_M), size.beside_hole),
+            ((stops == BARE) | (stops == HOLE) | (seen["fall"] > max_step_m), size.beside_hole),
         )
         rooms = np.stack([distance(mask, size.wide / self._edge) * self._edge for mask, _ in kinds])
         needs = np.stack([np.broadcast_to(need, stops.shape) for _, need in kinds])
@@ -254,18 +237,19 @@ class LocalGroundMap:
         A cell should have been seen if it is in view and not hidden, for ground at the height of the robot's floor. `low` and
         `high` bound the cells of the map.
         """
-        cells = np.argwhere(self._layers["known"] < _SEEN)
+        params = self._params
+        cells = np.argwhere(self._layers["known"] < params.seen_share)
         cells = cells[((cells >= low) & (cells < high)).all(axis=1)]
         places = np.column_stack([(cells + self._first + 0.5) * self._edge, np.full(len(cells), floor)])
         eye = T_world_camera[:3, 3]
-        reach = np.linalg.norm(places[:, :2] - eye[:2], axis=1) < _FURTHEST
+        reach = np.linalg.norm(places[:, :2] - eye[:2], axis=1) < params.view_far_m
         cells, places = cells[reach], places[reach]
         x, y, z = apply(inverse(T_world_camera), places).T
         lens = camera.intrinsics
-        ahead = z > _NEAREST * camera.sensor.min_range
+        ahead = z > params.view_near_ratio * camera.sensor.min_range
         z = np.where(ahead, z, 1.0)
-        across = np.abs(lens.fx * x / z + lens.cx - lens.width / 2) < _FRAME * lens.width / 2
-        upright = np.abs(lens.fy * y / z + lens.cy - lens.height / 2) < _FRAME * lens.height / 2
+        across = np.abs(lens.fx * x / z + lens.cx - lens.width / 2) < params.view_frame_share * lens.width / 2
+        upright = np.abs(lens.fy * y / z + lens.cy - lens.height / 2) < params.view_frame_share * lens.height / 2
         shown = ahead & across & upright
         cells, places = cells[shown], places[shown]
         s = np.linspace(0.1, 0.92, 24)[:, None, None]
@@ -273,7 +257,7 @@ class LocalGroundMap:
         i, j = np.moveaxis(np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1), -1, 0)
         tops = self._layers["high"]
         top = over_square(np.where(np.isnan(tops), -np.inf, tops), 1, 1, np.maximum, -np.inf)
-        shown = ~(top[i, j] > line[..., 2] - _SHADOW).any(axis=0)
+        shown = ~(top[i, j] > line[..., 2] - params.shadow_m).any(axis=0)
         self._layers["looks"][tuple(cells[shown].T)] += 1
 
 

@@ -13,8 +13,9 @@ from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_
 from sextant.services.planner.gap_crossing.sections import bare, goal_behind, without
 from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
 from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_planner import NoPath, find_path
-from sextant.services.planner.navigation.traversability import CostWeights, LocalGroundMap, RequiredSpace
+from sextant.services.planner.navigation.traversability import LocalGroundMap, RequiredSpace
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
@@ -87,7 +88,7 @@ def test_detected_gap_lies_between_robot_and_target(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = Terrain(any_map(rng))
     xy, target = rng.uniform(-1.5, 1.5, (2, 2))
-    found = detect_gap(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])))
+    found = detect_gap(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])), CostmapParams().max_step_m)
     if isinstance(found, GapEdge):
         assert 0.0 <= found.distance <= np.linalg.norm(target - xy)
     else:
@@ -98,14 +99,14 @@ def test_detected_gap_lies_between_robot_and_target(seed: int) -> None:
 @given(seeds)
 def test_path_on_any_map_starts_at_robot_or_has_reason(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    ground, terrain = LocalGroundMap(), Terrain(any_map(rng))
+    ground, terrain = LocalGroundMap(CostmapParams()), Terrain(any_map(rng))
     place = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(-np.pi, np.pi)])
     body = from_xyz_rpy((*place[:2], HEIGHT), (0.0, 0.0, place[2]))
     for _ in range(4):
         ground.add_map(terrain, body, CAMERA, 0.0)
     stuck = rng.uniform(-1.0, 1.0, (int(rng.integers(0, 3)), 2))
     goal = rng.uniform(-1.0, 1.0, 2) * rng.choice([0.02, 1.0, 6.0])
-    cost_map = ground.cost_map(RequiredSpace(0.31, 0.19, 0.51), CostWeights(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
+    cost_map = ground.cost_map(RequiredSpace(0.31, 0.19, 0.51), place, stuck, 0.08).beside(place[:2], goal, 1.5)
     found = find_path(cost_map, place[:2], goal, 0.05)
     if isinstance(found, NoPath):
         assert found.reason

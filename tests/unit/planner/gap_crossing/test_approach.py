@@ -14,6 +14,7 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.approach import START_DISTANCE_M, GapCrossingController
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
 from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome
+from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_follower import MotionCommand
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.services.planner.terrain import Terrain
@@ -136,7 +137,7 @@ def test_invalid_goal_is_refused_with_reason(changes: dict[str, Any], words: str
 
 def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
     terrain = Terrain(gap(0.8))
-    near, far = (detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0) for x in (2.5, 9e3))
+    near, far = (detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0, CostmapParams().max_step_m) for x in (2.5, 9e3))
     assert isinstance(near, GapEdge)
     assert near == far
 

@@ -17,10 +17,16 @@ from sextant.services.planner.navigation.path_planner import (
     find_widest_path,
     straightened,
 )
-from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, OBSTACLE_NAMES, OPEN, STEP, CostMap
+from sextant.services.planner.navigation.traversability import BARE, FAR, HOLE, OPEN, STEP, CostMap
 from sextant.shared.geometry import Array
 
 EDGE = 0.05
+
+
+def obstacle_name(kind: int) -> str:
+    return cost_map(np.ones((1, 1))).obstacle_name(kind)
+
+
 HALF = 0.25  # [m] half of the robot's width
 
 
@@ -151,7 +157,7 @@ def test_missing_path_names_obstacle_and_place(kind: int) -> None:
     stops = np.where(np.isinf(cost), kind, OPEN)
     found = find_path(cost_map(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
     assert found == NoPath(
-        f"no path to (1.8, 0.5): blocked by {OBSTACLE_NAMES[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no opening"
+        f"no path to (1.8, 0.5): blocked by {obstacle_name(kind)} from y = 0.0 to 1.0 m at x = 1.4 m; there is no opening"
     )
 
 
@@ -202,7 +208,7 @@ def test_blocked_goal_is_reported_unless_tolerance_reaches_free_cell() -> None:
     start, goal = np.array([0.5, 0.5]), np.array([1.43, 0.5])
     found = find_path(cost_map(cost), start, goal, 0.03)
     assert isinstance(found, NoPath)
-    assert found.reason.startswith(f"no path to (1.4, 0.5): {OBSTACLE_NAMES[STEP]} at (1.4, 0.5)")
+    assert found.reason.startswith(f"no path to (1.4, 0.5): {obstacle_name(STEP)} at (1.4, 0.5)")
     way = find_path(cost_map(cost), start, goal, 0.2)
     assert isinstance(way, PlannedPath)
     assert way.corners[-1][0] < 1.4
@@ -238,7 +244,7 @@ def test_path_stays_within_allowed_distance_of_straight_line() -> None:
     near = ground.beside(start, goal, 0.9)
     found = find_path(near, start, goal, 0.03)
     assert isinstance(found, NoPath)
-    assert OBSTACLE_NAMES[FAR] in found.reason
+    assert obstacle_name(FAR) in found.reason
 
 
 def test_cost_of_very_long_path_uses_bounded_memory() -> None:

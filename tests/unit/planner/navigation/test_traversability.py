@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.traversability import (
     BARE,
     HOLE,
-    MAX_STEP_M,
     OPEN,
     STEP,
     STUCK,
     CostMap,
-    CostWeights,
     LocalGroundMap,
     RequiredSpace,
 )
@@ -23,6 +22,7 @@ from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 
 CAMERA = load_profile("phantomx_mk2").camera
+PARAMS = CostmapParams()
 SIZE = RequiredSpace(0.25, 0.18, 0.40)
 HERE = from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3))
 NOWHERE = np.zeros((0, 2))
@@ -30,9 +30,9 @@ Maker = Callable[..., Terrain]
 
 
 def cost_map_of(terrain: Terrain, stuck: Array = NOWHERE) -> CostMap:
-    ground = LocalGroundMap()
+    ground = LocalGroundMap(PARAMS)
     ground.add_map(terrain, HERE, CAMERA, 0.0)
-    return ground.cost_map(SIZE, CostWeights(), np.zeros(3), stuck, 0.08)
+    return ground.cost_map(SIZE, np.zeros(3), stuck, 0.08)
 
 
 def kinds(found: CostMap) -> set[int]:
@@ -78,7 +78,7 @@ def test_low_step_is_traversable_and_wall_is_not(rise: float, stops: int, make_t
 
 
 def test_slope_is_traversable(make_terrain: Maker) -> None:
-    assert np.tan(np.radians(20.0)) * 0.15 < MAX_STEP_M
+    assert np.tan(np.radians(20.0)) * 0.15 < PARAMS.max_step_m
     assert kinds(cost_map_of(make_terrain(lambda x, y: np.tan(np.radians(20.0)) * x, half=1.28))) == {OPEN}
 
 
@@ -108,10 +108,10 @@ def test_lane_between_holes_may_be_narrower_than_between_walls(
     def height(x: Array, y: Array) -> Array:
         return np.where(np.abs(y) > half, lower, 0.0) + 0.0 * x
 
-    ground, terrain = LocalGroundMap(), make_terrain(height, edges(height), half=1.28)
+    ground, terrain = LocalGroundMap(PARAMS), make_terrain(height, edges(height), half=1.28)
     for _ in range(4):
         ground.add_map(terrain, HERE, CAMERA, 0.0)
-    found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
+    found = ground.cost_map(SIZE, np.zeros(3), NOWHERE, 0.08)
     assert np.isfinite(found.cost[found.cell(np.array([0.7, 0.0]))]) == open_
 
 
@@ -120,9 +120,9 @@ def test_required_space_on_top_of_wall_is_that_next_to_hole(make_terrain: Maker)
         return np.where(x > 0.6, 0.3, 0.0)
 
     terrain, places = make_terrain(height, edges(height), half=1.28), ((0.43, 0.0), (0.82, 0.0))
-    ground = LocalGroundMap()
+    ground = LocalGroundMap(PARAMS)
     ground.add_map(terrain, HERE, CAMERA, 0.0)
-    found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
+    found = ground.cost_map(SIZE, np.zeros(3), NOWHERE, 0.08)
     below, above = (found.cell(np.array(place)) for place in places)
     assert np.isinf(found.cost[below])
     assert np.isfinite(found.cost[above])
@@ -153,9 +153,9 @@ def test_cost_of_unseen_ground_grows_with_turn_angle(yaw: float, make_terrain: M
     def height(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) > 0.55, np.nan, 0.0)
 
-    ground = LocalGroundMap()
+    ground = LocalGroundMap(PARAMS)
     ground.add_map(make_terrain(height, height, half=1.28), HERE, CAMERA, 0.0)
-    found = ground.cost_map(SIZE, CostWeights(), np.array([0.0, 0.0, yaw]), NOWHERE, 0.08)
+    found = ground.cost_map(SIZE, np.array([0.0, 0.0, yaw]), NOWHERE, 0.08)
     off = yaw + np.array([0.0, 0.6, 1.2, 1.8, 2.4, 3.1])
     for side in (off, 2.0 * yaw - off):
         costs = found.at(found.cost, np.column_stack([np.cos(side), np.sin(side)]))
@@ -172,10 +172,10 @@ def test_unseen_ground_in_view_is_hole_unless_occluded(make_terrain: Maker) -> N
         return np.where((x > 0.7) & (x < 0.8), 0.3, hole(x, y))
 
     for height, expected in ((hole, {OPEN, HOLE}), (behind, {OPEN, STEP})):
-        ground, terrain = LocalGroundMap(), make_terrain(height, height, half=1.28)
+        ground, terrain = LocalGroundMap(PARAMS), make_terrain(height, height, half=1.28)
         for _ in range(6):
             ground.add_map(terrain, HERE, CAMERA, 0.0)
-        found = ground.cost_map(SIZE, CostWeights(), np.zeros(3), NOWHERE, 0.08)
+        found = ground.cost_map(SIZE, np.zeros(3), NOWHERE, 0.08)
         assert kinds(found) == expected
 
 
@@ -186,7 +186,7 @@ def test_place_of_stall_is_closed(make_terrain: Maker) -> None:
 
 
 def test_seen_ground_is_kept_when_map_moves(make_terrain: Maker) -> None:
-    ground = LocalGroundMap()
+    ground = LocalGroundMap(PARAMS)
 
     def wall(x: Array, y: Array) -> Array:
         return np.where((x > 0.5) & (x < 0.7), 0.3, 0.0)
@@ -194,7 +194,7 @@ def test_seen_ground_is_kept_when_map_moves(make_terrain: Maker) -> None:
     for x in np.arange(0.0, 2.1, 0.5):
         terrain = make_terrain(wall, edges(wall), half=1.0, origin=(float(x), 0.0))
         ground.add_map(terrain, from_xyz_rpy((x, 0.0, 0.1), np.zeros(3)), CAMERA, 0.0)
-    found = ground.cost_map(SIZE, CostWeights(), np.array([2.0, 0.0, 0.0]), NOWHERE, 0.08)
+    found = ground.cost_map(SIZE, np.array([2.0, 0.0, 0.0]), NOWHERE, 0.08)
     assert found.stops[found.cell(np.array([0.52, 0.0]))] == STEP
     assert not found.unseen[found.cell(np.array([-0.8, 0.5]))]
     assert found.unseen[found.cell(np.array([2.0, 1.5]))]

@@ -1,0 +1,98 @@
+"""Parameters of all services in one tree, as scenarios and `--set` name them."""
+
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, cast
+
+from sextant.services.planner.config import PlannerParams
+from sextant.shared.files import config
+from sextant.shared.params import Params
+from sextant.shared.scenario.scenario import Scenario
+
+Table = dict[str, Any]
+S = TypeVar("S")
+
+
+@dataclass(frozen=True, slots=True)
+class SystemParams(Params):
+    """Parameters of all services."""
+
+    planner: PlannerParams = field(default_factory=PlannerParams)
+
+
+DEFAULTS = SystemParams()
+
+
+def read(table: object, source: str) -> SystemParams:
+    """Return the parameters of a table; parameters that it omits have their defaults.
+
+    Args:
+        table: Nested table, as a scenario's `[params]`.
+        source: Name of the table in errors.
+
+    Raises:
+        ConfigError: A parameter is unknown, of another type, or out of range; the text lists all errors.
+    """
+    return config.build(cast(Table, table), SystemParams, source)
+
+
+def assigned(scenario: Scenario, assignments: Iterable[str]) -> Scenario:
+    """Return a scenario with assignments such as `planner.costmap.max_step_m=0.07` applied to its parameters.
+
+    Its table then has only the parameters that differ from their defaults.
+
+    Raises:
+        ConfigError: A parameter of the scenario or an assignment is invalid.
+    """
+    of_scenario(scenario)  # its own errors are not those of the assignments
+    table = deepcopy(scenario.params)
+    config.assign(table, assignments)
+    return replace(scenario, params=changes(read(table, "--set")))
+
+
+def of_scenario(scenario: Scenario) -> SystemParams:
+    """Return the parameters of a scenario.
+
+    Raises:
+        ConfigError: They are invalid.
+    """
+    return read(scenario.params, f"[params] of {scenario.name}")
+
+
+def changes(params: Params, defaults: Params | None = None) -> Table:
+    """Return the parameters that differ from their defaults, as a nested table."""
+    defaults = defaults or type(params)()
+    found: Table = {}
+    for name in names(params):
+        value, default = getattr(params, name), getattr(defaults, name)
+        if isinstance(value, Params):
+            if inner := changes(value, default):
+                found[name] = inner
+        elif value != default:
+            found[name] = config.as_table(value)
+    return found
+
+
+def names(params: Params) -> list[str]:
+    """Return the names of the parameters, or of groups of them."""
+    return [one.name for one in fields(params)]  # type: ignore[arg-type]
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> Table:
+    """Return dotted key -> value of a nested table."""
+    found: Table = {}
+    for key, value in table.items():
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def settings(schema: type[S], params: Params, **chosen: Any) -> S:
+    """Return the settings of a service: its parameters, and what the run chooses.
+
+    Args:
+        schema: Settings of the service; they extend the class of `params`.
+        params: Parameters of the service.
+        chosen: Further settings.
+    """
+    return schema(**{name: getattr(params, name) for name in names(params)}, **chosen)
