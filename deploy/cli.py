@@ -331,7 +331,9 @@ def _add_topics(add: AddCommand, parser: argparse.ArgumentParser) -> None:
     one = add("list", list_topics, "print the topic table", group)
     one.add_argument("--json", action="store_true", help="print the result as JSON")
 
-    add("docs", docs, "print docs/keys.md: keys, messages and schemas on one page", group)
+    one = add("docs", docs, "print a reference page: docs/keys.md or docs/parameters.md", group)
+    words = "keys, messages and schemas, or the parameters of the services (default %(default)s)"
+    one.add_argument("page", nargs="?", choices=("keys", "parameters"), default="keys", help=words)
 
     def heard(name: str, command: Any, words: str) -> argparse.ArgumentParser:
         one: argparse.ArgumentParser = add(name, command, words, group)

@@ -31,11 +31,11 @@ def list_topics(arguments: argparse.Namespace) -> int:
 
 
 def docs(arguments: argparse.Namespace) -> int:
-    """`sextant topics docs`: print docs/keys.md."""
+    """`sextant topics docs`: print docs/keys.md or docs/parameters.md."""
     try:
-        from sextant.deploy.topics.keys_page import page
+        from sextant.deploy.topics import keys_page, params_page
 
-        text = page()
+        text = (params_page if arguments.page == "parameters" else keys_page).page()
     except ImportError as error:
         raise InputError(f"{error}; the page needs all services installed: pip install 'sextant[all]'") from None
     say(text.rstrip("\n"))

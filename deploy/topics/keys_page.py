@@ -3,13 +3,10 @@
 It reads the topic table, the process table and the message declarations. The meaning of a field is its comment in the source.
 """
 
-import ast
 import importlib
 import inspect
-import io
 import json
 import re
-import tokenize
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,6 +20,7 @@ from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.deploy.runs.operator import Operator
 from sextant.deploy.send_command import Order
+from sextant.deploy.topics.field_comments import comments
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, messages, topics
 from sextant.shared.wire.messages import Dims, Message, Mode, VelocityCommand
@@ -296,34 +294,3 @@ def _limits(dtype: np.dtype[Any], dims: Dims) -> str:
 def _declared_in(kind: type[Message], name: str) -> str:
     """Return the name of the class that declares a field."""
     return next(base.__name__ for base in kind.__mro__ if name in inspect.get_annotations(base))
-
-
-def comments(source: str) -> dict[tuple[str, str], str]:
-    """Return (class, field) -> comments above and behind its declaration."""
-    lines = source.splitlines()
-    found = {
-        token.start[0]: (token.string.lstrip("# "), not lines[token.start[0] - 1][: token.start[1]].strip())
-        for token in tokenize.generate_tokens(io.StringIO(source).readline)
-        if token.type == tokenize.COMMENT
-    }
-    said: dict[tuple[str, str], str] = {}
-    for kind in ast.parse(source).body:
-        if isinstance(kind, ast.ClassDef):
-            for node in kind.body:
-                match node:
-                    case ast.AnnAssign(target=ast.Name(name)) | ast.Assign(targets=[ast.Name(name)]):
-                        said[kind.name, name] = _comment(node, found)
-    return said
-
-
-def _comment(node: ast.stmt, found: Mapping[int, tuple[str, bool]]) -> str:
-    above: list[str] = []
-    line = node.lineno - 1
-    while line in found and found[line][1]:
-        above.insert(0, found[line][0])
-        line -= 1
-    within = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-    behind = [found[line][0] for line in within if line in found]
-    if not above or not behind:
-        return " ".join(above or behind)
-    return f"{' '.join(behind)}; {above[0][:1].lower()}{' '.join(above)[1:]}"

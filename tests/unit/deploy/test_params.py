@@ -1,5 +1,6 @@
 """Parameters: one tree, stated in a scenario, by `--set` or by code, and equal in lockstep and in processes."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sextant.deploy import params
+from sextant.deploy import cli, params
 from sextant.deploy.campaign.trials import fingerprint
 from sextant.deploy.evaluation.report import check
 from sextant.deploy.launch import process_table
@@ -27,6 +28,7 @@ from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire.transport import Endpoints
 
 FLAT = load_scenario("flat")
+PAGE = Path(__file__).parents[3] / "docs" / "parameters.md"
 STEP = "planner.costmap.max_step_m=0.07"
 
 
@@ -70,6 +72,33 @@ def test_invalid_assignment_is_refused_in_one_line(assignment: str, words: str) 
         params.assigned(FLAT, [assignment])
     assert str(error.value).startswith(f"--set: {words}")
     assert "\n" not in str(error.value)
+
+
+def test_run_reports_parameters_of_its_command(tmp_path: Path) -> None:
+    path, out = tmp_path / "short.toml", tmp_path / "out"
+    path.write_text('name = "short"\ntime_limit_s = 1.0\ngoal = {distance = 1.0}\nterrain = [{kind = "plane"}]\n')
+    cli.main(["run", str(path), "--lockstep", "--set", STEP, "--set", "planner.costmap.rough_cost=2", "--out", str(out)])
+    reported = json.loads((out / "report.json").read_text())["params"]
+    assert reported["planner"]["costmap"]["max_step_m"] == 0.07
+    assert params.changes(params.read(reported, "report")) == {"planner": {"costmap": {"max_step_m": 0.07, "rough_cost": 2.0}}}
+
+
+def test_parameters_of_running_services_cannot_be_set(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", "flat", "--connect", "tcp/127.0.0.1:1", "--set", STEP]) == 2
+    assert "--set is for services that this command starts" in capsys.readouterr().err
+
+
+def test_page_equals_command_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["topics", "docs", "parameters"]) == 0
+    assert capsys.readouterr().out == PAGE.read_text(), "make it again: sextant topics docs parameters > docs/parameters.md"
+
+
+@pytest.mark.parametrize("name", [name for name, *_ in NUMBERS])
+def test_page_states_unit_or_meaning_of_each_number(name: str) -> None:
+    group, _, field = name.rpartition(".")
+    section = PAGE.read_text().split(f"# {group}\n")[1].split("\n#")[0]
+    row = next(line for line in section.splitlines() if line.startswith(f"| `{field}` |"))
+    assert row.split(" | ")[4].strip(" |"), f"{name} has no comment"
 
 
 def test_assignment_overrides_scenario(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.topics import keys_page
+from sextant.deploy.topics.field_comments import comments
 from sextant.shared.wire import codec, messages
 from sextant.shared.wire.messages import Mode, ModeCommand, VelocityCommand
 from sextant.shared.wire.topics import OF_TYPE, TOPICS
@@ -83,7 +83,7 @@ def test_example_frame_decodes() -> None:
 
 
 def test_field_description_joins_comments_above_and_behind() -> None:
-    said = keys_page.comments(
+    said = comments(
         '''
 class A:
     """Words."""

@@ -1,0 +1,90 @@
+"""Generator of docs/parameters.md, a page with every parameter of the services.
+
+It reads the declarations of the parameters. The meaning of a parameter is its comment in the source.
+"""
+
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from sextant.deploy.params import SystemParams
+from sextant.deploy.topics.field_comments import comments
+from sextant.shared.files import config
+from sextant.shared.params import Params
+from sextant.shared.runtime.process import toml_value
+
+_BEGINNING = """# Parameters
+
+*`sextant topics docs parameters` makes this page from the declarations of the parameters (`params.py` in the folder of each
+algorithm); a test checks that it is up to date.*
+
+A parameter is stated on the command line, in a scenario, or in code; nothing else changes it, neither a scenario's name nor a
+seed. Each way checks type and range before anything starts.
+
+```sh
+sextant run wall --lockstep --set planner.costmap.max_step_m=0.05     # also trials, demo and up; --set is repeatable
+```
+
+```toml
+[params.planner.costmap]   # in a scenario; --set has precedence
+max_step_m = 0.05
+```
+
+`report.json` has all values of its run (`params`), a recording those that differ from their defaults, which a replay uses too.
+Trials with different parameters are different batches. `sextant up` and a service's process take the same names, such as
+`--set planner.costmap.max_step_m=0.05`, next to the settings of a process, such as `--set actuator.port=/dev/ttyUSB1`.
+
+In code each algorithm takes its dataclass: `LocalGroundMap(CostmapParams(max_step_m=0.05))`.
+"""
+_WORDS = re.compile(r"(?:\[(?P<unit>[^\]]+)\] ?)?(?P<what>.*)", re.DOTALL)
+
+
+def page() -> str:
+    """Return the page in Markdown."""
+    return "\n".join([_BEGINNING, *_group(SystemParams(), "")])
+
+
+def _group(group: Params, name: str) -> Iterator[str]:
+    """Yield the lines of a group of parameters: its own, then its groups."""
+    own = [field for field in fields(group) if not isinstance(getattr(group, field.name), Params)]  # type: ignore[arg-type]
+    if name:
+        yield f"{'#' * (2 + name.count('.'))} {name}"
+        yield ""
+        yield " ".join((inspect.getdoc(type(group)) or "").split())
+        yield ""
+    if own:
+        yield "| parameter | default | range | unit | meaning |"
+        yield "|---|---|---|---|---|"
+        said, hints = _comments(type(group)), get_type_hints(type(group))
+        for field in own:
+            default = toml_value(config.as_table(getattr(group, field.name)))
+            found = _WORDS.fullmatch(said.get(field.name, ""))
+            assert found is not None
+            unit, what = found["unit"] or "", found["what"].rstrip(".").replace("|", "\\|")
+            yield f"| `{field.name}` | {default} | {_range(hints[field.name], config.range_of(field))} | {unit} | {what} |"
+        yield ""
+    for field in fields(group):  # type: ignore[arg-type]
+        value = getattr(group, field.name)
+        if isinstance(value, Params):
+            yield from _group(value, f"{name}.{field.name}" if name else field.name)
+
+
+def _range(hint: Any, limits: tuple[float, float] | None) -> str:
+    if limits is not None:
+        return f"{limits[0]:g} to {limits[1]:g}"
+    if get_origin(hint) is Literal:
+        return ", ".join(f"`{one}`" for one in get_args(hint))
+    return "true, false" if hint is bool else ""
+
+
+def _comments(kind: type[Params]) -> dict[str, str]:
+    """Return field -> comment of a class and of its bases."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if base is not Params and issubclass(base, Params):
+            said = comments(inspect.getsource(sys.modules[base.__module__]))
+            found |= {name: words for (owner, name), words in said.items() if owner == base.__name__}
+    return found
