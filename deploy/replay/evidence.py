@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.stage_times import rounded
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
+from sextant.shared.geometry import Array, inverse, log_so3
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import BodyPose
 
@@ -31,6 +32,8 @@ class Limits:
     max_size_error: float = 0.1  # [1] relative error of the trajectory's size
     max_error_share: float = 0.1  # [1] allowed rms error, as a share of the true trajectory's extent
     max_error_m: float = 0.05  # [m] allowed rms error at least
+    max_speed_m_s: float = 3.0  # [m/s] of a camera in a hand
+    max_turn_rad_s: float = 10.0  # [rad/s] of a camera in a hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +86,32 @@ class TrueComparison:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraMotion:
+    """Motion of the estimated camera between two registered pictures."""
+
+    stamps_s: tuple[float, float]  # [s] of the two pictures, since the first of the sequence
+    moved_m: float  # [m]
+    turned_rad: float  # [rad]
+
+    @property
+    def speed_m_s(self) -> float:
+        """Mean speed [m/s]."""
+        return self.moved_m / (self.stamps_s[1] - self.stamps_s[0])
+
+    @property
+    def turn_rad_s(self) -> float:
+        """Mean rate of turn [rad/s]."""
+        return self.turned_rad / (self.stamps_s[1] - self.stamps_s[0])
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """Evidence of all pictures of a sequence together."""
 
     pictures: tuple[PictureEvidence, ...]
     sensor: DepthSensor  # with the range that registration uses
     truth: TrueComparison | None = None
+    motions: tuple[CameraMotion, ...] = ()  # between each two successive registered pictures
     limits: Limits = Limits()
 
     @property
@@ -174,7 +197,7 @@ class Evidence:
             if 2 * len(lost) < len(after) - self.supporting:
                 return self._not_observed()
             return self._out_of_range() if out_of_range else self._lost(lost)
-        return self._against_truth()
+        return self._against_truth() if self.truth is not None else self._too_fast()
 
     def as_table(self) -> dict[str, Any]:
         """Return a plain table for JSON; the pictures are in `PictureEvidence.as_table`."""
@@ -200,10 +223,22 @@ class Evidence:
         weights = np.array([p.depth.measured for p in self.pictures])
         return float(np.dot(shares, weights) / weights.sum()) if weights.any() else 0.0
 
+    def _too_fast(self) -> str:
+        """Return where the trajectory moves faster than a hand, which a registration at a similar place does."""
+        for motion in self.motions:
+            if motion.speed_m_s > self.limits.max_speed_m_s or motion.turn_rad_s > self.limits.max_turn_rad_s:
+                begin, end = motion.stamps_s
+                return (
+                    f"the trajectory jumps by {motion.moved_m:.2f} m and {motion.turned_rad:.2f} rad from {begin:.2f} to "
+                    f"{end:.2f} s, at {motion.speed_m_s:.1f} m/s and {motion.turn_rad_s:.1f} rad/s "
+                    f"({self.limits.max_speed_m_s:g} m/s and {self.limits.max_turn_rad_s:g} rad/s allowed), though the "
+                    f"pictures register: different places may look alike; record without a cut, or add groundtruth.txt"
+                )
+        return ""
+
     def _against_truth(self) -> str:
         truth, limits = self.truth, self.limits
-        if truth is None:
-            return ""
+        assert truth is not None
         if truth.size is not None and abs(truth.size - 1.0) > limits.max_size_error:
             return (
                 f"the trajectory has the true shape at {truth.size:.3g} times the true size: depth_scale is "
@@ -260,6 +295,16 @@ def depth_range(raw: NDArray[np.uint16], sensor: DepthSensor) -> DepthRange:
     depths = float(low), float(median), float(high)
     at_scale = tuple(share(scale) for scale in USUAL_SCALES)
     return DepthRange(returns.size / sample.size, share(sensor.depth_scale), depths, at_scale)
+
+
+def camera_motions(stamps_ns: NDArray[np.int64], T_world_camera: Array) -> tuple[CameraMotion, ...]:
+    """Return the motions between successive poses (n, 4, 4) at times (n,) [ns] since the first picture."""
+    motions = []
+    for k in range(1, len(stamps_ns)):
+        T = inverse(T_world_camera[k - 1]) @ T_world_camera[k]
+        stamps_s = (float(stamps_ns[k - 1]) * 1e-9, float(stamps_ns[k]) * 1e-9)
+        motions.append(CameraMotion(stamps_s, float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(log_so3(T[:3, :3])))))
+    return tuple(motions)
 
 
 def picture_evidence(stamp_ns: int, pose: BodyPose | None, depth: DepthRange) -> PictureEvidence:

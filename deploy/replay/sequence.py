@@ -15,7 +15,15 @@ from sextant.deploy.figures import layers_picture
 from sextant.deploy.figures.relief import shaded
 from sextant.deploy.replay import evidence as replay_evidence
 from sextant.deploy.replay.error import ReplayError
-from sextant.deploy.replay.evidence import DepthRange, Evidence, PictureEvidence, TrueComparison, depth_range, picture_evidence
+from sextant.deploy.replay.evidence import (
+    DepthRange,
+    Evidence,
+    PictureEvidence,
+    TrueComparison,
+    camera_motions,
+    depth_range,
+    picture_evidence,
+)
 from sextant.deploy.replay.listener import Listener
 from sextant.deploy.terminal.progress import Progress
 from sextant.services.mapper.config import Settings as MapperSettings
@@ -197,7 +205,9 @@ def replay_folder(
         p_estimate, p_true = pairs[0][:, :3, 3], pairs[1][:, :3, 3]
         extent = float(np.linalg.norm(p_true - p_true[0], axis=1).max())
         truth = TrueComparison(error.rms, extent, relative_size(p_estimate, p_true))
-    found = Evidence(tuple(pictures), _registered_range(profile, registration), truth)
+    registered = np.array([pose.ok for pose in poses], dtype=bool)
+    motions = camera_motions(stamps_ns[registered] - sequence.stamps_ns[0], T_estimate[registered])
+    found = Evidence(tuple(pictures), _registered_range(profile, registration), truth, motions)
     # 4. Write trajectory and map.
     with whole_files.reported(progress.say):
         tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))

@@ -70,3 +70,17 @@ def test_near_surfaces_want_a_nearer_range(tmp_path: Path, capsys: pytest.Captur
     status, table, _ = replayed(near, tmp_path, capsys)
     assert status == 0
     assert table["pose_error_m"]["rms"] < 0.01
+
+
+def test_a_jump_to_a_place_that_looks_alike_is_no_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Repeat the boxes every 0.45 m: after a cut of 3 m each picture registers at a wrong place."""
+    corners = np.array([(0.45 * i, 0.4 * j) for i in range(1, 18) for j in range(-3, 4)])
+    heights = np.array([0.06 + 0.05 * (i % 3) for i in range(len(corners))])
+    boxes = np.column_stack([corners, np.zeros(len(corners)), corners + 0.15, heights])
+    poses = [np.asarray(camera_pose(0.2 * n / RATE_HZ + (3.0 if n >= 10 else 0.0), z=0.6)) for n in range(16)]
+    status, table, error = replayed(write_folder(tmp_path / "cut", poses, boxes, truth=False), tmp_path, capsys)
+    assert table["evidence"]["pictures_supporting"] == 15
+    assert (status, table["evidence"]["supported"]) == (1, False)
+    assert "the trajectory jumps by" in error
+    assert "from 0.30 to 0.33 s" in error
+    assert "different places may look alike" in error

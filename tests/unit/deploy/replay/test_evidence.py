@@ -14,12 +14,13 @@ from sextant.deploy.replay.evidence import (
     Evidence,
     PictureEvidence,
     TrueComparison,
+    camera_motions,
     depth_range,
     in_words,
     picture_evidence,
 )
 from sextant.services.perception.trajectory_error import relative_size
-from sextant.shared.geometry import exp_so3
+from sextant.shared.geometry import exp_so3, from_xyz_rpy
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import BodyPose
 
@@ -144,3 +145,14 @@ def test_picture_evidence_follows_pose_message() -> None:
     assert not lost.registered
     assert lost.reason == "dark"
     assert picture_evidence(0, None, DEPTH).reason == "no pose was estimated"
+
+
+def test_motion_faster_than_a_hand_is_no_evidence_without_truth() -> None:
+    stamps_ns = np.array([0, 33_333_333, 66_666_667])
+    for step_m, turn_rad, jumps in ((0.05, 0.1, False), (0.31, 0.0, True), (0.0, 0.5, True)):
+        poses = np.stack([np.eye(4), np.eye(4), from_xyz_rpy((step_m, 0.0, 0.0), (0.0, 0.0, turn_rad))])
+        found = replace(evidence(pictures()), motions=camera_motions(stamps_ns, poses))
+        assert bool(found.problem) is jumps
+        if jumps:
+            assert f"jumps by {step_m:.2f} m and {turn_rad:.2f} rad from 0.03 to 0.07 s" in found.problem
+        assert replace(found, truth=TrueComparison(0.001, 1.0, 1.0)).problem == "", "the truth decides"
