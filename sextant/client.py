@@ -207,9 +207,18 @@ class Client:
 
         try:
             self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=BLOCKED_S)
-        finally:
-            if self._commander.doing():
-                self.stop()
+        except BaseException as failure:
+            try:
+                self._end_walk()
+            except ClientError as second:
+                failure.add_note(f"afterwards: {second}")
+            raise
+        self._end_walk()
+
+    def _end_walk(self) -> None:
+        """Stop if a command is still repeated."""
+        if self._commander.doing():
+            self.stop()
 
     def stop(self) -> None:
         """Finish the step and stand still.

@@ -209,6 +209,17 @@ def test_goto_ends_when_the_robot_no_longer_walks(robot: Robot, mode: Mode) -> N
             walks_to(robot, me, mode=mode, reason="a servo is silent")
 
 
+def test_goto_raises_the_first_failure_if_the_stop_fails_too(robot: Robot) -> None:
+    with Client(name="me") as me:
+        me.stand()
+        robot.planner = replace(robot.planner, state="blocked", reason="a gap of 0.3 m")
+        robot.obey = lambda order: robot.obeys(order) if order.mode == "walk" else None
+        with pytest.raises(ClientError, match=r"no way to the goal: a gap of 0.3 m") as failed:
+            me.goto(1.0, 0.5)
+        robot.obey = robot.obeys
+    assert failed.value.__notes__[0].startswith("afterwards: `stop` is not done within 20 s")
+
+
 def test_goto_ends_without_a_stop_when_another_client_takes_over(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
