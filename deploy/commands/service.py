@@ -4,6 +4,7 @@ import argparse
 import getpass
 import grp
 import os
+import pwd
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,8 @@ def install(arguments: argparse.Namespace) -> int:
     from sextant.deploy.launch import units
 
     manager = _manager(arguments)
+    if manager.system:
+        _check_user(manager.user)
     made = _made(arguments, manager)
     if arguments.dry_run:
         say("\n".join(f"# {name}\n{text}" for name, text in made.items()).rstrip())
@@ -62,10 +65,22 @@ def _manager(arguments: argparse.Namespace) -> "Manager":
     from sextant.deploy.launch.units import DEVICE_GROUPS, Manager
 
     if not arguments.system:
+        if arguments.run_as:
+            raise InputError("--as is for --system units; the user's own service manager runs its units as that user")
         return Manager(sys.executable)
     user = arguments.run_as or os.environ.get("SUDO_USER") or getpass.getuser()
     there = {group.gr_name for group in grp.getgrall()}  # systemd starts no unit with an unknown group
     return Manager(sys.executable, user, tuple(group for group in DEVICE_GROUPS if group in there))
+
+
+def _check_user(user: str) -> None:
+    """Refuse a user that systemd could not start a unit as."""
+    try:
+        pwd.getpwnam(user)
+    except KeyError:
+        raise InputError(
+            f"--as: a user of this machine expected, found {user!r}; `sudo useradd --system {user}` creates it"
+        ) from None
 
 
 def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, str]":

@@ -135,6 +135,21 @@ def test_system_units_have_existing_device_groups(capsys: pytest.CaptureFixture[
     assert len(found) == (4 if there & set(units.DEVICE_GROUPS) else 0)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--system", "--as", "nobody at all"], "--as: a user of this machine expected, found 'nobody at all'"),
+        (["--as", "root"], "--as is for --system units"),
+    ],
+)
+def test_install_refuses_a_user_that_cannot_run_the_units(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["service", "install", "onboard", "--camera", "none", "--folder", str(tmp_path), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_install_reports_problems_before_writing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = ["--folder", str(tmp_path)]
     assert cli.main(["service", "install", "onboard", "--keys", "/nowhere", *folder]) == 2
