@@ -22,8 +22,8 @@ from sextant.shared.errors import SextantError
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile
 
-_LOBBY_SILENT_S = 10.0
-_LOBBY_MB = 128
+_PROXY_SILENT_S = 10.0
+_PROXY_MB = 128
 
 
 class FleetError(SextantError, ValueError):
@@ -144,8 +144,8 @@ class Base:
         self._halves: dict[str, tuple[HostLauncher, contextlib.ExitStack]] = {}
         self.pages: dict[str, int] = {}  # TCP port of each robot's own page
         self.planned = {name: self._half(name, member, fleet.page, open_) for name, member in fleet.robots.items()}
-        self.lobby = _lobby(fleet.page, self.pages) if self.pages else ()
-        self._lobby = Launcher(self.lobby, self._pass_on)
+        self.fleet_proxy = _proxy_command(fleet.page, self.pages) if self.pages else ()
+        self._fleet_proxy = Launcher(self.fleet_proxy, self._pass_on)
 
     def _half(self, name: str, member: Member, page: Page, open_: bool) -> HostLauncher:
         try:
@@ -182,7 +182,7 @@ class Base:
                 own = contextlib.ExitStack()
                 self._halves[name] = half, own
                 own.enter_context(half)
-            stack.enter_context(self._lobby)
+            stack.enter_context(self._fleet_proxy)
             self._held = stack.pop_all()
         return self
 
@@ -213,7 +213,7 @@ class Base:
                 own.close()
         if not self._halves:
             return "no robot's processes are left running"
-        for ended in self._lobby.wait(wait_s):
+        for ended in self._fleet_proxy.wait(wait_s):
             self._say(str(ended))
             if not ended.restarted:
                 return "the page of all robots keeps failing"
@@ -221,7 +221,7 @@ class Base:
 
     def stop(self, insisted: Callable[[], bool]) -> None:
         """End all processes; kill them at once when `insisted` returns True."""
-        self._lobby.stop(insisted)
+        self._fleet_proxy.stop(insisted)
         for half, _ in self._halves.values():
             half.stop(insisted)
 
@@ -234,7 +234,7 @@ class Base:
         self._halves.clear()
 
 
-def _lobby(page: Page, pages: dict[str, int]) -> tuple[Command]:
+def _proxy_command(page: Page, pages: dict[str, int]) -> tuple[Command]:
     words = [
         process_table.assignment("host", page.host),
         process_table.assignment("port", page.port),
@@ -242,4 +242,4 @@ def _lobby(page: Page, pages: dict[str, int]) -> tuple[Command]:
         f"robots={{{', '.join(f'{json.dumps(name)} = {port}' for name, port in pages.items())}}}",
     ]
     arguments = ("-m", "sextant.services.console.fleet_proxy", *(word for one in words for word in ("--set", one)))
-    return (Command("lobby", arguments, ENVIRONMENT, restarts=3, watchdog_s=_LOBBY_SILENT_S, memory_mb=_LOBBY_MB),)
+    return (Command("fleet_proxy", arguments, ENVIRONMENT, restarts=3, watchdog_s=_PROXY_SILENT_S, memory_mb=_PROXY_MB),)

@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--nice", type=int, default=0, help="niceness of the process, 0 to 19 (default 0)")
     parser.add_argument("--parent", type=int, help="id of the parent process; end when it ends")
     arguments = parser.parse_args(argv)
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="lobby: %(message)s")
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="fleet_proxy: %(message)s")
     if arguments.parent:
         end_with(arguments.parent)
     os.nice(arguments.nice)

@@ -191,7 +191,7 @@ def test_pages_of_other_sites_and_other_names_for_this_address_are_refused(site:
         assert site.events("alpha", 1) == ["arrived"]
 
 
-def test_the_token_is_asked_for_behind_the_lobby_as_before() -> None:
+def test_the_token_is_asked_for_behind_the_fleet_proxy() -> None:
     with Site(TOKEN.replace(" ", "-")) as site:
         with pytest.raises(InvalidStatus), site.page("alpha"):
             pass
@@ -234,9 +234,9 @@ def raw(site: Site, data: bytes) -> bytes:
 )
 def test_names_that_are_no_part_of_an_address_and_ports_that_are_none_are_refused(robots: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match="robot"):
-        build({"robots": robots}, Settings, "lobby")
+        build({"robots": robots}, Settings, "fleet_proxy")
 
 
-def test_a_lobby_for_everybody_wants_a_token() -> None:
+def test_an_open_fleet_proxy_requires_a_token() -> None:
     with pytest.raises(ConfigError, match="token"):
-        build({"host": "0.0.0.0", "robots": {"alpha": 8101}}, Settings, "lobby")
+        build({"host": "0.0.0.0", "robots": {"alpha": 8101}}, Settings, "fleet_proxy")

@@ -45,8 +45,8 @@ def test_each_robot_has_separate_processes_router_and_keys(tmp_path: Path) -> No
     routers = {words.partition("--connect ")[2].split()[0] for words in (said["alpha-1"][0], said["beta"][0])}
     ports = {words.rpartition("port=")[2].split()[0] for words in (said["alpha-1"][2], said["beta"][2])}
     assert len(routers) == len(ports) == 2
-    (lobby,) = base.lobby
-    told = load_settings(Settings, None, [word for word in lobby.arguments if "=" in word])
+    (proxy,) = base.fleet_proxy
+    told = load_settings(Settings, None, [word for word in proxy.arguments if "=" in word])
     assert told == Settings(port=8123, token="a-long-secret-word", robots=base.pages)
     assert {int(port) for port in ports} == set(told.robots.values())
     for console in (said["alpha-1"][2], said["beta"][2]):
@@ -55,7 +55,7 @@ def test_each_robot_has_separate_processes_router_and_keys(tmp_path: Path) -> No
 
 def test_fleet_without_consoles_has_no_page(tmp_path: Path) -> None:
     made = fleet.load(write_fleet_file(tmp_path, '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nwithout = ["console"]\n'))
-    assert Base(made, False, print).lobby == ()
+    assert Base(made, False, print).fleet_proxy == ()
 
 
 def test_paths_are_relative_to_fleet_file(tmp_path: Path) -> None:
