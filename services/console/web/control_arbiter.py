@@ -16,6 +16,8 @@ from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, Mod
 
 SEATS = 8  # maximum number of pages that may drive; further pages may only stop
 DEAD_MAN_NS = 300_000_000  # [ns] silence of a page with a held pad after which the press ends
+_NO_SEAT = f"this page can only view and stop: {SEATS} other pages may control the robot; close one, and reload this page"
+_OVERVIEW = "the overview of all robots can only view and stop; open the robot's own page to control it"
 _AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is hidden, frozen or disconnected
 _REPEAT_NS = 500_000_000  # [ns] period of a command, which keeps the lease
 _URGENT_NS = 100_000_000  # [ns] period of a torque-off command until torque is off
@@ -32,6 +34,7 @@ class _Page:
     """State of one page."""
 
     seat: int  # 0 for a page that may only stop
+    barred: str  # why it may only stop, "" if it has a seat
     name: str
     holder: str  # lease holder of its commands, unique among all seats of all consoles
     heard_ns: int  # time of its newest request
@@ -102,7 +105,8 @@ class ControlArbiter:
         taken = {other.seat for other in self._pages.values()}
         seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
         name, holder = (f"page {seat}", f"console {seat}") if seat else ("viewer", "console")
-        self._pages[page] = _Page(seat, name, f"{holder} at {self._place}", now_ns)
+        barred = "" if seat else _NO_SEAT if leads else _OVERVIEW
+        self._pages[page] = _Page(seat, barred, name, f"{holder} at {self._place}", now_ns)
         return seat
 
     def leave(self, page: int, now_ns: int) -> None:
@@ -193,8 +197,8 @@ class ControlArbiter:
         return refused
 
     def _take_over(self, sender: _Page, now_ns: int) -> str:
-        if not sender.seat:
-            return f"this page cannot take over; at most {SEATS} pages can control the robot: close another page"
+        if sender.barred:
+            return sender.barred
         self._order_anew(sender, "stop", now_ns, take=True)
         return ""
 
@@ -209,8 +213,8 @@ class ControlArbiter:
         return ""
 
     def _led_by_another(self, sender: _Page) -> str:
-        if not sender.seat:
-            return f"this page can only view and stop; at most {SEATS} pages can control the robot"
+        if sender.barred:
+            return sender.barred
         if self._state is None:
             return "no message from the actuator yet; is it running?"
         lease = self._state.lease

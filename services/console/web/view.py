@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sextant.services.console.config import Settings
-from sextant.services.console.web.control_arbiter import SEATS, ControlArbiter
+from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, ControlArbiter
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.recording.event_log import Entry
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
@@ -30,6 +30,7 @@ def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any
         "protocol": PROTOCOL,
         "seat": seat,
         "seats": SEATS,
+        "dead_man_ms": DEAD_MAN_NS / 1e6,
         "robot": {
             "name": profile.name,
             "legs": [
@@ -157,13 +158,17 @@ def glance(
 
 
 def silent(services: Mapping[str, tuple[Health, int]], now_ns: int) -> list[str]:
-    """Return the names of services whose health is older than 3 s.
+    """Return the names of silent services.
 
     Args:
         services: Service name -> newest health and its arrival time [ns].
         now_ns: Current time [ns].
     """
-    return sorted(name for name, (_, at_ns) in services.items() if now_ns - at_ns > _SILENT_S * 1e9)
+    return sorted(name for name, (_, at_ns) in services.items() if _is_silent(at_ns, now_ns))
+
+
+def _is_silent(at_ns: int, now_ns: int) -> bool:
+    return now_ns - at_ns > _SILENT_S * 1e9
 
 
 def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: str = "") -> dict[str, Any]:
@@ -181,7 +186,8 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: st
             {
                 "name": name,
                 "doing": word.doing[:_WORDS],
-                "silent_s": round((now_ns - at_ns) * 1e-9, 1),
+                "age_s": round((now_ns - at_ns) * 1e-9, 1),
+                "silent": _is_silent(at_ns, now_ns),
                 "refused": word.refused,
                 "dropped": word.dropped,
                 "robot_ahead_s": round(word.robot_ahead_s, 3),

@@ -15,6 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from sextant.services.console.config import Settings
 from sextant.services.console.service import Console
+from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
 from sextant.services.console.web.origin_policy import PROTOCOL
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
@@ -144,6 +145,7 @@ def test_a_page_is_told_of_the_robot_and_then_of_its_state(rig: Rig) -> None:
     )
     hello = page.until("hello")
     assert (hello["seat"], hello["robot"]["name"], len(hello["robot"]["legs"])) == (1, PROFILE.name, 6)
+    assert hello["dead_man_ms"] * 1e6 == DEAD_MAN_NS, "after which the page counts itself as paused"
     state = page.until("state", lambda told: told["legs"] and told["planner"] and told["camera"])
     assert (state["legs"]["mode"], state["legs"]["lease"], state["legs"]["warnings"]) == (
         "walk",
@@ -296,7 +298,8 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
     rig.legs()
     rig.beat()
     glance.ask("order", order="stand")
-    assert "can only view" in glance.until("refused")["words"]
+    refused = glance.until("refused")["words"]
+    assert refused == "the overview of all robots can only view and stop; open the robot's own page to control it"
     glance.ask("order", order="off")
     limit = time.monotonic() + PATIENCE_S
     said: list[Message] = []
@@ -329,8 +332,8 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     numbers = (0.0, 1.0, 0.4, 10, 9, 1.0)
     rig.hear(PassagePlan(1, 1, "no way", words, np.zeros(2), *numbers, steps, points, points, edges, points[:1]))
     told = page.until("health", lambda told: told["services"])
-    assert told["services"][0] | {"silent_s": 0} == {
-        "name": "mapper", "doing": "mapping", "silent_s": 0, "refused": 2, "dropped": 3,
+    assert told["services"][0] | {"age_s": 0} == {
+        "name": "mapper", "doing": "mapping", "age_s": 0, "silent": False, "refused": 2, "dropped": 3,
         "robot_ahead_s": 0.0, "stages": {"map": 2.5},
     }  # fmt: skip
     passage = page.until("passage")

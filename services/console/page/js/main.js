@@ -29,6 +29,7 @@ const link = new Link({
         panels.hello(message);
         view.robot.build(message.robot);
         fit(message.walk);
+        pad.deadManMs = message.dead_man_ms;
         break;
       case "state":
         panels.state(message);

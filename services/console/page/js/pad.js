@@ -2,7 +2,6 @@
 // the page loses focus or visibility, or when the page freezes.
 
 const SAY_MS = 66; // period of the drive message while the pad is held; the console publishes only the newest
-const FROZEN_MS = 300; // gap between two updates after which the page counts as frozen; equals the console's dead-man time
 const DEAD_ZONE = 0.25; // of a gamepad axis, as a share of its range
 const TURN = 0.3; // [rad/s] at full speed
 const KEYS = {
@@ -22,6 +21,7 @@ export class Pad {
     this.release = release;
     this.walk = walk;
     this.sayCut = sayCut;
+    this.deadManMs = 0; // gap between two updates after which the page counts as frozen; the console sends its dead-man time
     this.press = 0; // number of the newest press
     this.held = false;
     this.stale = false; // the press was ended while inputs were held; they are ignored until all are released
@@ -55,7 +55,7 @@ export class Pad {
 
   look() {
     const now = performance.now();
-    const frozen = now - this.seen > FROZEN_MS;
+    const frozen = now - this.seen > this.deadManMs;
     this.seen = now;
     this.readGamepad();
     if (frozen && this.held) {

@@ -135,9 +135,8 @@ export class Panels {
       const name = document.createElement("b");
       name.textContent = `${service.name} `;
       const words = document.createElement("span");
-      const silent = service.silent_s > 3;
-      words.textContent = silent ? `silent for ${service.silent_s.toFixed(0)} s` : service.doing;
-      line.className = silent ? "silent" : "";
+      words.textContent = service.silent ? `silent for ${service.age_s.toFixed(0)} s` : service.doing;
+      line.className = service.silent ? "silent" : "";
       const clock = service.robot_ahead_s ? [`another machine; the robot's clock is ${service.robot_ahead_s} s ahead of its clock`] : [];
       line.title = [...clock, ...Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`)].join("\n");
       line.append(name, words);
