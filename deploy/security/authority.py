@@ -24,7 +24,7 @@ from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE,
 OF_AUTHORITY = "ca"  # folder of the authority; it stays on the machine that created it
 _BEFORE = timedelta(minutes=10)  # tolerance for clock differences between machines
 HERE = ("localhost", "127.0.0.1")
-_MAX_PEM_BYTES = 1 << 20
+_MAX_PEM_BYTES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 
 from sextant.shared.errors import SextantError
 
-_MAX_TEXT_BYTES = 16 << 20
-_MAX_TOML_BYTES = 2 << 20
+_MAX_TEXT_BYTES = 16_000_000
+_MAX_TOML_BYTES = 2_000_000
 _PIECE_BYTES = 1 << 20
 _MAX_DEPTH = 32  # nesting depth of tables and lists
 _INT64 = range(-(2**63), 2**63)
@@ -199,7 +199,7 @@ def _every_second_is_zero(data: bytes) -> bool:
 
 
 def _size(count: int) -> str:
-    return f"{count >> 20} MB" if count >= 1 << 20 else f"{count} bytes"
+    return f"{count // 1_000_000} MB" if count >= 1_000_000 else f"{count} bytes"
 
 
 def _uncapitalized(text: str) -> str:

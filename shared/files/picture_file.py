@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sextant.shared.files.input_file import FileError, read_bytes
 
-_MAX_FILE_BYTES = 256 << 20
+_MAX_FILE_BYTES = 256_000_000
 _MAX_PIXELS = 1 << 24
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_KINDS = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}

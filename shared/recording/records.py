@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Mc
 from mcap.records import Message as Entry
 
 MAGIC = b"\x89MCAP0\r\n"
-LARGEST_BYTES = 64 << 20
+LARGEST_BYTES = 64_000_000
 _LATEST_NS = (1 << 63) - 1  # times [ns] are signed in Sextant
 _HEAD = struct.Struct("<BQ")  # head of a record: opcode, length of the contents
 _ENTRY = struct.Struct("<HIQQ")  # head of a message: channel, sequence, log time, publish time
@@ -181,7 +181,7 @@ class _Reader:
                 self._condition.dropped[f"private records 0x{opcode:02x}"] += 1
             return end, None
         if end - begins > LARGEST_BYTES:
-            self._condition.too_large[f"records of more than {LARGEST_BYTES >> 20} MB"] += 1
+            self._condition.too_large[f"records of more than {LARGEST_BYTES // 1_000_000} MB"] += 1
             return end, None
         try:
             record, consumed = _parse(opcode, self._bytes(begins, end - begins))
@@ -194,7 +194,7 @@ class _Reader:
         """Yield the records in a chunk."""
         self._index = {}
         if chunk.uncompressed_size > LARGEST_BYTES:
-            self._condition.too_large[f"chunks that unpack to more than {LARGEST_BYTES >> 20} MB"] += 1
+            self._condition.too_large[f"chunks that unpack to more than {LARGEST_BYTES // 1_000_000} MB"] += 1
             return
         try:
             data = unpacked(chunk)

@@ -11,7 +11,7 @@ from sextant.shared.recording.writer import Recorder
 from sextant.shared.runtime.service import AnyTopic
 
 FILE_NS = 60_000_000_000  # [ns] length of a file
-RESERVE_BYTES = 500 << 20  # disk space to leave free
+RESERVE_BYTES = 500_000_000  # disk space to leave free
 _LOOK_NS = 1_000_000_000  # [ns] between two checks of the free space
 
 
@@ -110,6 +110,6 @@ class Rotation:
         free = self._free_bytes(self.folder)
         if free < self._reserve_bytes:
             raise NoRoomError(
-                f"only {free >> 20} MB are free on the disk of {self.folder}, "
-                f"and {self._reserve_bytes >> 20} MB must stay free; free some space, or record to another disk"
+                f"only {free // 1_000_000} MB are free on the disk of {self.folder}, "
+                f"and {self._reserve_bytes // 1_000_000} MB must stay free; free some space, or record to another disk"
             )

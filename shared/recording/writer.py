@@ -21,7 +21,7 @@ from sextant.shared.wire import topics
 _CHUNK_BYTES = 256 << 10
 _FLUSH_NS = 500_000_000  # [ns] maximum time between two chunks
 
-RESERVE_BYTES = 4 << 20  # disk space for the other files of a run, such as the report
+RESERVE_BYTES = 4_000_000  # disk space for the other files of a run, such as the report
 
 # Images would be nine tenths of a file, and a subscriber of colour makes the simulator render it.
 LEFT_OUT: frozenset[AnyTopic] = frozenset({topics.DEPTH, topics.COLOR})
@@ -135,7 +135,7 @@ class Recorder:
         disk = os.fstatvfs(self._file.fileno())
         if disk.f_bavail * disk.f_frsize < RESERVE_BYTES:
             self.close()
-            words = f"less than {RESERVE_BYTES >> 20} MB of the disk are free, which the report needs; free some space"
+            words = f"less than {RESERVE_BYTES // 1_000_000} MB of the disk are free, which the report needs; free some space"
             raise whole_files.WriteError(self.path, OSError(words), f"its first {self.size / 1e6:.1f} MB are intact")
 
     def sync(self) -> None:

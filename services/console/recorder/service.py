@@ -152,7 +152,7 @@ def open_rotation(folder: Path, profile: RobotProfile, settings: Settings, about
     def make(path: Path) -> Recorder:
         return Recorder(path, about, Foxglove(profile), left_out)
 
-    return Rotation(folder, make, round(settings.file_s * 1e9), settings.reserve_mb << 20)
+    return Rotation(folder, make, round(settings.file_s * 1e9), settings.reserve_mb * 1_000_000)
 
 
 def _free(folder: Path) -> int:

@@ -2,6 +2,7 @@ import shutil
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -147,3 +148,15 @@ def test_an_order_from_far_ahead_bars_no_later_one(tmp_path: Path) -> None:
         assert not desk.beat(True, (1 << 63) - 1).recording
         assert desk.beat(True, desk.now_ns).recording
         assert not desk.beat(False, desk.now_ns).recording
+
+
+@pytest.mark.parametrize(("reserve_mb", "records"), [(99, True), (101, False)])
+def test_reserve_is_in_decimal_megabytes(
+    reserve_mb: int, records: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100_000_000))
+    desk = Desk(tmp_path, reserve_mb=reserve_mb)
+    with desk.recorder:
+        state = desk.beat(True, 1)
+        assert state.recording is records
+        assert records or "only 100 MB are free" in state.reason

@@ -82,9 +82,10 @@ def test_a_disk_that_fills_up_leaves_whole_files(tmp_path: Path) -> None:
     rotation = Rotation(tmp_path, make, free_bytes=lambda _: free[0])
     with LiveRecorder(rotation) as live:
         feed(live)
-        free[0] = 1 << 20
+        free[0] = 1_500_000
         feed(live)
-    assert "1 MB are free" in live.problem
+    assert "only 1 MB are free" in live.problem
+    assert "500 MB must stay free" in live.problem
     assert "record to another disk" in live.problem
     (file,) = tmp_path.iterdir()
     found = list(read(file))
