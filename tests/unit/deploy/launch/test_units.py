@@ -138,7 +138,7 @@ def test_system_units_have_existing_device_groups(capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--system", "--as", "nobody at all"], "--as: a user of this machine expected, found 'nobody at all'"),
+        (["--system", "--as", "no such user"], "--as: a user of this machine expected, found 'no such user'"),
         (["--as", "root"], "--as is for --system units"),
     ],
 )
