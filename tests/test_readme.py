@@ -19,6 +19,7 @@ from benchmarks.robot import fleet, link
 from sextant.deploy import cli
 from sextant.deploy.campaign import passage_table, results_store
 from sextant.deploy.campaign.campaign_table import WALKED, Campaign, markdown, of_runs
+from sextant.deploy.terminal.arguments import parse
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -130,10 +131,10 @@ def test_readme_command_is_run_by_a_test(words: list[str]) -> None:
             assert target in MAKE, f"no test knows `make {target}`"
             assert all(part in made for part in MAKE[target]), made
         case ["sextant", *rest]:
-            assert callable(cli.parse(rest).command)
+            assert parse(cli.sextant, "sextant", rest).path.startswith("sextant ")
             assert way_of_running(rest) in RUN_BY, f"no test runs `{' '.join(words)}`"
         case ["python", "-m", "benchmarks", *rest]:
-            assert callable(benchmarks.parse(rest).command)
+            assert parse(benchmarks.benchmarks, benchmarks.PROGRAM, rest).path.startswith(benchmarks.PROGRAM)
             assert way_of_running(["benchmarks", *rest]) in RUN_BY, f"no test runs `{' '.join(words)}`"
         case _:
             pytest.fail(f"no test runs `{' '.join(words)}`")

@@ -1,223 +1,313 @@
 """`python -m benchmarks`: accuracy, speed and robustness benchmarks."""
 
-import argparse
 from pathlib import Path
 
-from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import (
+    FAILED,
+    SUCCESS,
+    CommandError,
+    InputError,
+    open_progress,
+    out_folder,
+    say,
+    warm_up,
+)
+from sextant.deploy.terminal.arguments import Group, Parsed, flag, number, option, whole
 from sextant.shared.files import whole_files
 
+benchmarks = Group("benchmarks", "Benchmarks, fault injection and fuzzing of Sextant.")
+_seeds = option(
+    "--seeds", "seeds of the rides, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1003"
+)
+_frames = option("--frames", "frames of each ride, 2 cm apart", "N", type=whole(3, 100_000), default=100)
 
-def bench_accuracy(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks accuracy`: measure pose and map errors on rebuilt scenes."""
+
+@benchmarks.command("accuracy")
+@options.jobs
+@_seeds
+@options.out
+@options.as_json
+def bench_accuracy(jobs: int, seeds: range, out: str | None, as_json: bool) -> int:
+    """Measure pose and map errors of the real services on rebuilt scenes."""
     from benchmarks.peers import accuracy
 
-    out = out_folder(arguments, "bench-accuracy")
-    rows = accuracy.tables(arguments.seeds, arguments.jobs, open_progress(arguments.json).say)
-    return _tell_bench(accuracy.in_words(rows), accuracy.to_json(rows), out / "accuracy.json", arguments.json)
+    folder = out_folder(out, "bench-accuracy")
+    rows = accuracy.tables(seeds, jobs, open_progress(as_json).say)
+    return _tell_bench(accuracy.in_words(rows), accuracy.to_json(rows), folder / "accuracy.json", as_json)
 
 
-def bench_speed(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks speed`: time registration against other implementations."""
+@benchmarks.command("speed")
+@_frames
+@_seeds
+@options.out
+@options.as_json
+def bench_speed(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
+    """Compare the time of registration with other implementations, frame by frame."""
     from benchmarks.peers import chart, speed, timing
 
-    out = out_folder(arguments, "bench-speed")
-    timings, missing = speed.registration(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
-    chart.draw(out / "speed.png", "Registration and other implementations", timings, missing)
+    folder = out_folder(out, "bench-speed")
+    timings, missing = speed.registration(seeds, frames, open_progress(as_json).say)
+    chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
     words, text = timing.in_words(timings, missing, speed.HEADINGS), timing.to_json(timings, missing)
-    return _tell_bench(words, text, out / "speed.json", arguments.json)
+    return _tell_bench(words, text, folder / "speed.json", as_json)
 
 
-def bench_stages(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks stages`: time the mapping stages against other implementations."""
+@benchmarks.command("stages")
+@_frames
+@_seeds
+@options.out
+@options.as_json
+def bench_stages(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
+    """Compare the times of the mapping stages with other implementations."""
     from benchmarks.peers import chart, stages, timing
 
-    out = out_folder(arguments, "bench-stages")
-    found = stages.stages(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
-    chart.draw(out / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
+    folder = out_folder(out, "bench-stages")
+    found = stages.stages(seeds, frames, open_progress(as_json).say)
+    chart.draw(folder / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
     words = f"{timing.in_words(found.timings, found.missing, stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
     text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)
-    return _tell_bench(words, text, out / "stages.json", arguments.json)
+    return _tell_bench(words, text, folder / "stages.json", as_json)
 
 
-def bench_passage(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks passage`: time the gap planner against others, check its plans."""
+@benchmarks.command("passage")
+@_seeds
+@options.out
+@options.as_json
+def bench_passage(seeds: range, out: str | None, as_json: bool) -> int:
+    """Compare the time of the passage planner with others, and check its plans."""
     from benchmarks.peers import chart, passage, timing
 
-    out = out_folder(arguments, "bench-passage")
-    found = passage.measure(arguments.seeds, say=open_progress(arguments.json).say)
-    chart.draw(out / "passage.png", "Passage planner and other implementations", found.timings, found.missing)
+    folder = out_folder(out, "bench-passage")
+    found = passage.measure(seeds, say=open_progress(as_json).say)
+    chart.draw(folder / "passage.png", "Passage planner and other implementations", found.timings, found.missing)
     words = f"{timing.in_words(found.timings, found.missing, passage.HEADINGS)}\n{passage.in_words(found)}"
     sections = passage.sections_for_scripts(found)
     text = timing.to_json(found.timings, found.missing, sections=sections, wrong=found.wrong)
-    return _tell_bench(words, text, out / "passage.json", arguments.json)
+    return _tell_bench(words, text, folder / "passage.json", as_json)
 
 
-def bench_access(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks access`: count unauthorised messages that pass a guarded router."""
+@benchmarks.command("access")
+@options.count("--messages", 10_000, "messages of each kind")
+@options.out
+@options.as_json
+def bench_access(messages: int, out: str | None, as_json: bool) -> int:
+    """Publish unauthorised messages through a secured router, and count those that pass."""
     from benchmarks.access import access
 
-    out = out_folder(arguments, "bench-access")
-    rows = access.measure(arguments.messages, open_progress(arguments.json).say)
-    return _tell_bench(access.in_words(rows), access.to_json(rows), out / "access.json", arguments.json)
+    folder = out_folder(out, "bench-access")
+    rows = access.measure(messages, open_progress(as_json).say)
+    return _tell_bench(access.in_words(rows), access.to_json(rows), folder / "access.json", as_json)
 
 
-def bench_strangers(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks strangers`: time authorised clients while strangers connect.
-
-    It fails if one is late.
-    """
+@benchmarks.command("strangers")
+@options.count("--cuts", 100, "radio outages between robot and base station")
+@options.count("--rate", 1000, "strangers' connections per second", metavar="HZ")
+@options.count("--restarts", 10, "actuator restarts, each with and without silent connections", lowest=0)
+@options.count("--silent", 500, "silent connections at each router endpoint during these restarts")
+@options.count("--seed", 0, "random seed of the outages", lowest=0)
+@options.out
+@options.as_json
+def bench_strangers(cuts: int, rate: int, restarts: int, silent: int, seed: int, out: str | None, as_json: bool) -> int:
+    """Measure how fast authorised clients connect while strangers connect too."""
     from benchmarks.access import strangers
 
-    out, progress = out_folder(arguments, "bench-strangers"), open_progress(arguments.json)
-    if arguments.restarts:
+    folder, progress = out_folder(out, "bench-strangers"), open_progress(as_json)
+    if restarts:
         warm_up(progress)
     try:
-        found = strangers.measure(
-            arguments.cuts, arguments.rate, arguments.restarts, arguments.silent, arguments.seed, progress.say
-        )
+        found = strangers.measure(cuts, rate, restarts, silent, seed, progress.say)
     except TimeoutError as error:
-        complain(f"python -m benchmarks strangers: {error}")
-        return FAILED
-    told = _tell_bench(strangers.in_words(found), strangers.to_json(found), out / "strangers.json", arguments.json)
+        raise CommandError(str(error)) from None
+    told = _tell_bench(strangers.in_words(found), strangers.to_json(found), folder / "strangers.json", as_json)
     return FAILED if found.late else told
 
 
-def bench_roles(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks roles`: send extreme messages as each role during a walk.
+@benchmarks.command("roles")
+@options.count("--messages", 10_000, "messages of each role")
+@option("--only", "role to test; repeatable (default: all)", "ROLE", multiple=True)
+@flag("--lockstep", "run on simulated time, in this process")
+@options.count("--seed", 1, "random seed", lowest=0)
+@options.out
+@options.as_json
+def bench_roles(messages: int, only: tuple[str, ...], lockstep: bool, seed: int, out: str | None, as_json: bool) -> int:
+    """Send valid messages with extreme values as each role while a robot walks.
 
     It succeeds only if the robot withstands all of them.
     """
     from benchmarks.access import role_attack
 
-    out, progress = out_folder(arguments, "bench-roles"), open_progress(arguments.json)
-    roles = tuple(dict.fromkeys(arguments.only)) or role_attack.ROLE_NAMES
+    folder, progress = out_folder(out, "bench-roles"), open_progress(as_json)
+    roles = tuple(dict.fromkeys(only)) or role_attack.ROLE_NAMES
     if unknown := [role for role in roles if role not in role_attack.ROLE_NAMES]:
         raise InputError(f"--only: one of the roles {', '.join(role_attack.ROLE_NAMES)} expected, found {', '.join(unknown)}")
-    if arguments.lockstep:
-        rows = role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
+    if lockstep:
+        rows = role_attack.measure(roles, messages, seed, progress.say)
     else:
         from benchmarks.access import live_role_attack
 
         warm_up(progress)
-        rows = live_role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
-    told = _tell_bench(role_attack.in_words(rows), role_attack.to_json(rows), out / "roles.json", arguments.json)
+        rows = live_role_attack.measure(roles, messages, seed, progress.say)
+    told = _tell_bench(role_attack.in_words(rows), role_attack.to_json(rows), folder / "roles.json", as_json)
     return told if all(row.passed for row in rows) else FAILED
 
 
-def bench_fleet(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks fleet`: measure how many robots one base station supports."""
+@benchmarks.command("fleet")
+@options.count("--robots", 12, "largest number of robots")
+@option("--course", "scenario, walked once in lockstep, then replayed by each robot", "SCENARIO", default="steps")
+@options.out
+@options.as_json
+def bench_fleet(robots: int, course: str, out: str | None, as_json: bool) -> int:
+    """Add robots to one base station until it is overloaded."""
     from benchmarks.robot import fleet
 
-    out, progress = out_folder(arguments, "bench-fleet"), open_progress(arguments.json)
+    folder, progress = out_folder(out, "bench-fleet"), open_progress(as_json)
     warm_up(progress)
-    found = fleet.measure(arguments.course, arguments.robots, progress, out.resolve())
-    fleet.draw(out / "fleet.png", found)
-    return _tell_bench(fleet.in_words(found), fleet.to_json(found), out / "fleet.json", arguments.json)
+    found = fleet.measure(course, robots, progress, folder.resolve())
+    fleet.draw(folder / "fleet.png", found)
+    return _tell_bench(fleet.in_words(found), fleet.to_json(found), folder / "fleet.json", as_json)
 
 
-def bench_link(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks link`: walk live with map and planner behind a radio."""
+@benchmarks.command("link")
+@options.count("--walks", 5, "walks over each link")
+@option("--scenario", "scenario of the walks", "NAME", default="steps")
+@options.count("--cuts", 0, "only inject N radio outages into one walk", lowest=0)
+@option(
+    "--longest",
+    "duration [s] of the longest outage; the shortest takes 0.1 s",
+    "S",
+    type=number(0.1, 600.0, "seconds"),
+    default=30.0,
+)
+@options.count("--seed", 0, "first seed of the walks, or seed of the outages", lowest=0)
+@options.out
+@options.as_json
+def bench_link(walks: int, scenario: str, cuts: int, longest: float, seed: int, out: str | None, as_json: bool) -> int:
+    """Walk with mapper and planner behind a radio with packet loss or outages."""
     from benchmarks.net_testbed.namespace import NetTestbedError
     from benchmarks.robot import link
 
-    out, progress = out_folder(arguments, "bench-link"), open_progress(arguments.json)
+    folder, progress = out_folder(out, "bench-link"), open_progress(as_json)
     warm_up(progress)
     try:
-        if arguments.cuts:
-            cut, radio, ended = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
+        if cuts:
+            cut, radio, ended = link.cuts(cuts, seed, longest, progress.say)
             progress.say(f"the radio: {radio}")
-            told = _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut, radio), out / "cuts.json", arguments.json)
+            told = _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut, radio), folder / "cuts.json", as_json)
             if ended:
-                complain(f"python -m benchmarks link: stopped after {len(cut)} of {arguments.cuts} outages: {ended}")
-            return FAILED if ended else told
-        seeds = range(arguments.seed, arguments.seed + arguments.walks)
-        walked, radio = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
+                raise CommandError(f"stopped after {len(cut)} of {cuts} outages: {ended}")
+            return told
+        seeds = range(seed, seed + walks)
+        walked, radio = link.walks(scenario, seeds, link.LINKS, progress.say)
         progress.say(f"the radio: {radio}")
     except (NetTestbedError, TimeoutError) as error:
-        complain(f"python -m benchmarks link: {error}")
-        return FAILED
-    return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked, radio), out / "walks.json", arguments.json)
+        raise CommandError(str(error)) from None
+    return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked, radio), folder / "walks.json", as_json)
 
 
-def bench_page(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks page`: measure cost and stop latency of the operator page."""
+@benchmarks.command("page")
+@options.count("--rounds", 30, "repetitions of each measurement")
+@options.out
+@options.as_json
+def bench_page(rounds: int, out: str | None, as_json: bool) -> int:
+    """Measure the stop latency of the operator's page in a real browser, and its cost."""
     from benchmarks.page import page
 
-    out, progress = out_folder(arguments, "bench-page"), open_progress(arguments.json)
+    folder, progress = out_folder(out, "bench-page"), open_progress(as_json)
     warm_up(progress)
     try:
-        found = page.measure(arguments.rounds, progress.say)
+        found = page.measure(rounds, progress.say)
     except ImportError:
         raise InputError("Playwright is missing: pip install 'sextant[bench]'") from None
     except FileNotFoundError as error:
         raise InputError(str(error)) from None
-    return _tell_bench(page.in_words(found), page.to_json(found), out / "page.json", arguments.json)
+    return _tell_bench(page.in_words(found), page.to_json(found), folder / "page.json", as_json)
 
 
-def bench_recording(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks recording`: measure the effect of recording on a walk.
-
-    It also measures what happens to the recording when its disk or process fails.
-    """
+@benchmarks.command("recording")
+@options.count("--rounds", 5, "repetitions of each measurement")
+@options.out
+@options.as_json
+def bench_recording(rounds: int, out: str | None, as_json: bool) -> int:
+    """Measure the servo cycle during recording, with a full disk, and a killed recorder."""
     from benchmarks.robot import recording
 
-    out, progress = out_folder(arguments, "bench-recording"), open_progress(arguments.json)
+    folder, progress = out_folder(out, "bench-recording"), open_progress(as_json)
     warm_up(progress)
-    found = recording.measure(arguments.rounds, progress.say)
-    return _tell_bench(recording.in_words(found), recording.to_json(found), out / "recording.json", arguments.json)
+    found = recording.measure(rounds, progress.say)
+    return _tell_bench(recording.in_words(found), recording.to_json(found), folder / "recording.json", as_json)
 
 
-def bench_soak(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks soak`: walk for long; fail if memory or latency grow."""
+@benchmarks.command("soak")
+@option("--minutes", "duration of the walk in minutes", "MIN", type=number(0.5, 1440.0, "minutes"), default=60.0)
+@options.out
+@options.as_json
+def bench_soak(minutes: float, out: str | None, as_json: bool) -> int:
+    """Walk for a long time, and check that memory and latency do not grow."""
     from benchmarks.robot import soak
 
-    out, progress = out_folder(arguments, "bench-soak"), open_progress(arguments.json)
+    folder, progress = out_folder(out, "bench-soak"), open_progress(as_json)
     warm_up(progress)
-    found = soak.measure(60.0 * arguments.minutes, progress.say)
-    told = _tell_bench(soak.in_words(found), soak.to_json(found), out / "soak.json", arguments.json)
+    found = soak.measure(60.0 * minutes, progress.say)
+    told = _tell_bench(soak.in_words(found), soak.to_json(found), folder / "soak.json", as_json)
     return FAILED if soak.faults(found) else told
 
 
-def bench_size(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks size`: measure the disk space of each role."""
+@benchmarks.command("size")
+@options.out
+@options.as_json
+def bench_size(out: str | None, as_json: bool) -> int:
+    """Measure the disk space of each role."""
     try:
         from benchmarks.robot import size
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is missing: pip install 'sextant[bench]'") from None
     found = size.measure()
-    return _tell_bench(
-        size.in_words(found), size.to_json(found), out_folder(arguments, "bench-size") / "size.json", arguments.json
-    )
+    return _tell_bench(size.in_words(found), size.to_json(found), out_folder(out, "bench-size") / "size.json", as_json)
 
 
-def bench_servos(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks servos`: time the servo bus with our packets and dynamixel-sdk."""
+@benchmarks.command("servos")
+@options.count("--rounds", 300, "repetitions of each job")
+@options.out
+@options.as_json
+def bench_servos(rounds: int, out: str | None, as_json: bool) -> int:
+    """Compare the servo bus driver's time with that of dynamixel-sdk."""
     from benchmarks.peers import servo_packets
 
-    out = out_folder(arguments, "bench-servos")
-    rows, missing = servo_packets.measure(arguments.rounds, open_progress(arguments.json).say)
+    folder = out_folder(out, "bench-servos")
+    rows, missing = servo_packets.measure(rounds, open_progress(as_json).say)
     words, text = servo_packets.in_words(rows, missing), servo_packets.to_json(rows, missing)
-    return _tell_bench(words, text, out / "servos.json", arguments.json)
+    return _tell_bench(words, text, folder / "servos.json", as_json)
 
 
-def bench_bus(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks bus`: measure how the servo bus driver handles a bad bus."""
+@benchmarks.command("bus")
+@options.count("--questions", 20_000, "least number of requests in each case")
+@option("--only", "run only cases with these words in their name", "WORDS", default="")
+@options.count("--seed", 0, "random seed of the faults", lowest=0)
+@options.out
+@options.as_json
+def bench_bus(questions: int, only: str, seed: int, out: str | None, as_json: bool) -> int:
+    """Inject faults into the emulated servo bus; count the replies that the driver accepts."""
     from benchmarks.robot import servo_bus
 
-    if not any(arguments.only in case for case in servo_bus.CASES):
-        raise InputError(f"--only {arguments.only!r}: part of one of these names expected: {'; '.join(servo_bus.CASES)}")
-    out = out_folder(arguments, "bench-bus")
-    found = servo_bus.measure(arguments.questions, arguments.seed, arguments.only, open_progress(arguments.json).say)
-    return _tell_bench(servo_bus.in_words(found), servo_bus.to_json(found), out / "bus.json", arguments.json)
+    if not any(only in case for case in servo_bus.CASES):
+        raise InputError(f"--only {only!r}: part of one of these names expected: {'; '.join(servo_bus.CASES)}")
+    folder = out_folder(out, "bench-bus")
+    found = servo_bus.measure(questions, seed, only, open_progress(as_json).say)
+    return _tell_bench(servo_bus.in_words(found), servo_bus.to_json(found), folder / "bus.json", as_json)
 
 
-def bench_start(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks start`: measure the actuator's start-up time on a standing robot."""
+@benchmarks.command("start")
+@options.count("--rounds", 20, "number of starts")
+@options.out
+@options.as_json
+def bench_start(rounds: int, out: str | None, as_json: bool) -> int:
+    """Measure the actuator's start-up time on a standing robot."""
     from benchmarks.robot import start
 
-    out = out_folder(arguments, "bench-start")
-    found = start.measure(arguments.rounds, open_progress(arguments.json).say)
-    return _tell_bench(start.in_words(found), start.to_json(found), out / "start.json", arguments.json)
+    folder = out_folder(out, "bench-start")
+    found = start.measure(rounds, open_progress(as_json).say)
+    return _tell_bench(start.in_words(found), start.to_json(found), folder / "start.json", as_json)
 
 
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:

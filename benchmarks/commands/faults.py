@@ -1,46 +1,56 @@
 """`python -m benchmarks faults`: inject faults into walks and check the robot's reaction."""
 
-import argparse
 import difflib
 
+from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
+from sextant.deploy.terminal.arguments import argument, command, flag, option
 from sextant.shared.files import whole_files
 
 _PHASES, _LIVE_PHASES = 300, 30
 
 
-def faults(arguments: argparse.Namespace) -> int:
-    """`python -m benchmarks faults`: inject each fault at many phases; succeed within all limits."""
+@command()
+@argument("names", "faults to inject (default: all)", "[FAULT]...", nargs=-1)
+@flag("--live", "inject the faults that need live processes over Zenoh, not those in lockstep")
+@option("--phases", "injections of each fault (default: 300, live 30)", "N", type=options.POSITIVE)
+@flag("--list", "list the faults and exit", "listed")
+@options.jobs
+@option("--out", "folder to write to; injections stored there are not repeated", "DIR")
+@options.as_json
+def faults(
+    names: tuple[str, ...], live: bool, phases: int | None, listed: bool, jobs: int, out: str | None, as_json: bool
+) -> int:
+    """Inject faults at many phases of a step, and check the robot's reaction."""
     from benchmarks.faults.cases import BY_NAME, CASES, LIVE_CASES
 
-    unknown = [name for name in arguments.fault if name not in BY_NAME]
+    unknown = [name for name in names if name not in BY_NAME]
     if unknown:
         near = difflib.get_close_matches(unknown[0], BY_NAME, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise InputError(f"no fault {unknown[0]!r}; {hint}`python -m benchmarks faults --list` lists all faults")
-    wanted = [BY_NAME[name] for name in dict.fromkeys(arguments.fault)]
-    cases = wanted or list(LIVE_CASES if arguments.live else CASES)
-    if arguments.list:
-        for case in wanted or (*(() if arguments.live else CASES), *LIVE_CASES):
+    wanted = [BY_NAME[name] for name in dict.fromkeys(names)]
+    cases = wanted or list(LIVE_CASES if live else CASES)
+    if listed:
+        for case in wanted or (*(() if live else CASES), *LIVE_CASES):
             say(f"{case.name:<28} {case.words}{'; live' if case.live else ''}")
         return SUCCESS
-    live = {case.live for case in cases}
-    if len(live) > 1:
+    kinds = {case.live for case in cases}
+    if len(kinds) > 1:
         raise InputError("either lockstep faults or live faults expected, found both; run the command once for each kind")
-    phases = arguments.phases or (_LIVE_PHASES if live == {True} else _PHASES)
-    jobs = 1 if live == {True} else arguments.jobs
-    out = out_folder(arguments, "faults")
+    live = kinds == {True}
+    folder = out_folder(out, "faults")
     from benchmarks.faults import table as tables
     from benchmarks.faults.batch import FILE, run_faults
 
-    progress = open_progress(arguments.json)
-    if live == {True}:
+    progress = open_progress(as_json)
+    if live:
         warm_up(progress)
-    found = run_faults(cases, phases, jobs, out, progress.say)
+    found = run_faults(cases, phases or (_LIVE_PHASES if live else _PHASES), 1 if live else jobs, folder, progress.say)
     table = tables.rows(found)
-    say(tables.to_json(table).rstrip("\n") if arguments.json else tables.markdown(table))
-    whole_files.write_text(out / "faults.json", tables.to_json(table), durable=True)
-    whole_files.write_text(out / "faults.md", tables.markdown(table) + "\n")
-    if not arguments.json:
-        say(f"written to {out}: faults.md, faults.json, {FILE}")
+    say(tables.to_json(table).rstrip("\n") if as_json else tables.markdown(table))
+    whole_files.write_text(folder / "faults.json", tables.to_json(table), durable=True)
+    whole_files.write_text(folder / "faults.md", tables.markdown(table) + "\n")
+    if not as_json:
+        say(f"written to {folder}: faults.md, faults.json, {FILE}")
     return SUCCESS if all(row.passed for row in table) else FAILED

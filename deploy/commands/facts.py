@@ -1,25 +1,34 @@
-"""`sextant doctor` and `sextant service compose`: machine checks and compose files."""
+"""`sextant doctor`: checks of this machine."""
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
+from sextant.deploy.terminal.arguments import command, option
 
 if TYPE_CHECKING:
     from sextant.deploy.doctor.check import Check
 
 
-def doctor(arguments: argparse.Namespace) -> int:
-    """`sextant doctor`: check that this machine meets the services' requirements."""
+@command()
+@option("--port", "also check this servo port, e.g. /dev/ttyUSB0", "DEVICE")
+@option("--camera", "also check this camera: openni2, realsense, or a folder", "DEVICE", default="")
+@option(
+    "--stranger",
+    "only try to connect to this endpoint without authorisation, e.g. tls/hexapod.local:7448; publishes nothing",
+    "ENDPOINT",
+)
+@option("--keys", "folder of `sextant keys new` with its ca/; --stranger then also tries an expired certificate", "DIR")
+@options.robot
+@options.as_json
+def doctor(port: str | None, camera: str, stranger: str | None, keys: str | None, robot: str, as_json: bool) -> int:
+    """Check that this machine has what the services need."""
     from sextant.deploy.doctor import machine_checks as checks
     from sextant.deploy.doctor.check import Level
 
-    if arguments.stranger:
-        found = _strange(arguments.stranger, arguments.key_folder)
-    else:
-        found = checks.examine(arguments.port, arguments.robot, arguments.camera)
-    say(checks.to_json(found) if arguments.json else checks.in_words(found))
+    found = _strange(stranger, keys) if stranger else checks.examine(port, robot, camera)
+    say(checks.to_json(found) if as_json else checks.in_words(found))
     return FAILED if any(check.level is Level.FAIL for check in found) else SUCCESS
 
 
@@ -33,12 +42,3 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
         return examine(endpoint, Path(keys) if keys else None)
     except ValueError as error:
         raise InputError(f"--stranger: {error}") from None
-
-
-def compose(arguments: argparse.Namespace) -> int:
-    """`sextant service compose`: print compose.yaml of a local or an offboard launch."""
-    from sextant.deploy.launch.compose import compose_yaml, offboard_yaml
-
-    text = offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed)
-    say(text.rstrip("\n"))
-    return SUCCESS

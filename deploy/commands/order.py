@@ -1,35 +1,45 @@
 """`sextant order`: stand, walk, stop, sit or torque off from the terminal."""
 
-import argparse
 import getpass
 import os
 import socket
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
+from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option
 
 if TYPE_CHECKING:
-    from sextant.deploy.send_command import Order
+    from sextant.deploy.send_command import Order, What
     from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.05
 
 
-def order(arguments: argparse.Namespace) -> int:
-    """`sextant order`: send one order to the legs, and report the result."""
+@command()
+@argument(
+    "what",
+    "off: torque off; stop: set the feet down; ready: torque on; stand: rise; walk: start the planner; sit: lie down",
+    type=Choice(("off", "stop", "ready", "stand", "walk", "sit")),
+)
+@options.connection
+@option("--holder", "name of the lease holder; only one may move the legs (default: USER at MACHINE)", "NAME", default="")
+@flag("--take", "take the lease over from its holder")
+def order(what: "What", connection: options.Connection, holder: str, take: bool) -> int:
+    """Command a running robot: stand, walk, stop, sit, or torque off."""
     from sextant.deploy.send_command import STOPS, Order
     from sextant.shared.wire import topics
     from sextant.shared.wire.transport import TransportError
 
-    endpoints = met(arguments)
+    endpoints = connection.endpoints()
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
-    if refused and arguments.what not in STOPS:
+    if refused and what not in STOPS:
         raise InputError(refused)
-    given = Order(arguments.what, arguments.holder or _whoever_this_is(), arguments.take, leads=not refused)
+    given = Order(what, holder or _whoever_this_is(), take, leads=not refused)
     try:
-        return _give(given, arguments.what, endpoints)
+        return _give(given, what, endpoints)
     except TransportError as error:
-        if arguments.what != "off":
+        if what != "off":
             raise
         raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` needs no actuator.") from None
 
@@ -72,7 +82,6 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
             complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
             return INTERRUPTED
     if given.failed:
-        complain(f"sextant order {what}: {given.failed}")
-        return FAILED
+        raise CommandError(given.failed)
     say(given.doing())
     return SUCCESS

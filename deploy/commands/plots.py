@@ -1,50 +1,60 @@
 """`sextant plot`: figures of recorded runs."""
 
-import argparse
 import json
 from pathlib import Path
 
+from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_folder, say
+from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option
 from sextant.shared.spelling import hint
 
 
-def plot(arguments: argparse.Namespace) -> int:
-    """`sextant plot`: draw the figures of one run, or compare several."""
+@command()
+@argument("runs", "folder of a run, or its recording; several are compared", "[RUN]...", nargs=-1)
+@option("--what", "figure to draw; repeatable (default: all)", "NAME", multiple=True)
+@flag("--list", "list the figures and exit", "listed")
+@option("--format", "file format", into="suffix", type=Choice(("svg", "pdf", "png")), default="svg")
+@option("--scenario", "scenario that was walked, by name or TOML file, if sextant does not have it", "NAME", default="")
+@options.out
+@flag("--json", "print the numbers of the runs as JSON, not as a table", "as_json")
+def plot(
+    runs: tuple[str, ...], what: tuple[str, ...], listed: bool, suffix: str, scenario: str, out: str | None, as_json: bool
+) -> int:
+    """Draw the figures of a recorded run, or compare several runs."""
     from sextant.deploy.figures.run_figures import FIGURES, draw, misfit
 
-    if arguments.list:
+    if listed:
         width = max(map(len, FIGURES))
         say("\n".join(f"{name:<{width}}  {kind.shows}" for name, kind in FIGURES.items()))
         return SUCCESS
-    unknown = [name for name in arguments.what or () if name not in FIGURES]
+    unknown = [name for name in what if name not in FIGURES]
     if unknown:
         raise InputError(f"--what: no figure {unknown[0]!r}; {hint(unknown[0], FIGURES)}")
-    paths = [Path(run) for run in arguments.run]
+    paths = [Path(run) for run in runs]
     if not paths:
         raise InputError("the folder of a run expected, found none; `sextant plot --list` lists the figures")
-    misfits = [words for name in arguments.what or () if (words := misfit(name, len(paths)))]
+    misfits = [words for name in what if (words := misfit(name, len(paths)))]
     if misfits:
         raise InputError(f"--what: {misfits[0]}")
     from sextant.deploy.figures.comparison_table import comparison, markdown
     from sextant.deploy.figures.recorded_run import recorded_run
 
-    runs = [recorded_run(path, arguments.scenario) for path in paths]
-    for path, run in zip(paths, runs, strict=True):
+    recorded = [recorded_run(path, scenario) for path in paths]
+    for path, run in zip(paths, recorded, strict=True):
         if run.cut_off:
             complain(f"warning: {path} is truncated; only its readable part is drawn")
-    folder = out_folder(arguments, "plot")
+    folder = out_folder(out, "plot")
     drawn: list[str] = []
     empty: list[str] = []
-    for name in arguments.what or FIGURES:
-        file = folder / f"{name}.{arguments.format}"
-        (drawn if draw(name, runs, file) else empty).append(name)
-    if arguments.json:
-        say(json.dumps({run.name: run.numbers for run in runs}, indent=1))
-    elif len(runs) > 1:
-        say(markdown(comparison(runs)))
-    if not arguments.json and drawn:
-        say(f"written to {folder}: {', '.join(f'{name}.{arguments.format}' for name in drawn)}")
-    missing = [name for name in empty if arguments.what]
+    for name in what or FIGURES:
+        (drawn if draw(name, recorded, folder / f"{name}.{suffix}") else empty).append(name)
+    if as_json:
+        say(json.dumps({run.name: run.numbers for run in recorded}, indent=1))
+    elif len(recorded) > 1:
+        say(markdown(comparison(recorded)))
+    if not as_json and drawn:
+        say(f"written to {folder}: {', '.join(f'{name}.{suffix}' for name in drawn)}")
+    missing = [name for name in empty if what]
     if missing:
         complain(f"sextant plot: no data for {', '.join(missing)}; `sextant plot --list` shows what each figure needs")
     return FAILED if missing or not drawn else SUCCESS

@@ -1,14 +1,42 @@
 """`sextant topics ros2`: the robot as a ROS 2 node, without a ROS installation."""
 
-import argparse
+from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, say
+from sextant.deploy.terminal.arguments import command, flag, option
+
+if TYPE_CHECKING:
+    from sextant.shared.wire.messages import GaitName
 
 _LOOK_S = 0.1
 
 
-def ros2(arguments: argparse.Namespace) -> int:
-    """`sextant topics ros2`: run a ROS 2 node over rmw_zenoh until Ctrl-C."""
+@command()
+@option(
+    "--domain", "ROS domain id (default: ROS_DOMAIN_ID, or 0)", "N", type=options.NATURAL, default=0, envvar="ROS_DOMAIN_ID"
+)
+@option("--ros-namespace", "namespace of the node and its topics, for several robots in one graph", "/NAME", default="/")
+@option(
+    "--ros-connect",
+    "router of the ROS nodes, `ros2 run rmw_zenoh_cpp rmw_zenohd` (default: the robot's router)",
+    "ENDPOINT",
+    multiple=True,
+)
+@options.connection
+@options.robot
+@option("--gait", "gait for Twist messages", type=options.GAIT, default="tripod")
+@flag("--pictures", "also publish the small camera previews")
+def ros2(
+    domain: int,
+    ros_namespace: str,
+    ros_connect: tuple[str, ...],
+    connection: options.Connection,
+    robot: str,
+    gait: "GaitName",
+    pictures: bool,
+) -> int:
+    """Run the robot as a ROS 2 node over rmw_zenoh, without ROS, see docs/ros2.md."""
     import threading
     import time
 
@@ -24,23 +52,23 @@ def ros2(arguments: argparse.Namespace) -> int:
     from sextant.shared.wire import codec, topics
     from sextant.shared.wire.transport import ForeignLink, ZenohLink
 
-    profile = load_profile(arguments.robot)
-    lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))
-    endpoints = met(arguments)
-    if endpoints.keys is not None and not arguments.ros_connect:
+    profile = load_profile(robot)
+    lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=gait))
+    endpoints = connection.endpoints()
+    if endpoints.keys is not None and not ros_connect:
         raise InputError("ROS nodes have no certificates; give their router, on this machine, with --ros-connect")
     stop = threading.Event()
     with (
         Interrupts() as interrupts,
         ZenohLink(endpoints) as link,
-        ForeignLink(tuple(arguments.ros_connect or endpoints.connect)) as wire,
+        ForeignLink(ros_connect or endpoints.connect) as wire,
     ):
         try:
-            node = Node(arguments.domain, wire.id, "sextant", arguments.ros_namespace)
+            node = Node(domain, wire.id, "sextant", ros_namespace)
         except ValueError as error:
             raise InputError(str(error)) from None
-        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, arguments.pictures)
-        published = (*PUBLISHED, *(PICTURES if arguments.pictures else ()))
+        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures)
+        published = (*PUBLISHED, *(PICTURES if pictures else ()))
         say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C stops it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
         say(f"subscribes to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")

@@ -1,6 +1,5 @@
 """`sextant servos`: scan, configure, calibrate and test servos, real or emulated."""
 
-import argparse
 import errno
 import json
 import os
@@ -9,13 +8,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from dataclasses import dataclass
 from datetime import date
 from itertools import groupby
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
+from sextant.deploy.terminal.arguments import Choice, Group, Parsed, flag, number, option, options_of
 from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
@@ -27,7 +29,34 @@ if TYPE_CHECKING:
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
 _NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
-_LAST_PORT = 65535
+_LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
+
+servos = Group("servos", "Scan, set ids, calibrate, test, emulate servos, or turn torque off.")
+
+
+@dataclass(frozen=True, slots=True)
+class Bus:
+    """A servo bus at a port, and the robot that it belongs to."""
+
+    robot: str
+    port: str
+    echo: bool
+
+    @property
+    def networked(self) -> bool:
+        """Whether the port is at a network address."""
+        return "://" in self.port
+
+
+_of_bus = options_of(
+    Bus,
+    "bus",
+    options.robot,
+    option("--port", "serial device, or socket://host:port", "PORT", default="/dev/ttyUSB0"),
+    flag("--echo", "the adapter returns every sent byte, as some half-duplex adapters do"),
+)
+_leg = option("--leg", "only this leg, e.g. 'left front'; repeatable", "LEG", into="legs", multiple=True, type=Choice(_LEGS))
+_yes = flag("--yes", "for scripts: ask no question, assume yes")
 
 
 class Terminal:
@@ -66,18 +95,22 @@ class Terminal:
         return self.ask(f"{question} [y/N] ").lower() in ("y", "yes")
 
 
-def scan(arguments: argparse.Namespace) -> int:
-    """`sextant servos scan`: list the servos on the bus and their problems."""
+@servos.command("scan")
+@_of_bus
+@option("--ids", "servo ids to scan, B not included", "A:B", type=Parsed(options.servo_ids, "ids"), default="0:254")
+@options.as_json
+def scan(bus: Bus, ids: range, as_json: bool) -> int:
+    """List the servos on the bus; report missing, duplicate, wrong or reset ones."""
     from sextant.services.actuator.commissioning import set_ids
 
-    profile = _profile(arguments.robot)
-    with _line(arguments, profile) as line:
+    profile = _profile(bus.robot)
+    with _line(bus, profile) as line:
         rates = " and ".join(map(str, line.rates))
-        tell = complain if arguments.json else say
-        tell(f"scanning {len(arguments.ids)} ids at {rates} baud; unused ids take longer")
-        found = set_ids.scan(line, arguments.ids)
-    wrong = set_ids.verdict(found, profile, arguments.ids, each=arguments.json)
-    if arguments.json:
+        tell = complain if as_json else say
+        tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
+        found = set_ids.scan(line, ids)
+    wrong = set_ids.verdict(found, profile, ids, each=as_json)
+    if as_json:
         problems = [problem._asdict() for problem in wrong]
         say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
         return FAILED if wrong else SUCCESS
@@ -90,25 +123,28 @@ def scan(arguments: argparse.Namespace) -> int:
             say(problem.words)
         say(f"  -> {advice}")
     if not wrong:
-        count, asked = len(profile.servo_names), sum(i in arguments.ids for i in profile.servo_names)
+        count, asked = len(profile.servo_names), sum(i in ids for i in profile.servo_names)
         which = f"all {count} servos of {profile.name}"
         say(f"{which} are in order" if asked == count else f"{asked} of {which} were scanned and are in order")
     return FAILED if wrong else SUCCESS
 
 
-def off(arguments: argparse.Namespace) -> int:
-    """`sextant servos off`: turn torque off without an actuator or router.
+@servos.command("off")
+@_of_bus
+@flag("--bridge", "a microcontroller on the port drives the servos, like the actuator's setting `bridge`, see docs/bridge.md")
+def off(bus: Bus, bridge: bool) -> int:
+    """Turn the torque of all servos off at the port, without a running actuator.
 
     The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
     from sextant.services.actuator.commissioning.torque_off import torque_off
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError
 
-    profile = _profile(arguments.robot)
-    unlatched = _latch_off(arguments.port)
+    profile = _profile(bus.robot)
+    unlatched = _latch_off(bus.port)
     with _ended_once():
         try:
-            bus = _bridge(arguments, profile) if arguments.bridge else _bus(arguments, profile)
+            servo_bus = _bridge(bus.port, profile) if bridge else _open(bus, profile)
         except BusDisconnectedError as error:
             used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
             lets_go = "torque is latched off: an actuator on this port turns it off at once, or as soon as its servos respond"
@@ -116,15 +152,14 @@ def off(arguments: argparse.Namespace) -> int:
             complain(_NOBODY_SAYS)
             if not used:
                 raise
-            complain(f"sextant servos off: {arguments.port} is in use")
-            return FAILED
-        with closing(bus):
+            raise CommandError(f"{bus.port} is in use") from None
+        with closing(servo_bus):
             try:
-                left = torque_off(bus)
+                left = torque_off(servo_bus)
             except BusSetupError as error:
-                complain(f"{_NOBODY_SAYS}\nsextant servos off: {error}")
-                return FAILED
-    _say_who_holds(left, profile, arguments.bridge)
+                complain(_NOBODY_SAYS)
+                raise CommandError(str(error)) from None
+    _say_who_holds(left, profile, bridge)
     if unlatched:
         complain(f"{unlatched}; an actuator that starts now leaves torque on at servos that have not received torque off")
     return FAILED if left or unlatched else SUCCESS
@@ -157,53 +192,76 @@ def _latch_off(port: str) -> str:
     return ""
 
 
-def set_id(arguments: argparse.Namespace) -> int:
-    """`sextant servos set-id`: give each servo the id of its joint."""
+@servos.command("set-id")
+@_of_bus
+def set_id(bus: Bus) -> int:
+    """Set each servo's id to that of its joint, one at a time.
+
+    It can be interrupted and resumed.
+    """
     from sextant.services.actuator.commissioning import set_ids
 
-    profile = _profile(arguments.robot)
-    with _line(arguments, profile) as line:
+    profile = _profile(bus.robot)
+    with _line(bus, profile) as line:
         return SUCCESS if set_ids.set_ids(line, profile, Terminal()) else FAILED
 
 
-def calibrate(arguments: argparse.Namespace) -> int:
-    """`sextant servos calibrate`: measure the horn offsets into the robot's TOML."""
+@servos.command("calibrate")
+@_of_bus
+@_leg
+@_yes
+@option("--out", "TOML file to write (default: that of --robot, or my_NAME.toml for a profile)", "FILE")
+@option(
+    "--pose",
+    "joint angles of a jig [deg] (default: 0 0 0, straight out)",
+    "COXA FEMUR TIBIA",
+    type=number(-180.0, 180.0, "degrees"),
+    nargs=3,
+)
+def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose: tuple[float, float, float] | None) -> int:
+    """Measure the horn offsets of each leg; write them to the robot's TOML file."""
     from sextant.services.actuator.commissioning import calibration, calibration_file
     from sextant.shared.robot.profile import LEGS
 
-    path, base, profile = _own_file(arguments.robot, arguments.out)
+    path, base, profile = _own_file(bus.robot, out)
     known = [entry.leg for entry in profile.calibration]
-    legs = arguments.leg or [leg for leg in LEGS if leg not in known] or list(LEGS)
-    pose = tuple(arguments.pose or calibration.STRAIGHT_OUT)
+    chosen = legs or [leg for leg in LEGS if leg not in known] or list(LEGS)
+    angles = pose or calibration.STRAIGHT_OUT
     try:
-        for leg in legs:
-            calibration.see_pose(profile, leg, pose)
+        for leg in chosen:
+            calibration.see_pose(profile, leg, angles)
     except ValueError as error:
         raise InputError(f"--pose: {error}") from None
-    say(f"calibrating {', '.join(legs)} into {path}" + (f"; already calibrated: {', '.join(known)}" if known else ""))
-    with _line(arguments, profile) as line:
+    say(f"calibrating {', '.join(chosen)} into {path}" + (f"; already calibrated: {', '.join(known)}" if known else ""))
+    with _line(bus, profile) as line:
         done = calibration.calibrate(
             line.at(line.rates[0]),
             profile,
-            Terminal(arguments.yes),
+            Terminal(yes),
             lambda entry: say(f"{entry.leg}: written to {calibration_file.keep(path, entry, base) and path}"),
             date.today(),
-            legs=legs,
-            pose_deg=pose,
+            legs=chosen,
+            pose_deg=angles,
         )
     return SUCCESS if done else FAILED
 
 
-def test(arguments: argparse.Namespace) -> int:
-    """`sextant servos test`: move each joint a little, one at a time."""
+@servos.command("test")
+@_of_bus
+@_leg
+@_yes
+@option("--torque", "torque state after the test (default: ask, or off with --yes)", type=Choice(("on", "off")))
+def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
+    """Move each joint a few degrees and back, one at a time, with low torque."""
     from sextant.services.actuator.commissioning.joint_test import run_joint_test
     from sextant.shared.robot.profile import LEGS
 
-    profile = _profile(arguments.robot)
-    chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
-    operator, legs = Terminal(arguments.yes), arguments.leg or LEGS
-    with _line(arguments, profile) as line:
-        moved = run_joint_test(line.at(line.rates[0]), profile, operator, time.monotonic_ns, legs=legs, hold_after=chosen)
+    profile = _profile(bus.robot)
+    hold = torque == "on" if torque else (False if yes else None)
+    with _line(bus, profile) as line:
+        moved = run_joint_test(
+            line.at(line.rates[0]), profile, Terminal(yes), time.monotonic_ns, legs=legs or LEGS, hold_after=hold
+        )
     if moved is None:
         return FAILED
     wrong = [one.name for one in moved if one.problem]
@@ -211,8 +269,13 @@ def test(arguments: argparse.Namespace) -> int:
     return FAILED if wrong else SUCCESS
 
 
-def emulate(arguments: argparse.Namespace) -> int:
-    """`sextant servos emulate`: serve emulated servos on a TCP port until Ctrl-C."""
+@servos.command("emulate")
+@options.robot
+@flag("--fresh", "factory-new servos, all with id 1, to be plugged in at this terminal")
+@options.count("--seed", 3, "random seed of the horn offsets", lowest=0)
+@option("--listen", "TCP port on 127.0.0.1 (default: any free port)", "PORT", type=options.PORT, default=0)
+def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
+    """Emulate the servos of a robot, or a set of new servos, on a network port."""
     import numpy as np
 
     try:
@@ -220,13 +283,11 @@ def emulate(arguments: argparse.Namespace) -> int:
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
         raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
-    if arguments.listen > _LAST_PORT:
-        raise InputError(f"a port up to {_LAST_PORT} expected, found {arguments.listen}; give another with --listen")
-    bench = BenchEmulator(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
+    bench = BenchEmulator(_profile(robot), np.random.default_rng(seed), fresh=fresh)
     try:
-        server = TcpBusServer(bench, port=arguments.listen, turns_away=True)
+        server = TcpBusServer(bench, port=listen, turns_away=True)
     except OSError as error:
-        raise InputError(f"cannot listen on port {arguments.listen}: {error}; give another with --listen") from None
+        raise InputError(f"cannot listen on port {listen}: {error}; give another with --listen") from None
     with server:
         say(f"servos on {server.url}; in another terminal: sextant servos scan --port {server.url}")
         say(f"{bench.obey('list')}; type {HELP}")
@@ -265,17 +326,17 @@ def _ended_once() -> AbstractContextManager[object]:
 
 
 @contextmanager
-def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
+def _line(bus: Bus, profile: "RobotProfile") -> "Iterator[Line]":
     """Open the servo port; close it at the end, also after a signal."""
     from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
 
-    rates = (BAUD_RATE,) if "://" in arguments.port else USUAL_RATES
-    with _ended_once(), closing(Line(lambda rate: _bus(arguments, profile, rate), rates)) as line:
+    rates = (BAUD_RATE,) if bus.networked else USUAL_RATES
+    with _ended_once(), closing(Line(lambda rate: _open(bus, profile, rate), rates)) as line:
         yield line
 
 
-def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | None = None) -> "ServoBus":
+def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None) -> "ServoBus":
     """Open the servos at the port, at a baud rate [1/s]; None is the robot's own.
 
     Raises:
@@ -284,19 +345,19 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
     from sextant.shared.servo import dynamixel as dxl
 
-    patience, names = _NETWORK_PATIENCE_NS if "://" in arguments.port else PATIENCE_NS, profile.servo_names
+    patience, names = _NETWORK_PATIENCE_NS if bus.networked else PATIENCE_NS, profile.servo_names
     return ServoBus(
-        open_port(arguments.port, rate or BAUD_RATE, patience),
+        open_port(bus.port, rate or BAUD_RATE, patience),
         list(names),
         time.monotonic_ns,
         model=dxl.MODEL_NAMED[profile.servo.model],
         names=names,
-        echo=arguments.echo,
+        echo=bus.echo,
         reply_timeout_ns=patience,
     )
 
 
-def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
+def _bridge(port: str, profile: "RobotProfile") -> "Bridge":
     """Open the servos behind a microcontroller at the port.
 
     Raises:
@@ -305,8 +366,7 @@ def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
     from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 
-    port = open_port(arguments.port, timeout_ns=READ_NS)
-    return Bridge(port, list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
+    return Bridge(open_port(port, timeout_ns=READ_NS), list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
 
 
 def _profile(robot: str) -> "RobotProfile":

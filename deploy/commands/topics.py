@@ -1,25 +1,34 @@
 """`sextant topics`: the topic table, and the messages that are received."""
 
-import argparse
 import json
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
+from sextant.deploy.commands.recordings import foxglove
+from sextant.deploy.commands.ros2 import ros2
+from sextant.deploy.terminal.arguments import Choice, Group, argument, flag, option
 
 if TYPE_CHECKING:
     from sextant.deploy.topics.passive_subscriber import ReceivedMessage
     from sextant.shared.runtime.service import AnyTopic
+    from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.1
 
+topics = Group("topics", "List topics, print messages, measure rates; pass them on to Foxglove or ROS 2.")
+_keys = argument("keys", "topics to receive (default: all except camera images)", "[KEY]...", nargs=-1)
 
-def list_topics(arguments: argparse.Namespace) -> int:
-    """`sextant topics list`: print the topic table."""
+
+@topics.command("list")
+@options.as_json
+def list_topics(as_json: bool) -> int:
+    """Print the topic table."""
     from sextant.shared.wire.topics import TOPICS
 
-    if arguments.json:
+    if as_json:
         rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
         say(json.dumps(rows, indent=1))
         return SUCCESS
@@ -30,40 +39,53 @@ def list_topics(arguments: argparse.Namespace) -> int:
     return SUCCESS
 
 
-def docs(arguments: argparse.Namespace) -> int:
-    """`sextant topics docs`: print docs/keys.md or docs/parameters.md."""
+@topics.command("docs")
+@argument(
+    "page",
+    "keys, messages and schemas, or the parameters of the services (default: keys)",
+    type=Choice(("keys", "parameters")),
+    default="keys",
+)
+def docs(page: str) -> int:
+    """Print a reference page: docs/keys.md or docs/parameters.md."""
     try:
         from sextant.deploy.topics import keys_page, params_page
 
-        text = (params_page if arguments.page == "parameters" else keys_page).page()
+        text = (params_page if page == "parameters" else keys_page).page()
     except ImportError as error:
         raise InputError(f"{error}; the page needs all services installed: pip install 'sextant[all]'") from None
     say(text.rstrip("\n"))
     return SUCCESS
 
 
-def echo(arguments: argparse.Namespace) -> int:
-    """`sextant topics echo`: print messages until Ctrl-C or up to a count."""
+@topics.command("echo")
+@_keys
+@options.connection
+@option("--count", "number of messages to print (default: until Ctrl-C)", "N", type=options.POSITIVE)
+@option("--within", "time to wait for the first message", "S", type=options.SECONDS, default=5.0)
+@flag("--json", "print one JSON object per line", "as_json")
+def echo(keys: tuple[str, ...], connection: options.Connection, count: int | None, within: float, as_json: bool) -> int:
+    """Print received messages, large arrays as shape and range."""
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.deploy.topics.passive_subscriber import Mailbox, listen
     from sextant.shared.wire.transport import ZenohLink
 
-    wanted, told = _wanted(arguments), 0
-    mailbox, endpoints = Mailbox(), met(arguments)
+    wanted, told = _wanted(keys), 0
+    mailbox, endpoints = Mailbox(), connection.endpoints()
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         listen(link, wanted, mailbox.take, time.monotonic_ns)
-        patience_ns = time.monotonic_ns() + round(arguments.within * 1e9)
+        patience_ns = time.monotonic_ns() + round(within * 1e9)
         while not interrupts.asked():
             mailbox.news.wait(_LOOK_S)
             for heard in mailbox.drain():
-                told += _tell(heard, arguments.json)
-                if told == arguments.count:
+                told += _tell(heard, as_json)
+                if told == count:
                     return SUCCESS
                 if interrupts.asked():
                     break
                 patience_ns = 0
             if patience_ns and time.monotonic_ns() > patience_ns:
-                return _silent(wanted, arguments)
+                raise CommandError(_silence(wanted, within, endpoints))
     complain("stopped by the operator")
     return INTERRUPTED
 
@@ -86,23 +108,28 @@ def _tell(heard: "ReceivedMessage", as_json: bool) -> int:
     return 1
 
 
-def hz(arguments: argparse.Namespace) -> int:
-    """`sextant topics hz`: measure rate and bandwidth of each topic."""
+@topics.command("hz")
+@_keys
+@options.connection
+@option("--seconds", "measuring time", "S", type=options.SECONDS, default=5.0)
+@options.as_json
+def hz(keys: tuple[str, ...], connection: options.Connection, seconds: float, as_json: bool) -> int:
+    """Measure rate and bandwidth of each topic, and compare with the topic table."""
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.deploy.topics import topic_stats
     from sextant.deploy.topics.passive_subscriber import listen
     from sextant.shared.wire.transport import ZenohLink
 
-    wanted = _wanted(arguments)
-    counted, endpoints = topic_stats.Rates(wanted), met(arguments)
+    wanted = _wanted(keys)
+    counted, endpoints = topic_stats.Rates(wanted), connection.endpoints()
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         began_ns = time.monotonic_ns()
         listen(link, wanted, counted.take, time.monotonic_ns)
-        duration_s = _wait(arguments.seconds, began_ns, interrupts.asked)
+        duration_s = _wait(seconds, began_ns, interrupts.asked)
         rows = counted.rows(duration_s)
     if not any(row.frames for row in rows):
-        return _silent(wanted, argparse.Namespace(**{**vars(arguments), "within": duration_s}))
-    say(json.dumps(topic_stats.for_scripts(rows, duration_s), indent=1) if arguments.json else topic_stats.in_words(rows))
+        raise CommandError(_silence(wanted, duration_s, endpoints))
+    say(json.dumps(topic_stats.for_scripts(rows, duration_s), indent=1) if as_json else topic_stats.in_words(rows))
     return INTERRUPTED if interrupts.asked() else SUCCESS
 
 
@@ -113,24 +140,26 @@ def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
     return passed_s
 
 
-def _wanted(arguments: argparse.Namespace) -> "tuple[AnyTopic, ...]":
+def _wanted(keys: tuple[str, ...]) -> "tuple[AnyTopic, ...]":
     from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, topics_named
 
     try:
-        wanted = topics_named(arguments.keys)
+        wanted = topics_named(keys)
     except ValueError as error:
         raise InputError(str(error)) from None
-    if not arguments.keys:
+    if not keys:
         complain(f"not subscribed: {', '.join(t.key for t in ONLY_BY_NAME)} (large, or published only on request); name them")
     return wanted
 
 
-def _silent(wanted: "tuple[AnyTopic, ...]", arguments: argparse.Namespace) -> int:
-    where = ", ".join(arguments.connect or [ROUTER])
+def _silence(wanted: "tuple[AnyTopic, ...]", within_s: float, endpoints: "Endpoints") -> str:
     what = wanted[0].key if len(wanted) == 1 else f"any of {len(wanted)} topics"
-    complain(
-        f"sextant {arguments.name}: no message of {what} received within {arguments.within:.3g} s at {where}, namespace "
-        f"{arguments.namespace}; is the robot up (`sextant up`), and does it use this --namespace? `sextant topics hz` "
+    return (
+        f"no message of {what} received within {within_s:.3g} s at {', '.join(endpoints.connect)}, namespace "
+        f"{endpoints.namespace}; is the robot up (`sextant up`), and does it use this --namespace? `sextant topics hz` "
         "shows which topics are published"
     )
-    return FAILED
+
+
+topics.add_command(foxglove)
+topics.add_command(ros2)

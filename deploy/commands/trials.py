@@ -1,72 +1,108 @@
 """`sextant trials`: many seeds of one scenario or of all, and result tables."""
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
-from sextant.deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario, open_progress, out_folder, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say
+from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option
 from sextant.shared.files import whole_files
 
+_GROUPS = ("all", "passages", "troubles")
 
-def trials(arguments: argparse.Namespace) -> int:
-    """`sextant trials`: measure the success rate over many seeds, in lockstep."""
-    if arguments.scenario in ("all", "passages", "troubles"):
-        return _campaign(arguments)
-    scenario = asked_scenario(arguments)
-    out = out_folder(arguments, f"trials-{scenario.name}")
+
+@command()
+@argument("scenario", "scenario name or TOML file; or a group: all, passages, troubles", "SCENARIO")
+@options.variant
+@option(
+    "--seeds",
+    "seeds from A to B, B not included; or commit:N, N seeds derived from the hash of the commit, not chosen by hand",
+    "A:B",
+    type=Parsed(options.any_seeds, "seeds"),
+    required=True,
+)
+@flag("--blind", "also run the baseline without a map, and compare")
+@options.jobs
+@option("--out", "folder to write to; seeds stored there are not run again", "DIR")
+@options.as_json
+def trials(
+    scenario: str, variant: options.Variant, seeds: Sequence[int], blind: bool, jobs: int, out: str | None, as_json: bool
+) -> int:
+    """Run a scenario in lockstep with many seeds: success rate with 95 % interval.
+
+    `sextant trials table` prints tables of stored trials without running anything; see `sextant trials table --help`.
+    """
+    if scenario in _GROUPS:
+        return _campaign(scenario, variant, seeds, blind, jobs, out, as_json)
+    course = variant.load(scenario)
+    folder = out_folder(out, f"trials-{course.name}")
     from sextant.deploy.campaign import trials as batches
 
-    progress = open_progress(arguments.json)
-    seeing = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, say=progress.say)
+    progress = open_progress(as_json)
+    seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
     baseline = None
-    if arguments.blind:
+    if blind:
         progress.say("now the same seeds without a map")
-        baseline = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, blind=True, say=progress.say)
+        baseline = batches.run_trials(course, seeds, jobs, folder, blind=True, say=progress.say)
     text = batches.to_json(seeing, baseline)
-    say(text.rstrip("\n") if arguments.json else batches.words(seeing, baseline))
-    whole_files.write_text(out / "trials.json", text, durable=True)
-    if not arguments.json:
-        say(f"written to {out}: trials.json, trials.jsonl")
+    say(text.rstrip("\n") if as_json else batches.words(seeing, baseline))
+    whole_files.write_text(folder / "trials.json", text, durable=True)
+    if not as_json:
+        say(f"written to {folder}: trials.json, trials.jsonl")
     return SUCCESS
 
 
-def _campaign(arguments: argparse.Namespace) -> int:
-    """`sextant trials all`, `passages`, `troubles`: run a group of scenarios.
-
-    Print one table of all of them.
-    """
+def _campaign(
+    group: str, variant: options.Variant, seeds: Sequence[int], blind: bool, jobs: int, out: str | None, as_json: bool
+) -> int:
+    """Run a group of scenarios, and print one table of all of them."""
     from sextant.deploy.campaign import campaign_table as tables
     from sextant.deploy.campaign import results_store
     from sextant.deploy.campaign.campaign import run_campaign
     from sextant.deploy.campaign.passage_table import markdown as sections
 
-    passages = arguments.scenario == "passages"
-    asked = as_asked(arguments)
-    out = out_folder(arguments, f"trials-{arguments.scenario}")
-    hear = open_progress(arguments.json).say
-    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[arguments.scenario]
+    passages = group == "passages"
+    folder = out_folder(out, f"trials-{group}")
+    hear = open_progress(as_json).say
+    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[group]
     table = "passages" if passages else "walks"
-    found = run_campaign(courses, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear, table=table)
-    say(tables.to_json(found).rstrip("\n") if arguments.json else tables.markdown(found, table))
-    if passages and not arguments.json:
-        say(sections(results_store.read(out / "campaign.jsonl")))
-    tables.write(found, out, table)
-    if not arguments.json:
-        say(f"written to {out}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
+    found = run_campaign(courses, seeds, jobs, folder, blind, variant.applied(), hear, table=table)
+    say(tables.to_json(found).rstrip("\n") if as_json else tables.markdown(found, table))
+    if passages and not as_json:
+        say(sections(results_store.read(folder / "campaign.jsonl")))
+    tables.write(found, folder, table)
+    if not as_json:
+        say(f"written to {folder}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
     return SUCCESS
 
 
-def table(arguments: argparse.Namespace) -> int:
-    """`sextant trials table`: print a table of stored runs, without running anything."""
+@command("trials table", hidden=True)
+@argument(
+    "kept",
+    "output folder of trials, or its campaign.jsonl; parts of a campaign are combined",
+    "KEPT...",
+    nargs=-1,
+    required=True,
+)
+@option(
+    "--of",
+    "content of the table: walks, goals reached, missteps, map errors, passages, or each planned section of the passages",
+    type=Choice(("walks", "reached", "missteps", "maps", "passages", "sections")),
+    default="walks",
+)
+@flag("--json", "print all of it as JSON", "as_json")
+def table(kept: tuple[str, ...], of: str, as_json: bool) -> int:
+    """Print a Markdown table of stored trials without running anything."""
     from sextant.deploy.campaign import campaign_table as tables
     from sextant.deploy.campaign import passage_table, results_store
 
-    paths = results_store.files([Path(place) for place in arguments.kept])
+    paths = results_store.files([Path(place) for place in kept])
     runs = [run for path in paths for run in results_store.read(path)]
     if not runs:
         raise InputError(f"no finished run in {', '.join(map(str, paths))}")
-    if arguments.of == "sections" and not arguments.json:
+    if of == "sections" and not as_json:
         say(passage_table.markdown(runs).rstrip("\n"))
         return SUCCESS
     found = tables.of_runs(runs)
-    say((tables.to_json(found) if arguments.json else tables.markdown(found, arguments.of)).rstrip("\n"))
+    say((tables.to_json(found) if as_json else tables.markdown(found, of)).rstrip("\n"))
     return SUCCESS

@@ -1,29 +1,87 @@
 """`sextant up`: the processes of a role, until Ctrl-C."""
 
-import argparse
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
-    from sextant.deploy.launch.process_table import Choices, Process
+    from sextant.deploy.launch.process_table import Choices, Process, Role
     from sextant.deploy.security.router_security import Gate
 
 
-def up(arguments: argparse.Namespace) -> int:
-    """`sextant up`: run the processes of a role until Ctrl-C."""
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """The processes that start on this machine, and the machines that they connect to."""
+
+    role: "Role"
+    scenario: str | None
+    no_page: bool
+    robot: str
+    camera: str
+    seed: int
+    also: tuple[str, ...]
+    without: tuple[str, ...]
+    listen: tuple[str, ...]
+    connect: tuple[str, ...]
+    key_folder: str | None
+    unguarded: bool
+    namespace: str
+    settings: tuple[str, ...]
+
+
+launch_options = options_of(
+    Launch,
+    "launch",
+    argument(
+        "role",
+        "processes to start; onboard: actuator, stop, camera, perception; offboard: all others",
+        type=Choice(("all", "onboard", "offboard", "sim")),
+    ),
+    option("--scenario", "scenario to simulate instead of the hardware", "NAME"),
+    flag("--no-page", "do not start the console, so there is no operator's page"),
+    option("--robot", "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)", "NAME", default=""),
+    option("--camera", "openni2, realsense, none, or a recorded folder (default: the profile's)", "DEVICE", default=""),
+    options.seed,
+    option("--with", "also run these processes here, e.g. mapper,planner", "NAMES", into="also", multiple=True),
+    option("--without", "processes not to start here", "NAMES", multiple=True),
+    option(
+        "--listen",
+        "endpoint of this machine's router (default: tcp/127.0.0.1:7447, with --keys also tls/0.0.0.0:7448)",
+        "ENDPOINT",
+        multiple=True,
+    ),
+    option(
+        "--connect",
+        "router of another machine to connect to whenever reachable, e.g. tls/robot.local:7448",
+        "ENDPOINT",
+        multiple=True,
+    ),
+    options.keys,
+    flag("--open", "admit any client, without certificates; repeats a warning while it runs", "unguarded"),
+    options.namespace,
+    option("--set", "setting or parameter of a service; repeatable", "SERVICE.KEY=VALUE", into="settings", multiple=True),
+)
+
+
+@command()
+@launch_options
+@flag("--print-zenoh", "print the Zenoh configuration of this machine's router, and start nothing")
+def up(launch: Launch, print_zenoh: bool) -> int:
+    """Run the processes of a role until Ctrl-C."""
     from sextant.deploy.launch import process_table
     from sextant.deploy.launch.host_launcher import HostLauncher
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.process_priority import allow_many_files
 
-    rows, chosen, extra = asked(arguments)
-    if arguments.print_zenoh:
-        return _print_zenoh(gate_of(arguments, rows, process_table.ROUTER_ENDPOINT))
+    rows, chosen, extra = asked(launch)
+    if print_zenoh:
+        return _print_zenoh(gate_of(launch, rows, process_table.ROUTER_ENDPOINT))
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         _see_servo_port(extra.get("actuator", ()))
     paged = any(row.name == "console" for row in rows)
@@ -32,8 +90,8 @@ def up(arguments: argparse.Namespace) -> int:
     process_table.new_robot(chosen)
     allow_many_files()
     with Interrupts() as interrupts:
-        gated = _apart(gate_of(arguments, rows, _usual(arguments)))
-        with HostLauncher(arguments.role, rows, chosen, extra, gated, complain) as half:
+        gated = _apart(gate_of(launch, rows, _usual(launch)))
+        with HostLauncher(launch.role, rows, chosen, extra, gated, complain) as half:
             say(half.where())
             say(f"starting {', '.join(half.names)}; Ctrl-C stops them")
             if paged:
@@ -60,22 +118,22 @@ def _print_zenoh(gated: "Gate") -> int:
     return SUCCESS
 
 
-def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
+def asked(launch: Launch) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
     """Return the requested processes, their settings, and further settings by name."""
-    rows, chosen = _rows(arguments), _choices(arguments)
-    device = _camera(arguments.camera, chosen.robot, rows)
+    rows, chosen = _rows(launch), _choices(launch)
+    device = _camera(launch.camera, chosen.robot, rows)
     if device == "none":
         rows = tuple(row for row in rows if row.side != "device")
-    return rows, replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
+    return rows, replace(chosen, camera=launch.camera and device), _extra(launch.settings, rows)
 
 
-def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
+def _rows(launch: Launch) -> "tuple[Process, ...]":
     """Return the requested processes: those of the role, plus --with, minus --without."""
     from sextant.deploy.launch import process_table
 
-    usual = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
+    usual = process_table.rows(launch.role, simulated=launch.scenario is not None, page=not launch.no_page)
     try:
-        return process_table.rearranged(usual, _names(arguments.also), _names(arguments.without), arguments.role)
+        return process_table.rearranged(usual, _names(launch.also), _names(launch.without), launch.role)
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -84,7 +142,7 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for word in words for name in word.split(",") if name)
 
 
-def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str) -> "Gate":
+def gate_of(launch: Launch, rows: "Sequence[Process]", usual: str) -> "Gate":
     """Return endpoints and access rules of this machine's router.
 
     It listens at `usual` where --listen is not given.
@@ -94,8 +152,8 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
     """
     from sextant.deploy.security import router_security
 
-    keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
-    gated = router_security.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
+    keys, upstream = launch.key_folder, launch.connect
+    gated = router_security.of_arguments(launch.listen, keys, launch.unguarded, launch.namespace, usual, upstream)
     gated.configuration()  # raises if the keys are wrong, before anything starts
     if misplaced := gated.misplaced([row.name for row in rows]):
         raise InputError(misplaced)
@@ -112,31 +170,31 @@ def _apart(gated: "Gate") -> "Gate":
     return replace(gated, listen=(f"tcp/127.0.0.1:{free_port()}", *gated.listen))
 
 
-def _usual(arguments: argparse.Namespace) -> str:
+def _usual(launch: Launch) -> str:
     """Return the usual router endpoint, or one with a free port if it is taken."""
     from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
 
-    if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
+    if not (launch.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
     return f"tcp/127.0.0.1:{free_port()}"  # a second machine's processes on the same machine
 
 
-def _choices(arguments: argparse.Namespace) -> "Choices":
+def _choices(launch: Launch) -> "Choices":
     from sextant.deploy.launch.launcher import free_port
     from sextant.deploy.launch.process_table import Choices, choices
     from sextant.shared.scenario.scenario import load_scenario
 
-    robot = asked_robot(arguments)
-    if arguments.scenario is None and arguments.role != "sim":
+    robot = options.checked_robot(launch.robot)
+    if launch.scenario is None and launch.role != "sim":
         return Choices(robot=robot) if robot else Choices()
-    source = arguments.scenario or "steps"
+    source = launch.scenario or "steps"
     if source.endswith(".toml"):
         source = str(Path(source).resolve())
-    chosen = choices(load_scenario(source), source, arguments.seed)
+    chosen = choices(load_scenario(source), source, launch.seed)
     chosen = replace(chosen, robot=robot) if robot else chosen
     # If both ends of the simulated servo bus start here, any free port will do, so two sets on one machine do not clash.
-    return replace(chosen, bus_port=free_port()) if arguments.role in ("all", "onboard") else chosen
+    return replace(chosen, bus_port=free_port()) if launch.role in ("all", "onboard") else chosen
 
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:

@@ -1,13 +1,15 @@
 """`sextant video`: a recorded run as a video."""
 
-import argparse
+import math
 import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sextant.deploy.commands import options
 from sextant.deploy.commands.common import SUCCESS, InputError, complain, say
+from sextant.deploy.terminal.arguments import Parsed, argument, command, number, option
 
 if TYPE_CHECKING:
     from sextant.deploy.video.ground import Ground
@@ -16,29 +18,47 @@ if TYPE_CHECKING:
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
+_INSTANT = number(0.0, 1e6, "seconds")  # from the beginning
 _FEET_OFF = 0.02  # [m] median height of standing feet off the ground beyond which the ground is a different one
 
 
-def video(arguments: argparse.Namespace) -> int:
-    """`sextant video`: draw the recorded robot on its ground."""
+@command()
+@argument("run", "folder of a run, an MCAP file, or a folder of them", "RUN")
+@option(
+    "--out", "output file: .mp4, .webm, .avi, or animated .webp, .gif, .png (default: walk.mp4 next to the recording)", "FILE"
+)
+@option("--speed", "playback speed", "X", type=number(0.05, 100.0, "a number"), default=1.0)
+@option("--size", "picture size in pixels", "WxH", type=Parsed(options.picture_size, "size"), default="1280x720")
+@option(
+    "--scenario", "scenario that gives the ground, by name or TOML file (default: the recorded scenario)", "NAME", default=""
+)
+@option("--fps", "frames per second", "N", type=number(1.0, 120.0, "frames per second"), default=25.0)
+@option("--from", "start time in the recording (default: 0)", "S", into="from_s", type=_INSTANT, default=0.0)
+@option("--to", "end time in the recording (default: its end)", "S", into="to_s", type=_INSTANT, default=math.inf)
+def video(
+    run: str, out: str | None, speed: float, size: tuple[int, int], scenario: str, fps: float, from_s: float, to_s: float
+) -> int:
+    """Draw a video of a recorded run: robot, ground, map, footholds and reports."""
     from sextant.deploy.video import video_writer
     from sextant.deploy.video.film import Animation, Cut
     from sextant.deploy.video.timeline import Timeline
     from sextant.shared.recording.reader import Recording
     from sextant.shared.robot.profiles import load_profile
 
-    run = Path(arguments.run)
-    out = Path(arguments.out) if arguments.out else _beside(run)
-    if out.suffix.lower() not in video_writer.SUFFIXES:
-        raise InputError(f"--out: a name that ends in one of {', '.join(video_writer.SUFFIXES)} expected, found {out.name!r}")
-    recording = Recording(_recording_of(run))
+    source = Path(run)
+    target = Path(out) if out else _beside(source)
+    if target.suffix.lower() not in video_writer.SUFFIXES:
+        raise InputError(
+            f"--out: a name that ends in one of {', '.join(video_writer.SUFFIXES)} expected, found {target.name!r}"
+        )
+    recording = Recording(_recording_of(source))
     story = Timeline.read(recording)
     for path in recording.cut_off:
         complain(f"{path} is truncated; its first {story.duration_s:.1f} s are drawn")
-    about = _about(run, recording.about, story)
+    about = _about(source, recording.about, story)
     profile = load_profile(about["robot"])
-    ground, sinking = _ground(about, story, profile, arguments.scenario)
-    cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
+    ground, sinking = _ground(about, story, profile, scenario)
+    cut = Cut(size, fps, speed, from_s, to_s)
     try:
         title = _title(about) if ground is not None else f"{_title(about)}, on the robot's map"
         film = Animation(recording.path, story, profile, ground, title, cut, sinking)
@@ -57,9 +77,9 @@ def video(arguments: argparse.Namespace) -> int:
             say(f"{done:6d} of {total} frames, {(now - began) / (done - 1) * (total - done):.0f} s left")
 
     workers = min(os.cpu_count() or 1, 8)
-    count = video_writer.write(out, film.frames(workers, tell), cut.fps, cut.size)
-    seconds, size = count / cut.fps, out.stat().st_size
-    say(f"{out}: {count} frames, {seconds:.1f} s at {cut.fps:g} frames per second, {size / 1e6:.1f} MB")
+    count = video_writer.write(target, film.frames(workers, tell), cut.fps, cut.size)
+    seconds, written = count / cut.fps, target.stat().st_size
+    say(f"{target}: {count} frames, {seconds:.1f} s at {cut.fps:g} frames per second, {written / 1e6:.1f} MB")
     return SUCCESS
 
 

@@ -1,44 +1,94 @@
 """`sextant run` and `sextant demo`: one walk, over Zenoh or in lockstep."""
 
-import argparse
+import contextlib
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sextant.deploy.commands import options
 from sextant.deploy.commands.common import (
     FAILED,
     INTERRUPTED,
     SUCCESS,
+    CommandError,
     InputError,
-    asked_scenario,
-    complain,
-    met,
     open_progress,
     out_folder,
     say,
 )
+from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
     from sextant.deploy.evaluation.report import Report
-    from sextant.shared.wire.transport import Endpoints
+    from sextant.shared.scenario.scenario import Scenario
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """`sextant run`: run one scenario, over Zenoh or in lockstep."""
-    if arguments.lockstep and arguments.connect:
+@command()
+@argument("scenario", "name of a scenario that comes with sextant, or path of a TOML file", "SCENARIO")
+@options.variant
+@flag("--lockstep", "run in one process on simulated time, as fast as the machine allows")
+@flag("--bridge", "simulate a microcontroller on the servo bus, see docs/bridge.md")
+@flag("--slow-down", "slow simulated time down if this computer is too slow, as the demo does (default: real time)")
+@options.as_json
+@option("--record-depth", "also write the depth frames for `sextant replay` (with --lockstep)", "DIR")
+@options_of(
+    options.Connection,
+    "connection",
+    option("--connect", "use running services, at this endpoint, e.g. tcp/127.0.0.1:7447", "ENDPOINT", multiple=True),
+    options.namespace,
+    options.keys,
+)
+@option("--parent", "id of the launcher's process; this process ends with it", type=int, hidden=True)
+@options.seed
+@options.out
+def run(
+    scenario: str,
+    variant: options.Variant,
+    lockstep: bool,
+    bridge: bool,
+    slow_down: bool,
+    as_json: bool,
+    record_depth: str | None,
+    connection: options.Connection,
+    parent: int | None,
+    seed: int,
+    out: str | None,
+) -> int:
+    """Run a scenario; write a folder with report.json, pictures and recording.mcap.
+
+    With --connect it uses running services, else it starts them.
+    """
+    if lockstep and connection.connect:
         raise InputError("--lockstep runs in one process and connects to no router; leave --connect out")
-    if arguments.bridge and arguments.connect:
+    if bridge and connection.connect:
         raise InputError("--bridge is for services that this command starts; leave --connect out")
-    if arguments.set and arguments.connect:
+    if variant.params and connection.connect:
         raise InputError("--set is for services that this command starts; give it to the `sextant up` that starts them")
-    if arguments.record_depth and not arguments.lockstep:
+    if record_depth and not lockstep:
         raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
-    if arguments.slow_down and (arguments.lockstep or arguments.connect):
+    if slow_down and (lockstep or connection.connect):
         raise InputError("--slow-down is for services that this command starts live; leave --lockstep and --connect out")
-    if arguments.lockstep:
-        return _run_lockstep(arguments)
-    return _run_live(arguments)
+    course = variant.load(scenario)
+    walk = _Walk(replace(course, bridge=True) if bridge else course, scenario, seed, out, as_json)
+    if lockstep:
+        return _run_lockstep(walk, record_depth)
+    return _run_live(walk, connection, slow_down, "use --lockstep", parent)
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """One walk and where its results go."""
+
+    scenario: "Scenario"
+    source: str  # name or path of the scenario
+    seed: int
+    out: str | None
+    as_json: bool = False
+
+    def folder(self) -> Path:
+        """Create and return the output folder."""
+        return out_folder(self.out, f"{self.scenario.name}-{self.seed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,69 +118,66 @@ _TALKING = "Six processes communicate over Zenoh; the simulator stands in for th
 _LINE = 119  # characters
 
 
-def demo(arguments: argparse.Namespace) -> int:
-    """`sextant demo`: walk a course over Zenoh from a cold start: low steps, or a gap."""
-    shown = DEMOS[arguments.course]
-    arguments.scenario, arguments.robot, arguments.gait = shown.scenario, "", ""
-    arguments.lockstep, arguments.connect, arguments.json, arguments.slow_down = False, None, False, True
+@command()
+@argument("course", "course to walk (default: steps)", type=Choice(tuple(DEMOS)), default="steps")
+@options.seed
+@options.out
+@options.params
+def demo(course: str, seed: int, out: str | None, params: tuple[str, ...]) -> int:
+    """Simulate a walk over low steps, or across a gap, over Zenoh."""
+    shown = DEMOS[course]
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
-    status = _run_live(arguments)
+    walk = _Walk(options.Variant(params=params).load(shown.scenario), shown.scenario, seed, out)
+    status = _run_live(walk, None, True, f"use `sextant run {shown.scenario} --lockstep`")
     if status == SUCCESS:
         say(f"The robot stands at its goal. {shown.after}")
     return status
 
 
-def _run_lockstep(arguments: argparse.Namespace) -> int:
-    scenario = asked_scenario(arguments)
-    out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
-    import contextlib
-
+def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
     from sextant.deploy.replay.tum_recording import DepthRecorder
     from sextant.deploy.runs.lockstep_run import run_lockstep
     from sextant.shared.robot.profiles import load_profile
 
+    out = walk.folder()
     with contextlib.ExitStack() as stack:
         taps = []
-        if arguments.record_depth:
+        if record_depth:
             try:
-                recorder = DepthRecorder(Path(arguments.record_depth), load_profile(scenario.robot))
+                recorder = DepthRecorder(Path(record_depth), load_profile(walk.scenario.robot))
             except FileExistsError as error:
                 raise InputError(f"--record-depth: {error}; name a new folder") from None
             taps.append(stack.enter_context(recorder).tap)
-        report = run_lockstep(scenario, arguments.seed, out, open_progress(arguments.json), taps)
-    return _tell(report, out, arguments.json)
+        report = run_lockstep(walk.scenario, walk.seed, out, open_progress(walk.as_json), taps)
+    return _tell(report, out, walk.as_json)
 
 
-def _run_live(arguments: argparse.Namespace) -> int:
-    scenario = asked_scenario(arguments)
-    if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
+def _run_live(
+    walk: _Walk, connection: options.Connection | None, slow_down: bool, remedy: str, parent: int | None = None
+) -> int:
+    scenario, attach = walk.scenario, connection.endpoints() if connection and connection.connect else None
+    if attach and not all(fault.of_camera for fault in scenario.faults):
         raise InputError(f"{scenario.name} injects faults into services that this command starts; leave --connect out")
-    if arguments.connect and scenario.params:
+    if attach and scenario.params:
         raise InputError(f"{scenario.name} has [params] for services that this command starts; leave --connect out")
-    progress = open_progress(arguments.json)
-    out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
+    progress, out = open_progress(walk.as_json), walk.folder()
+    from sextant.deploy.runs import live_run
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
     with Interrupts() as interrupts:
-        if getattr(arguments, "parent", None):
-            end_with(arguments.parent)
-        from sextant.deploy.runs import live_run
-
-        attach = _attach(arguments)
+        if parent:
+            end_with(parent)
         problem = "" if attach else live_run.warm_up(progress, interrupts)
         if problem:
-            complain(f"sextant {arguments.name}: {problem}; `sextant doctor` checks what the services need")
-            return FAILED
+            raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
         if interrupts.asked():
-            complain("stopped by the operator")
-            return INTERRUPTED
-        source = str(Path(arguments.scenario).resolve()) if arguments.scenario.endswith(".toml") else arguments.scenario
+            raise KeyboardInterrupt
+        source = str(Path(walk.source).resolve()) if walk.source.endswith(".toml") else walk.source
         outcome = live_run.run_live_scenario(
-            scenario, source, arguments.seed, out, progress, interrupts, attach, slow_down=arguments.slow_down
+            scenario, source, walk.seed, out, progress, interrupts, attach, slow_down=slow_down
         )
-    lockstep = f"use `sextant run {scenario.name} --lockstep`" if arguments.name == "demo" else "use --lockstep"
-    status = _tell(outcome.report, out, arguments.json, f"{lockstep} or close programs")
+    status = _tell(outcome.report, out, walk.as_json, f"{remedy} or close programs")
     return INTERRUPTED if outcome.interrupted else status
 
 
@@ -147,9 +194,3 @@ def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --locks
             say(f"{report.too_slow}; {remedy}")
         say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
     return SUCCESS if report.success and (out / FILE).exists() else FAILED
-
-
-def _attach(arguments: argparse.Namespace) -> "Endpoints | None":
-    if not arguments.connect:
-        return None
-    return met(arguments)

@@ -36,7 +36,7 @@ def say(text: str) -> None:
         BrokenPipeError: The reader has closed the pipe.
         OutputError: It cannot be written.
     """
-    with _explained():
+    with explained():
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
 
@@ -50,7 +50,7 @@ def complain(text: str) -> None:
 
 @contextlib.contextmanager
 def flushed_output() -> Iterator[None]:
-    """Flush standard output at the end of the block, including output of argparse.
+    """Flush standard output at the end of the block, including printed help.
 
     Raises:
         BrokenPipeError: The reader has closed the pipe.
@@ -59,7 +59,7 @@ def flushed_output() -> Iterator[None]:
     try:
         yield
     finally:
-        with _explained():
+        with explained():
             sys.stdout.flush()
 
 
@@ -70,7 +70,8 @@ def discard_output() -> None:
 
 
 @contextlib.contextmanager
-def _explained() -> Iterator[None]:
+def explained() -> Iterator[None]:
+    """Turn an error of standard output into an OutputError with its cause."""
     try:
         yield
     except BrokenPipeError:

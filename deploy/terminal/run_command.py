@@ -1,30 +1,51 @@
-"""Run a command: exit status and error reporting."""
+"""Run a command: exit status, error reporting and completion of words in a shell."""
 
-import argparse
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Sequence
 
-from sextant.deploy.terminal.output import OutputError, complain, discard_output, flushed_output, prepare_streams
+import click
+
+from sextant.deploy.terminal.arguments import in_one_line, parse
+from sextant.deploy.terminal.output import (
+    OutputError,
+    complain,
+    discard_output,
+    explained,
+    flushed_output,
+    prepare_streams,
+)
 from sextant.shared.errors import SextantError
 from sextant.shared.files.whole_files import OUT_OF_ROOM, cause
 
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
-def run_command(program: str, parse: Callable[[Sequence[str]], argparse.Namespace], argv: Sequence[str]) -> int:
+class CommandError(SextantError):
+    """Failure of a command that the machine or the robot causes."""
+
+    exit_status = FAILED
+
+
+def run_command(program: click.Command, name: str, argv: Sequence[str]) -> int:
     """Parse and run a command; return its exit status.
 
     Args:
-        program: Name of the program, for messages.
-        parse: Returns the arguments, with `name` and `command` of the chosen command; ends the program if they are invalid.
+        program: The commands.
+        name: Name of the program, for messages.
         argv: Command line after the program.
     """
     prepare_streams()
-    name = program
+    variable = f"_{name}_COMPLETE".upper()
     try:
         with flushed_output():
-            arguments = parse(argv)
-            name = f"{program} {arguments.name}"
-            return int(arguments.command(arguments))
+            if asked := os.environ.get(variable):
+                from click.shell_completion import shell_complete
+
+                return shell_complete(program, {}, name, variable, asked)
+            with explained():  # it may print the help
+                chosen = parse(program, name, argv)
+            name = chosen.path
+            return chosen.run()
     except KeyboardInterrupt:
         complain("stopped by the operator")
         return INTERRUPTED
@@ -35,6 +56,9 @@ def run_command(program: str, parse: Callable[[Sequence[str]], argparse.Namespac
         discard_output()
         complain(f"{name}: {error}")
         return FAILED
+    except click.UsageError as error:
+        complain(in_one_line(error))
+        return WRONG_INPUT
     except SextantError as error:
         complain(f"{name}: {error}")
         return error.exit_status

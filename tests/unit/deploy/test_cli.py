@@ -1,22 +1,25 @@
-import argparse
 import contextlib
 import importlib.util
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import click
 import pytest
 
+from benchmarks.cli import benchmarks
 from sextant.deploy import cli
 from sextant.deploy.campaign import trials
 from sextant.deploy.commands.common import out_folder
 from sextant.deploy.evaluation.report import Report, write
 from sextant.deploy.launch.process_table import Command
+from sextant.deploy.terminal.arguments import parse
+from sextant.deploy.terminal.run_command import run_command
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.messages import GaitName
 from sextant.shared.wire.topics import TOPICS
@@ -89,9 +92,7 @@ def test_invalid_input_is_refused_with_cause_and_suggestion(
     ],
 )
 def test_invalid_arguments_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as refused:
-        cli.main(words)
-    assert refused.value.code == 2
+    assert cli.main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("sextant")
     assert line.endswith("--help`")
@@ -182,11 +183,10 @@ def test_internal_error_is_not_reported_as_usage_error(monkeypatch: pytest.Monke
 
 def test_run_output_folder_is_new_by_default_or_given_by_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    parse = cli.parse
-    named = out_folder(parse(["run", "steps", "--out", "here/there"]), "steps-3")
+    named = out_folder("here/there", "steps-3")
     assert named == Path("here/there")
     assert named.is_dir()
-    assert out_folder(parse(["run", "steps"]), "steps-3").parent == Path("runs")
+    assert out_folder(None, "steps-3").parent == Path("runs")
 
 
 def test_unwritable_output_folder_is_refused_before_trials_start(
@@ -277,9 +277,7 @@ def test_run_reports_slow_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_unknown_demo_course_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["demo", "gpa"])
-    assert ended.value.code == 2
+    assert cli.main(["demo", "gpa"]) == 2
     assert "did you mean 'gap'?" in capsys.readouterr().err
 
 
@@ -334,11 +332,10 @@ def test_commit_seeds_require_clean_checkout(monkeypatch: pytest.MonkeyPatch) ->
 
     words = ["trials", "all", "--seeds", "commit:7"]
     monkeypatch.setattr(provenance, "seeds_of_commit", lambda count: list(range(count)))
-    assert cli.parse(words).seeds == list(range(7))
+    assert parse(cli.sextant, "sextant", words).values["seeds"] == list(range(7))
     monkeypatch.undo()
     monkeypatch.setattr(provenance, "commit", lambda: "abcdef0+")
-    with pytest.raises(SystemExit):
-        cli.parse(words)
+    assert cli.main(words) == 2
 
 
 def test_trials_of_all_terrains_print_one_table(
@@ -461,9 +458,8 @@ def test_robot_and_gait_options_override_scenario(
 
 def test_gait_option_accepts_exactly_the_known_gaits() -> None:
     for gait in get_args(GaitName):
-        assert cli.parse(["run", "flat", "--gait", gait]).gait == gait
-    with pytest.raises(SystemExit):
-        cli.parse(["run", "flat", "--gait", "gallop"])
+        assert parse(cli.sextant, "sextant", ["run", "flat", "--gait", gait]).values["gait"] == gait
+    assert cli.main(["run", "flat", "--gait", "gallop"]) == 2
 
 
 def test_closed_stdout_pipe_causes_no_traceback() -> None:
@@ -499,10 +495,41 @@ def test_bench_command_redirects_to_benchmarks_module(
     assert "in a checkout of Sextant" in capfd.readouterr().err
 
 
-def test_at_most_16_commands_with_help_of_at_most_60_lines() -> None:
-    parser = cli._parser()
-    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    listed = {choice.dest for choice in commands._choices_actions}
-    assert len(listed) <= 16
-    for name in listed:
-        assert commands.choices[name].format_help().count("\n") <= 60, name
+def commands(group: click.Group, *path: str) -> Iterator[tuple[str, ...]]:
+    """Yield the words of each command that the help lists."""
+    for name, one in group.commands.items():
+        if not one.hidden:
+            yield *path, name
+            if isinstance(one, click.Group):
+                yield from commands(one, *path, name)
+
+
+@pytest.mark.parametrize("group", [cli.sextant, benchmarks], ids=["sextant", "benchmarks"])
+def test_help_of_each_command_fits_80_columns_and_60_lines(
+    group: click.Group, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert group is not cli.sextant or sum(not one.hidden for one in group.commands.values()) <= 16
+    hidden = (("trials", "table"),) if group is cli.sextant else ()
+    for words in ((), *commands(group), *hidden):
+        assert run_command(group, "program", [*words, "--help"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) <= 60, words
+        assert all(len(line) <= 80 for line in lines), words
+        assert lines[0].startswith(" ".join(("Usage: program", *words))), words
+
+
+def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("sextant ")
+
+
+def test_shell_completes_commands_options_and_choices(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, expected in (("sextant pl", "plot"), ("sextant run --lock", "--lockstep"), ("sextant run --gait wa", "wave")):
+        monkeypatch.setenv("_SEXTANT_COMPLETE", "bash_complete")
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+        assert cli.main([]) == 0
+        assert capsys.readouterr().out.splitlines() == [f"plain,{expected}"]

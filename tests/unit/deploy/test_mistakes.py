@@ -71,13 +71,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 MISTAKES = [
     # Commands, options and values.
-    ("", "COMMAND"),
+    ("", "a command expected, found none"),
     ("walk", "see `sextant --help`"),
-    ("rnu flat", "unknown 'rnu'; did you mean 'run'?"),
-    ("Run flat", "unknown 'Run'; did you mean 'run'?"),
+    ("rnu flat", "unknown command 'rnu'; did you mean 'run'?"),
+    ("Run flat", "unknown command 'Run'; did you mean 'run'?"),
     ("trial flat --seeds 0:2", "did you mean 'trials'?"),
-    ("topics lst", "unknown 'lst'; did you mean 'list'?"),
-    ("servos calibarte", "unknown 'calibarte'; did you mean 'calibrate'?"),
+    ("topics lst", "unknown command 'lst'; did you mean 'list'?"),
+    ("servos calibarte", "unknown command 'calibarte'; did you mean 'calibrate'?"),
     ("keys shwo here", "did you mean 'show'?"),
     ("demo step", "did you mean 'steps'?"),
     ("up onbord", "did you mean 'onboard'?"),
@@ -85,9 +85,9 @@ MISTAKES = [
     ("run flat --gait tripode", "--gait: unknown 'tripode'; did you mean 'tripod'?"),
     ("run flat --sed 3", "unknown option '--sed'; did you mean '--seed'?"),
     ("run flat --lockstepp", "unknown option '--lockstepp'; did you mean '--lockstep'?"),
-    ("run flat stairs", "unexpected 'stairs'"),
-    ("run", "the following arguments are required: scenario"),
-    ("run flat --seed", "--seed: expected one argument"),
+    ("run flat stairs", "unexpected extra argument (stairs)"),
+    ("run", "SCENARIO expected, found none"),
+    ("run flat --seed", "option '--seed' requires an argument"),
     ("run flat --seed -1", "--seed"),
     ("run flat --seed 1.5", "--seed: a whole number of at least 0 expected, found '1.5'"),
     ("run flat --seed " + "9" * 5000, "--seed: a whole number of at least 0 expected"),
@@ -165,10 +165,7 @@ CASES = [*(("sextant", *case) for case in MISTAKES), *((benchmarks.PROGRAM, *cas
 def test_usage_error_prints_one_sentence_without_traceback(
     program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    try:
-        status = MAINS[program](line.split())
-    except SystemExit as ended:
-        status = int(str(ended.code))
+    status = MAINS[program](line.split())
     printed = capsys.readouterr()
     assert status in (1, 2)
     assert message in printed.err

@@ -63,11 +63,7 @@ def test_invalid_input_is_refused_before_any_servo_instruction(
     words: list[str], hint: str, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("other.toml").write_text('extends = "lotriet_rx64"\n')
-    try:
-        status = cli.main(["servos", *words, *(["--port", url] if words[0] != "emulate" else [])])
-    except SystemExit as end:  # of the argument parser
-        status = end.code  # type: ignore[assignment]
-    assert status == 2
+    assert cli.main(["servos", *words, *(["--port", url] if words[0] != "emulate" else [])]) == 2
     assert hint in capsys.readouterr().err
     assert not bench.counts.instructions
 

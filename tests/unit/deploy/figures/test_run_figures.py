@@ -139,7 +139,7 @@ def test_comparison_table_shows_report_values_or_dash(good, fallen):
 def test_plot_command_draws_requested_figures_and_comparison(story, kept, scenario, tmp_path, capsys):
     good, fallen = kept("good", story(moved_leg=2, drift=0.02, bob=0.001)), kept("fallen", story(topple_s=4.0, bob=0.003))
     out = ["--scenario", scenario, "--out", str(tmp_path / "plots")]
-    assert cli.main(["plot", str(good), str(fallen), "--what", "height", "footholds", "--format", "pdf", *out]) == 0
+    assert cli.main(["plot", str(good), str(fallen), "--what", "height", "--what", "footholds", "--format", "pdf", *out]) == 0
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["footholds.pdf", "height.pdf"]
     printed = capsys.readouterr()
     assert "|  | good | fallen |" in printed.out

@@ -32,6 +32,7 @@ from sextant.deploy.ros2.bridge import (
 from sextant.deploy.ros2.lead import Lead, Walk
 from sextant.deploy.ros2.message_types import decode, encode, type_hash
 from sextant.deploy.ros2.names import Node, dds_name, gid
+from sextant.deploy.terminal.arguments import parse
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox
@@ -405,7 +406,7 @@ def test_invalid_input_is_reported(
 
 def test_domain_defaults_to_ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    assert cli.parse(["topics", "ros2"]).domain == 42
+    assert parse(cli.sextant, "sextant", ["topics", "ros2"]).values["domain"] == 42
     monkeypatch.setenv("ROS_DOMAIN_ID", "")
-    assert cli.parse(["topics", "ros2"]).domain == 0
-    assert cli.parse(["topics", "ros2", "--domain", "1"]).domain == 1
+    assert parse(cli.sextant, "sextant", ["topics", "ros2"]).values["domain"] == 0
+    assert parse(cli.sextant, "sextant", ["topics", "ros2", "--domain", "1"]).values["domain"] == 1

@@ -1,0 +1,199 @@
+"""Options and types of values that several commands share."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sextant.deploy.commands.common import InputError
+from sextant.deploy.terminal.arguments import Choice, flag, number, option, options_of, whole
+
+_Function = Callable[..., Any]
+
+if TYPE_CHECKING:
+    from sextant.shared.scenario.scenario import Link, Scenario
+    from sextant.shared.wire.messages import GaitName
+    from sextant.shared.wire.transport import Endpoints
+
+ROUTER = "tcp/127.0.0.1:7447"  # of the robot, by default
+_MOST_SERVO_IDS = 254  # the next id is the broadcast id
+_LARGEST_SEED = 2**53
+_MOST_SEEDS = 1_000_000
+
+NATURAL, POSITIVE = whole(0), whole(1)
+PORT = whole(0, 65535)
+SECONDS = number(0.001, 86400.0, "seconds")
+GAIT = Choice(("tripod", "ripple", "wave"))
+
+
+def seeds(text: str) -> range:
+    """Parse seeds A:B, B not included."""
+    found = re.fullmatch(r"(\d{1,16}):(\d{1,16})", text)
+    if found is None or not int(found[1]) < int(found[2]) <= _LARGEST_SEED:
+        raise ValueError(f"A:B with A < B expected, B not included, found {text[:60]!r}; for example 0:50")
+    if int(found[2]) - int(found[1]) > _MOST_SEEDS:
+        raise ValueError(f"at most {_MOST_SEEDS} seeds expected, found {text[:60]!r}; for example 0:50")
+    return range(int(found[1]), int(found[2]))
+
+
+def servo_ids(text: str) -> range:
+    """Parse servo ids A:B, B not included."""
+    found = seeds(text)
+    if found.stop > _MOST_SERVO_IDS:
+        raise ValueError(f"ids of servos expected, 0 to {_MOST_SERVO_IDS - 1}, found {text!r}; for example 1:19")
+    return found
+
+
+def any_seeds(text: str) -> Sequence[int]:
+    """Parse seeds A:B, or commit:N for N seeds derived from the commit."""
+    drawn = re.fullmatch(r"commit:([1-9]\d{0,15})", text)
+    if drawn is None:
+        return seeds(text)
+    from sextant.deploy.provenance import seeds_of_commit
+
+    return seeds_of_commit(int(drawn[1]))
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Parse width and height [px] of a picture that can be encoded."""
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not (64 <= width <= 3840 and 64 <= height <= 2160) or width % 2 or height % 2:
+        raise ValueError(f"WxH expected, even and 64x64 to 3840x2160, found {text!r}; for example 960x540")
+    return width, height
+
+
+def count(name: str, default: int, about: str, lowest: int = 1, metavar: str = "N") -> Callable[[_Function], _Function]:
+    """Return an option whose value is an integer of at least `lowest`."""
+    return option(name, about, metavar, type=whole(lowest), default=default)
+
+
+out = option("--out", "folder to write to (default: a new one below runs/)", "DIR")
+as_json = flag("--json", "print the result as JSON; any progress goes to stderr", "as_json")
+seed = count("--seed", 3, "random seed", lowest=0)
+robot = option("--robot", "profile by name, or path of a TOML file", "NAME", default="phantomx_mk2")
+jobs = option("--jobs", "parallel processes", "N", type=whole(1, 256), default=1)
+connect = option("--connect", f"router of the robot (default: {ROUTER})", "ENDPOINT", multiple=True)
+namespace = option("--namespace", "prefix of every key", "NAME", default="sextant")
+keys = option("--keys", "this machine's folder of `sextant keys new`, required for tls endpoints", "DIR", into="key_folder")
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """Where a robot is, and the keys that it accepts."""
+
+    connect: tuple[str, ...]
+    namespace: str
+    key_folder: str | None
+
+    def endpoints(self) -> "Endpoints":
+        """Return the robot's endpoints, with the keys.
+
+        Raises:
+            AccessError: The keys are wrong.
+            InputError: An endpoint needs keys, and there are none.
+        """
+        from sextant.shared.wire.access import Keys
+        from sextant.shared.wire.transport import Endpoints
+
+        held = Keys.load(Path(self.key_folder)) if self.key_folder else None
+        try:
+            return Endpoints(self.connect or (ROUTER,), namespace=self.namespace, keys=held)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+
+
+connection = options_of(Connection, "connection", connect, namespace, keys)
+
+
+params = option(
+    "--set",
+    "parameter of a service, e.g. planner.costmap.max_step_m=0.07, see docs/parameters.md; repeatable",
+    "SERVICE.KEY=VALUE",
+    into="params",
+    multiple=True,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """Robot, gait, radio and parameters in place of those of a scenario, where they are given."""
+
+    robot: str = ""
+    gait: "GaitName | None" = None
+    link: str = ""
+    params: tuple[str, ...] = ()
+
+    def load(self, scenario: str) -> "Scenario":
+        """Return a scenario, by name or TOML file, with these changes."""
+        from sextant.shared.scenario.scenario import load_scenario
+
+        return self.applied()(load_scenario(scenario))
+
+    def applied(self) -> Callable[["Scenario"], "Scenario"]:
+        """Return a function that applies these changes to a scenario.
+
+        Raises:
+            InputError: One of them is invalid.
+        """
+        from sextant.deploy.params import assigned
+        from sextant.services.planner.locomotion.gait import GAITS
+
+        profile, radio = checked_robot(self.robot), _radio(self.link)
+
+        def apply(scenario: "Scenario") -> "Scenario":
+            if profile:
+                scenario = replace(scenario, robot=profile)
+            if radio.exists:
+                scenario = replace(scenario, link=radio)
+            scenario = assigned(scenario, self.params)
+            if self.gait:
+                slower = GAITS[self.gait].slowness / GAITS[scenario.walk.gait].slowness
+                walk = replace(scenario.walk, gait=self.gait)
+                scenario = replace(scenario, walk=walk, time_limit_s=scenario.time_limit_s * max(slower, 1.0))
+            return scenario
+
+        return apply
+
+
+variant = options_of(
+    Variant,
+    "variant",
+    option("--robot", "robot profile by name, or path of a TOML file (default: the scenario's)", "NAME", default=""),
+    option("--gait", "gait (default: the scenario's); a slower gait gets a longer time limit", type=GAIT),
+    option(
+        "--link",
+        "radio simulated in lockstep: one-way delay, total Mbit/s both ways, share of lost packets, e.g. 20,20,0.05",
+        "MS,MBIT,LOSS",
+        default="",
+    ),
+    params,
+)
+
+
+def checked_robot(robot: str) -> str:
+    """Return a robot as scenarios name it; empty for none.
+
+    Raises:
+        ConfigError: The profile is wrong.
+    """
+    from sextant.shared.robot.profiles import load_profile
+
+    if not robot:
+        return ""
+    name = str(Path(robot).resolve()) if robot.endswith(".toml") else robot
+    load_profile(name)
+    return name
+
+
+def _radio(text: str) -> "Link":
+    from sextant.shared.scenario.scenario import Link
+
+    if not text:
+        return Link()
+    try:
+        delay_ms, mbit, loss = (float(word) for word in text.split(","))
+        return Link(delay_ms, mbit, loss)
+    except ValueError as error:
+        raise InputError(f"--link: MS,MBIT,LOSS expected, for example 20,20,0.05, found {text!r}: {error}") from None
