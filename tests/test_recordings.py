@@ -17,7 +17,8 @@ from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.perception import tum
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
-from sextant.services.perception.registration.projective_icp import Registration, RegistrationResult
+from sextant.services.perception.registration.projective_icp import Registration
+from sextant.services.perception.registration.registration_result import RegistrationResult
 from sextant.shared.geometry import Array, inverse, log_so3, rotation_from_quaternion, transform
 from sextant.shared.robot.camera import DepthSensor
 from tests.support.recordings import recording

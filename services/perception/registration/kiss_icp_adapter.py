@@ -10,21 +10,13 @@ from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
 from numpy.typing import NDArray
 
+from sextant.services.perception.registration.acceptance import Acceptance, check_jump, check_measured_share, rejection_reason
+from sextant.services.perception.registration.alignment import prior_information
 from sextant.services.perception.registration.block_frame import BlockFrame
+from sextant.services.perception.registration.constraint_weights import constraint_weights
+from sextant.services.perception.registration.error_twist import apply_twist, error_twist
 from sextant.services.perception.registration.keyframes import Keyframes, Match
-from sextant.services.perception.registration.projective_icp import (
-    Acceptance,
-    RegistrationResult,
-    apply_twist,
-    check_jump,
-    check_measured_share,
-    constraint_weights,
-    error_twist,
-    first_result,
-    prior_information,
-    refused_result,
-    rejection_reason,
-)
+from sextant.services.perception.registration.registration_result import RegistrationResult, first_result, refused_result
 from sextant.shared.geometry import orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 

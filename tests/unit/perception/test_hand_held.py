@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from sextant.services.perception.registration.acceptance import HAND_HELD, Acceptance
 from sextant.services.perception.registration.motion_prior import VelocityPrior
-from sextant.services.perception.registration.projective_icp import HAND_HELD, Acceptance, Registration, RegistrationResult
+from sextant.services.perception.registration.projective_icp import Registration
+from sextant.services.perception.registration.registration_result import RegistrationResult
 from tests.support.depth_folders import CAMERA, RATE_HZ, SENSOR, room
 from tests.support.raycast import camera_pose, depth_image
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sextant.services.perception.registration.error_twist import error_twist
 from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
-from sextant.services.perception.registration.projective_icp import error_twist
 from sextant.shared.geometry import inverse
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 

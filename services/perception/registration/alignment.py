@@ -1,0 +1,108 @@
+"""Alignment of a depth frame with keyframes and a motion prior, by Gauss-Newton."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.perception.registration.constraint_weights import constraint_weights
+from sextant.services.perception.registration.error_twist import ALONG_FLOOR, apply_twist, error_twist
+from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.shared.geometry import orthonormal
+
+TRUSTING = 2  # iterations from a distant start in which distant matches keep full weight
+EXPLAINED = 0.85  # ratio of misfits below which another pose fits better
+_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the largest point-to-plane distance of a match
+_SLIP = 0.01  # [m] and [rad] added to the prior's spread for the first expected step
+_MAX_ITERATIONS = 10
+_MATCHED = 3200  # points of a full image that are matched with one keyframe
+_CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
+_UNKNOWN_SIGMA = 0.03  # [m] and [rad] along the ground; with a larger prior sigma, nearby start poses are tried
+_LESS_OVERLAP = 0.1  # by which another start may overlap less
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Pose at which a frame fits the keyframes."""
+
+    T: NDArray[np.float64]  # (4, 4) of the camera
+    covariance: NDArray[np.float64]  # (6, 6) [m, rad]
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that only the prior constrains
+    match: Match
+
+
+class Aligner:
+    """Aligns the loaded frame of its keyframes."""
+
+    def __init__(self, keyframes: Keyframes, blocks: int):
+        """Initialize for frames with a number of blocks."""
+        self._keyframes = keyframes
+        self._stride = max(1, round(blocks / _MATCHED))
+
+    def align(
+        self,
+        T_prior: NDArray[np.float64],
+        information: NDArray[np.float64],
+        trusting: int = 0,
+        T_start: NDArray[np.float64] | None = None,
+    ) -> Aligned:
+        """Run Gauss-Newton on matches and prior: (H + P) step = -(g + P error).
+
+        In the first `trusting` iterations all matches have full weight: for a start far from the solution, the few informative
+        points are distant and would be treated as outliers.
+
+        Args:
+            T_prior: (4, 4) expected pose.
+            information: (6, 6) of the prior.
+            trusting: Number of iterations in which all matches have full weight.
+            T_start: (4, 4) pose at which the iteration starts, by default the prior.
+        """
+        chosen = self._keyframes.select(T_prior)
+        T_start = T_prior if T_start is None else T_start
+        T: NDArray[np.float64] = T_start
+        # The first step may have to cover the prior's uncertainty and a slip.
+        step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
+        for iteration in range(_MAX_ITERATIONS):
+            gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
+            match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
+            if T is T_start or gate == _GATE_NEAR:
+                believed, degenerate = constraint_weights(match)
+            H, g = believed @ match.H, believed @ match.g
+            step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
+            T = apply_twist(T, step)
+            if iteration >= trusting and float(np.abs(step).max()) < _CONVERGED:
+                break
+        covariance = np.linalg.inv(H + information)
+        return Aligned(orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match)
+
+    def align_around(
+        self, T_prior: NDArray[np.float64], covariance: NDArray[np.float64], information: NDArray[np.float64]
+    ) -> Aligned:
+        """Return the best alignment, with several starts if the prior is uncertain along the ground."""
+        found = self.align(T_prior, information)
+        sigma = np.sqrt(np.diag(covariance))
+        if sigma[ALONG_FLOOR].max() < _UNKNOWN_SIGMA:
+            return found
+        for axis in ALONG_FLOOR:
+            for sign in (-1.0, 1.0):
+                start = apply_twist(T_prior, sign * sigma[axis] * np.eye(6)[axis])
+                other = self.align(T_prior, information, TRUSTING, start)
+                better = other.match.misfit < EXPLAINED * found.match.misfit
+                if better and other.match.overlap >= found.match.overlap - _LESS_OVERLAP:
+                    found = other
+        return found
+
+
+def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the information matrix (6, 6) of a prior.
+
+    Raises:
+        ValueError: Not a finite (4, 4) pose, or not a positive definite (6, 6) covariance.
+    """
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise ValueError(f"a finite (4, 4) prior pose expected, found {T.tolist()}")
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError(f"a finite (6, 6) prior covariance expected, found shape {covariance.shape}")
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        raise ValueError("a positive definite prior covariance expected: give every direction some variance")
+    return np.asarray(np.linalg.inv(covariance))

@@ -1,0 +1,41 @@
+"""Doubt about the pose: when to search, and when to believe what a search finds."""
+
+import numpy as np
+import pytest
+
+from sextant.services.perception.registration.pose_doubt import PoseDoubt
+
+AWAY = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.1])
+
+
+@pytest.fixture
+def doubt() -> PoseDoubt:
+    return PoseDoubt(frames_before_search=3, search_every=4)
+
+
+def test_search_is_due_after_consecutive_doubtful_frames_and_then_repeatedly(doubt: PoseDoubt) -> None:
+    due = []
+    for _ in range(12):
+        doubt.update(True)
+        due.append(doubt.is_search_due())
+    assert np.flatnonzero(due).tolist() == [2, 6, 10]
+    doubt.update(False)
+    assert not doubt.is_search_due()
+
+
+def test_two_searches_in_a_row_must_agree(doubt: PoseDoubt) -> None:
+    assert not doubt.is_confirmed(AWAY)
+    assert not doubt.is_confirmed(AWAY + 0.06)
+    assert doubt.is_confirmed(AWAY + 0.07)
+
+
+def test_good_frame_in_between_discards_the_first_search(doubt: PoseDoubt) -> None:
+    doubt.is_confirmed(AWAY)
+    doubt.update(False)
+    assert not doubt.is_confirmed(AWAY)
+
+
+def test_suspension_lasts_for_the_time_between_two_searches(doubt: PoseDoubt) -> None:
+    assert not doubt.is_suspended()
+    doubt.suspend()
+    assert [doubt.is_suspended() for _ in range(5)] == [True, True, True, False, False]
