@@ -128,6 +128,11 @@ class Joints:
         return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
 
     @property
+    def legs_without_torque(self) -> NDArray[np.bool_]:
+        """(6,) legs with at least one servo without torque."""
+        return np.asarray(self.torque_disabled.any(axis=1))
+
+    @property
     def unsure(self) -> NDArray[np.bool_]:
         """(6, 3) joints without torque, or not yet at their goal after a silence."""
         return np.asarray(self.torque_disabled | self._behind.reshape(6, 3))

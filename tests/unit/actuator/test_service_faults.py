@@ -186,7 +186,7 @@ def test_a_foot_that_is_found_in_the_air_comes_down_to_the_plane_of_those_that_s
         assert np.abs(rig.goals - last).max() <= LOWERED * 0.02 + TICK
     assert state.mode is Mode.HOLD
     plane = np.column_stack([REST[:, :2], np.ones(6)])
-    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (-roll, 0.0, 0.0)), body_forward(PROFILE, rig.actuator._q_wanted))
+    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (-roll, 0.0, 0.0)), body_forward(PROFILE, rig.actuator._motion.goals.wanted))
     slope = np.linalg.lstsq(plane[stands], feet[stands, 2])[0]
     assert abs(feet[leg, 2] - plane[leg] @ slope) < 0.003
 
@@ -298,7 +298,7 @@ def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
         rates.append(float(np.abs(q_rate).max()))
         return lag_feed_forward(profile, q_rate, held_s)
 
-    monkeypatch.setattr("sextant.services.actuator.service.lag_feed_forward", noted)
+    monkeypatch.setattr("sextant.services.actuator.locomotion.joint_goals.lag_feed_forward", noted)
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     epoch = rig.cycle(cycles).epoch

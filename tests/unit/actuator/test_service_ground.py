@@ -217,8 +217,8 @@ def test_standing_up_anew_twists_nobody() -> None:
     """Check that standing up restarts leg odometry while the gyro continues."""
     rig = Rig()
     sure(rig)
-    rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # gyro and legs agree on the turn
-    rig.actuator._executor = StepExecutor(Settings(), REST, rig.actuator._odometry.T_odom_body)
+    rig.actuator._estimator.odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # gyro and legs agree on the turn
+    rig.actuator._motion.executor = StepExecutor(Settings(), REST, rig.actuator._estimator.odometry.T_odom_body)
     rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
     rig.cycle()
     goals = rig.goals
