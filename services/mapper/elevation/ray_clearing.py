@@ -14,7 +14,9 @@ from sextant.shared.runtime.compiled import compiled
 FOLLOWED = 8  # every n-th point of a scan has its ray traced, different ones in each scan
 SHORT = 3  # [cells] before its end at which a ray stops, because a hit object has a thickness and a position error
 WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a ray must pass below its height
-SIGHTS_NEEDED = 8  # scans through a cell until it is cleared, if none measures it
+SIGHTS_NEEDED = 8  # scans through a cell inside an object until it is cleared, if none measures it
+SIGHTS_PER_MEASUREMENT = 4  # scans through a cell outside an object, for each scan that has measured it
+LEAST_SIGHTS = 4  # scans through a cell outside an object that one scan has measured
 MAX_SIGMA_M = 0.01  # [m] cap of a cell's height sigma, because a larger value is the spread of the object that stood there
 FELL_AROUND = 3  # cleared neighbours from which a cell at the rim of an object may also be cleared
 SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # measuring scans after which a cleared cell counts as normal again
@@ -109,8 +111,8 @@ def _clear_along_sights(
     A cell counts inside an object: none of its eight neighbours is known to be lower than the ray, except those already
     cleared, and at most two are unknown. Objects narrower than three cells, rims that fill their cells partly, and walls
     seen along their face are therefore left to measurements. An object is cleared from the inside: a rim follows after its
-    inside. A cell outside an object counts only if fewer scans have measured it than must pass through it, so that a thin
-    passing object does not remain.
+    inside. A cell outside an object needs several times as many scans through it as have measured it, so that a thin
+    passing object does not remain, and a thin object that stands does.
 
     Returns the number of cells cleared.
     """
@@ -173,17 +175,18 @@ def _clear_along_sights(
                     elif height[e, f] == height[e, f]:
                         low += 1
             within = (low == 0 and standing + fallen >= 6) or fallen >= FELL_AROUND
-            if within or support[a, b] < SIGHTS_NEEDED:
-                slot[c] = 0
+            if within or SIGHTS_PER_MEASUREMENT * int(support[a, b]) <= 255:
+                slot[c] = np.int32(within)
                 marked[m] = c
                 m += 1
     cleared = 0
     for k in range(m):
         c = marked[k]
-        slot[c] = -1
+        within, slot[c] = slot[c], -1
         a, b = c // columns, c % columns
-        through[a, b] += 1
-        if through[a, b] < SIGHTS_NEEDED:
+        through[a, b] = min(through[a, b] + 1, 255)
+        needed = max(SIGHTS_PER_MEASUREMENT * int(support[a, b]), LEAST_SIGHTS)
+        if through[a, b] < (min(needed, SIGHTS_NEEDED) if within else needed):
             continue
         height[a, b] = variance[a, b] = first[a, b] = np.nan
         support[a, b] = assumed[a, b] = votes[a, b] = through[a, b] = 0

@@ -208,3 +208,23 @@ def test_crossing_person_leaves_no_obstacle_on_partly_hidden_ground() -> None:
     assert np.nanmax(after) < 0.065, "lines of sight pass over the blocks 2 cm and more below that"
     known = np.isfinite(before) & np.isfinite(after)
     assert np.abs(after - before)[known].max() < 0.02
+
+
+def test_person_who_stands_and_leaves_is_cleared_behind_blocks() -> None:
+    """Check legs that stand still for some scans where only they are seen, and never the ground.
+
+    They rise behind a block, as high as the camera, and leave. Their cells have been measured more often than a single
+    crossing does, and have lower neighbours.
+    """
+    rng = np.random.default_rng(11)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.25])
+    low = np.array([[0.85, -0.3, 0.95, 0.3, 0.04]])
+    for _ in range(20):
+        take(grid, clear_along_rays(low, camera, rng=rng), camera)
+    person = np.array([[0.96, -0.06, 1.08, 0.06, 0.9]])
+    for _ in range(14):
+        take(grid, clear_along_rays(np.concatenate([low, person]), camera, rng=rng), camera)
+    assert np.nanmax(grid.snapshot().elevation) > 0.08
+    for _ in range(75):
+        take(grid, clear_along_rays(low, camera, rng=rng), camera)
+    assert np.nanmax(grid.snapshot().elevation) < 0.065, "lines of sight pass over the block 2 cm and more below that"
