@@ -39,6 +39,11 @@ class PoseDoubt:
         """End the doubt: a better pose was found."""
         self._doubtful = 0
 
+    @property
+    def lasts(self) -> bool:
+        """Whether enough consecutive frames contradict the map for a search, or the last search found the scene changed."""
+        return self._doubtful >= self._before_search or self._suspended > 0
+
     def is_search_due(self) -> bool:
         """Return whether to search for a better pose now."""
         since = self._doubtful - self._before_search

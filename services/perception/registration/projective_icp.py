@@ -208,7 +208,13 @@ class Registration:
         return None
 
     def _may_have_slipped(self, found: Aligned, T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
-        """Return whether the legs may have slipped (poor fit, or far from the prior)."""
+        """Return whether the legs may have slipped (poor fit, or far from the prior).
+
+        While several frames have contradicted the map, a person in view explains a poor fit. A slip is then left to the
+        search, which needs a second one to confirm it.
+        """
+        if not self._acceptance.legless and self._doubt.lasts:
+            return False
         if self._fit.is_poor(found.match):
             return True
         drawn = np.abs(error_twist(found.T, T_prior)) > _DRAWN * np.sqrt(np.diag(covariance))

@@ -14,13 +14,16 @@ def doubt() -> PoseDoubt:
 
 
 def test_search_is_due_after_consecutive_doubtful_frames_and_then_repeatedly(doubt: PoseDoubt) -> None:
-    due = []
+    due, lasts = [], []
     for _ in range(12):
         doubt.update(True)
         due.append(doubt.is_search_due())
+        lasts.append(doubt.lasts)
     assert np.flatnonzero(due).tolist() == [2, 6, 10]
+    assert lasts == [False] * 2 + [True] * 10
     doubt.update(False)
     assert not doubt.is_search_due()
+    assert not doubt.lasts
 
 
 def test_two_searches_in_a_row_must_agree(doubt: PoseDoubt) -> None:
@@ -38,4 +41,5 @@ def test_good_frame_in_between_discards_the_first_search(doubt: PoseDoubt) -> No
 def test_suspension_lasts_for_the_time_between_two_searches(doubt: PoseDoubt) -> None:
     assert not doubt.is_suspended()
     doubt.suspend()
+    assert doubt.lasts
     assert [doubt.is_suspended() for _ in range(5)] == [True, True, True, False, False]

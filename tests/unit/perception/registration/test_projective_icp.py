@@ -245,6 +245,26 @@ def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, obj
         assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
+@pytest.mark.parametrize("doubtful", [0, 4])
+def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch, doubtful):
+    """Check a camera that the frame shows 4 cm from its prior, after frames in which a person was in view."""
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.55)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    with monkeypatch.context() as person:
+        person.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))
+        person.setattr(RelocalizationMap, "find", lambda *_: RelocalizationResult(None, "nowhere"))
+        for i in range(doubtful):
+            registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, TIGHT)
+        slipped = apply_twist(T, np.array([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        found = registration.update(world.depth_image(slipped, world.scenes["pillars"], rng), 9, T, TIGHT)
+    is_taken = bool(np.abs(error_twist(found.T_world_camera, slipped)).max() < 0.005)
+    assert is_taken is (doubtful == 0)
+
+
 def test_search_does_not_shift_unobservable_directions(world):
     """Check flat ground in front of the camera: nothing shows whether a pose further ahead is right."""
     registration = Registration(world.intrinsics, world.sensor)
