@@ -29,9 +29,9 @@ from sextant.deploy.evaluation.passage_fields import (
     thesis_blocks,
 )
 from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile

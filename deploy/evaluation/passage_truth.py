@@ -7,10 +7,9 @@ import numpy as np
 
 from sextant.deploy.evaluation.course import Course
 from sextant.deploy.evaluation.passage_fields import RESOLUTION, field_of, stance_at
-from sextant.services.planner.gap_crossing.approach import START_DISTANCE_M
 from sextant.services.planner.gap_crossing.exhaustive import passable
+from sextant.services.planner.gap_crossing.params import GapApproachParams, PassageSettings
 from sextant.services.planner.gap_crossing.sections import goal_behind
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profile import RobotProfile
@@ -40,7 +39,7 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
         course: Its true ground, placed under its start.
     """
     height = scenario.walk.body_height
-    near = gap_begins(course, scenario.goal.distance) - START_DISTANCE_M - BEHIND
+    near = gap_begins(course, scenario.goal.distance) - GapApproachParams().start_distance_m - BEHIND
     field = strip_from(course, near, height)
     goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near)
     if goal_x is None:

@@ -45,7 +45,8 @@ class GoalFollower:
         self._certain_ns = 0  # [ns] when perception was last certain of the robot's pose
 
     def _new_path_follower(self) -> PathFollower:
-        return PathFollower(self._profile, self._settings.costmap, self._settings.path_follower)
+        settings = self._settings
+        return PathFollower(self._profile, settings.costmap, settings.path_follower, settings.stall)
 
     @property
     def path(self) -> Array:
@@ -103,7 +104,7 @@ class GoalFollower:
         """
         if self._gap_crossing.is_active(goal):
             return self._cross_gap(goal, robot, terrain, strip)
-        if robot.state.phase < self._settings.plan_from:
+        if robot.state.phase < self._settings.revision.plan_from_phase:
             return None
         stance = self._plans.stance_after(robot)
         if stance is None:
@@ -156,13 +157,13 @@ class GoalFollower:
             led = self._gap_crossing.lead(goal, state, stance, robot.pose.T_world_body, terrain, strip, refused)
         if isinstance(led, MotionCommand):
             assert terrain is not None
-            return None if state.phase < self._settings.plan_from else self._walk(led, robot, terrain)
+            return None if state.phase < self._settings.revision.plan_from_phase else self._walk(led, robot, terrain)
         if isinstance(led, NextStep):
             step = NumberedStep(led.stride, led.number, (0, 0), robot.T_world_odom, led.stop)
             return Decision("stepping", led.words, step=step)
         if isinstance(led, CannotCross):
             reason = f"{no_path}; no gap crossing: {led.reason}" if no_path else f"no gap crossing: {led.reason}"
-            return Decision("blocked", reason, retry_s=self._settings.revise_s)
+            return Decision("blocked", reason, retry_s=self._settings.revision.interval_s)
         if isinstance(led, Completed):
             self._path_follower = self._new_path_follower()  # its knowledge of the path does not hold here
         return Decision("stepping" if state.phase < 1.0 else "waiting", led.words)

@@ -44,9 +44,9 @@ class Planner:
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start without a plan."""
-        self.max_age_s = {topics.ACTUATOR_STATE.key: _MAX_STATE_AGE_S, topics.BODY_POSE.key: settings.pose_age_s}
+        self.max_age_s = {topics.ACTUATOR_STATE.key: _MAX_STATE_AGE_S, topics.BODY_POSE.key: settings.revision.pose_age_s}
         if not settings.blind:
-            self.max_age_s[topics.TERRAIN.key] = settings.map_age_s
+            self.max_age_s[topics.TERRAIN.key] = settings.revision.map_age_s
         self.stages = Stages()
         self._settings = settings
         self._foot_radius_m = profile.foot.radius
@@ -91,7 +91,7 @@ class Planner:
         if decision.state in ("waiting", "resting"):  # time without data or a command does not count as a stall
             self._goals.pause()
         step = decision.step
-        pause_s = decision.retry_s if step is None else self._settings.revise_s
+        pause_s = decision.retry_s if step is None else self._settings.revision.interval_s
         if pause_s > 0.0:
             self._due_ns = state.stamp_ns + round(pause_s * 1e9)
         if step is not None:
@@ -100,7 +100,7 @@ class Planner:
 
     def _decide(self, state: ActuatorState, inbox: Inbox) -> Decision | None:
         """Return what to do now, or None if nothing is due."""
-        pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
+        pose = inbox.fresh(topics.BODY_POSE, self._settings.revision.pose_age_s)
         request = current_request(inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL), state.stamp_ns, state.pace)
         command, goal = request.command, request.goal
         self._has_goal = goal is not None
@@ -135,7 +135,7 @@ class Planner:
         invalid_reason = terrain.invalid_reason()
         if invalid_reason:
             return Decision("waiting", f"the terrain map is invalid: {invalid_reason}")
-        if robot.state.phase < self._settings.retarget_until:
+        if robot.state.phase < self._settings.revision.retarget_until_phase:
             revised = self._steps.retarget(robot, terrain)
             return None if revised is None else replace(self._decision, step=revised)
         if isinstance(request, Goal):
@@ -143,7 +143,7 @@ class Planner:
         if is_still(request):
             self._plans.refusals.forget()
             return Decision("resting", "the commanded velocity is zero")
-        if robot.state.phase < self._settings.plan_from:
+        if robot.state.phase < self._settings.revision.plan_from_phase:
             return None
         return self._steps.select((request,), robot, terrain, steered=True)
 
@@ -152,8 +152,12 @@ class Planner:
         if self._settings.blind:
             soles = robot.feet_in_world()[~robot.state.swing] - [0.0, 0.0, self._foot_radius_m]
             return plane_of(robot.now_ns, soles)
-        map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
-        return None if map_ is None else self._missing_ground.marked(Terrain(map_, self._settings.footholds))
+        map_ = inbox.fresh(topics.TERRAIN, self._settings.revision.map_age_s)
+        return (
+            None
+            if map_ is None
+            else self._missing_ground.marked(Terrain(map_, self._settings.footholds, self._settings.foothold))
+        )
 
     def _status(self, state: ActuatorState) -> PlannerStatus:
         return PlannerStatus(

@@ -1,18 +1,16 @@
 """Terrain map access: heights, scores and footholds at places in {world}."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.planner.locomotion.params import FootholdParams
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 
-ACCEPTABLE = 1.0  # highest score of a cell that carries a foot
-ROOM = 0.01  # [m] around a good foothold that must also carry a foot; nine of ten feet land within it
 STEEPEST = float(np.tan(np.radians(12.0)))  # maximum slope of a plane through feet; feet on stones can suggest a steeper one
-FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # suitability of a place as a foothold
 Layer = Literal["score", "evaluation"]
 
@@ -30,6 +28,7 @@ class Terrain:
 
     map: TerrainMap
     layer: Layer = "score"  # layer of the map that decides which cells carry a foot
+    params: FootholdParams = field(default_factory=FootholdParams)
 
     def invalid_reason(self) -> str:
         """Return why the map is invalid, or ""."""
@@ -66,23 +65,25 @@ class Terrain:
         """Return the suitability (n,) of places (n, 2) [m] {world} as footholds.
 
         The value is `NONE`, or from `POOR` to `GOOD`; it is NaN where unknown. With Lotriet's score, a place that carries a
-        foot is good if the eight places around it, `ROOM` away, also do, because feet do not land with millimetre accuracy. The
-        fewer of them do, the poorer it is. With Masri's evaluation function (2016, section 5.2.1), a place is good where the
-        function is strongly negative or has a local minimum. It is poor where the function is negative otherwise.
+        foot is good if the eight places around it, `room_m` away, also do, because feet do not land with millimetre accuracy.
+        The fewer of them do, the poorer it is. With Masri's evaluation function (2016, section 5.2.1), a place is good where
+        the function is strongly negative or has a local minimum. It is poor where the function is negative otherwise.
         """
         if self.layer == "score":
-            scores, around = self.scores(xy), self.scores(self.centres(xy) + ROOM * _AROUND)
-            carries = POOR + (GOOD - POOR) * (around <= ACCEPTABLE).mean(axis=0)  # NaN, unseen, carries none
-            return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
+            most = self.params.max_score
+            near = self.centres(xy) + self.params.room_m * _AROUND
+            scores, around = self.scores(xy), self.scores(near)
+            carries = POOR + (GOOD - POOR) * (around <= most).mean(axis=0)  # NaN, unseen, carries none
+            return np.where(np.isnan(scores), np.nan, np.where(scores <= most, carries, NONE))
         here = self._evaluations(xy)
         around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)
-        good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
+        good = here <= np.maximum(around, round(-self.params.firm_m / self.map.resolution))
         return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
 
     def footholds(self) -> NDArray[np.bool_]:
         """Return which cells (nx, ny) of the map carry a foot."""
         if self.layer == "score":
-            return np.asarray(self.map.score <= ACCEPTABLE)
+            return np.asarray(self.map.score <= self.params.max_score)
         return np.asarray(self.map.evaluation < 0)
 
     def _evaluations(self, xy: Array) -> NDArray[np.int64]:

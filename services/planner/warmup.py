@@ -3,8 +3,8 @@
 import numpy as np
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, Stance
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire import codec

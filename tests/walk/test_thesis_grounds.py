@@ -22,7 +22,8 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.planner.locomotion.foothold_search import Foothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.terrain import ACCEPTABLE, GOOD, Layer, Terrain
+from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.terrain import GOOD, Layer, Terrain
 from sextant.services.simulator.physics import terrain as ground
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import Array
@@ -34,6 +35,7 @@ from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 
+ACCEPTABLE = FootholdParams().max_score
 SEARCH = 0.06  # [m] search radius of the planner
 R = 0.01  # [m]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, GapCrossing, Outcome, Wait
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, same_goal
 from sextant.services.planner.navigation.path_planner import NoPath
@@ -22,23 +22,13 @@ from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
 
-START_DISTANCE_M = 0.36  # [m] from the gap to the body where it stops; the feet stay clear of the edge during the turn
-_START_TOLERANCE_M = 0.05  # [m] from that place within which the robot has arrived
-_ALIGNED = radians(1.5)  # heading error below which the crossing begins
-_TURN_GAIN, _TURN = 1.0, 0.15  # [1/s], and [rad/s] maximum yaw rate
-_REST_NS = 300_000_000  # [ns] of rest after the last turn
-_LAPSES_NS = 12_000_000_000  # [ns] lifetime of a refusal; it doubles with each further one at the same place
-_TURNING_NS = 30_000_000_000  # [ns] maximum duration of the turn
-_INCLINED = radians(15.0)  # heading error, below which a robot at the edge crosses in the direction that it faces
-_RETRY_DISTANCE_M = 0.30  # [m] from the place of a refusal, beyond which the robot tries again
-
 
 class GapCrossingController:
     """Controls gap crossings for one goal at a time."""
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Initialize for a robot."""
-        self._profile, self._settings = profile, settings
+        self._profile, self._settings, self._params = profile, settings, settings.gap_approach
         self._goal: Goal | None = None
         self._gap_crossing: GapCrossing | None = None
         self._approach: PathFollower | None = None
@@ -46,7 +36,7 @@ class GapCrossingController:
         self._still_ns = self._turning_ns = -1
         self._refused = ""
         self._refused_at: Array | None = None  # (2,) [m] {world}
-        self._refused_ns, self._lapses_ns = 0, _LAPSES_NS
+        self._refused_ns, self._lapses_ns = 0, round(settings.gap_approach.refusal_s * 1e9)
         self._crossed = False
         self._nothing_at: Array | None = None  # (2,) [m] {world} place of a look that found nothing to cross
         self._yielded: list[Array] = []  # (3,) [m] {world} places where ground gave way under feet; kept for all goals
@@ -105,7 +95,7 @@ class GapCrossingController:
             return CannotCross(self._refused)
         self._refused = ""
         nothing_at = None if self.is_active(goal) else self._nothing_at
-        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < _RETRY_DISTANCE_M:
+        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < self._params.retry_distance_m:
             return CannotCross("no gap to cross was found from here")
         if self._gap_crossing is None:
             assert terrain is not None
@@ -130,13 +120,13 @@ class GapCrossingController:
             )
         elif isinstance(outcome, CannotCross):
             self._gap_crossing, self._crossing_line = None, None
-            self._lapses_ns = 2 * self._lapses_ns if self._is_where_refused(xy) else _LAPSES_NS
+            self._lapses_ns = 2 * self._lapses_ns if self._is_where_refused(xy) else round(self._params.refusal_s * 1e9)
             self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
         return outcome
 
     def _is_where_refused(self, xy: Array) -> bool:
         """Return whether a place (2,) [m] {world} is near the last refusal."""
-        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < _RETRY_DISTANCE_M
+        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < self._params.retry_distance_m
 
     def _approach_gap(
         self, goal: Goal, state: ActuatorState, standing: WorldStance, T_world_body: Array, terrain: Terrain
@@ -152,7 +142,7 @@ class GapCrossingController:
         assert self._crossing_line is not None
         place, target = self._crossing_line
         if self._approach is not None:
-            there = replace(goal, waypoints=place[None], tolerance=_START_TOLERANCE_M, passage=False)
+            there = replace(goal, waypoints=place[None], tolerance=self._params.start_tolerance_m, passage=False)
             led = self._approach.lead(there, terrain, T_world_body, standing.body, state.stamp_ns)
             if isinstance(led, NoPath):
                 return CannotCross(f"no path to the edge of the gap: {led.reason}")
@@ -161,7 +151,7 @@ class GapCrossingController:
             self._approach = None
         unready = self._face(goal, state, standing.body, target)
         if unready is None:
-            roadmap = Roadmap(self._profile, PassageSettings(body_height=goal.body_height))
+            roadmap = Roadmap(self._profile, PassageSettings.of(self._settings.gap_crossing, goal.body_height))
             self._gap_crossing = GapCrossing(self._profile, self._settings, roadmap, standing, target, self._yielded)
         return unready
 
@@ -174,13 +164,15 @@ class GapCrossingController:
         self._crossing_line, self._approach, self._turning_ns = (start, target.copy()), self._follower(), -1
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
-        if float(np.linalg.norm(start - xy)) < _START_TOLERANCE_M and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
+        inclined = facing @ way > np.cos(radians(self._params.inclined_deg)) * np.linalg.norm(way)
+        if float(np.linalg.norm(start - xy)) < self._params.start_tolerance_m and inclined:
             # The robot may stand on pillars, where a turn is difficult, so it crosses straight ahead.
             self._crossing_line, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         return ""
 
     def _follower(self) -> PathFollower:
-        return PathFollower(self._profile, self._settings.costmap, self._settings.path_follower)
+        settings = self._settings
+        return PathFollower(self._profile, settings.costmap, settings.path_follower, settings.stall)
 
     def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> MotionCommand | Outcome | None:
         """Return the next action to face a place and come to rest, or None when done.
@@ -189,19 +181,19 @@ class GapCrossingController:
         """
         way = target - body[:2, 3]
         error = float((np.arctan2(way[1], way[0]) - yaw_of(body) + np.pi) % (2.0 * np.pi) - np.pi)
-        if abs(error) > _ALIGNED:
+        if abs(error) > radians(self._params.aligned_deg):
             self._still_ns = -1
             self._turning_ns = state.stamp_ns if self._turning_ns < 0 else self._turning_ns
-            if state.stamp_ns - self._turning_ns > _TURNING_NS:
+            if state.stamp_ns - self._turning_ns > round(self._params.turning_s * 1e9):
                 return CannotCross(f"turning towards the gap takes too long: {np.degrees(error):.0f} deg are left")
-            turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
+            turn = min(max(self._params.turn_gain * error, -self._params.turn_rate_rad_s), self._params.turn_rate_rad_s)
             command = VelocityCommand(state.stamp_ns, np.zeros(2), turn, goal.body_height, goal.lift, goal.gait)
             return MotionCommand((command,), f"turning by {np.degrees(error):.0f} deg towards the gap")
         if state.phase < 1.0:
             self._still_ns = -1
             return Wait("stopping before the gap")
         self._still_ns = state.stamp_ns if self._still_ns < 0 else self._still_ns
-        if state.stamp_ns - self._still_ns < _REST_NS:
+        if state.stamp_ns - self._still_ns < round(self._params.rest_s * 1e9):
             return Wait("stopping before the gap")
         return None
 
@@ -209,8 +201,8 @@ class GapCrossingController:
         """Return the start (2,) [m] {world} of the crossing, or why there is none."""
         xy, target = standing.body[:2, 3], goal.waypoints[-1]
         ground = float(standing.feet[:, 2].mean()) - self._profile.foot.radius
-        gap = detect_gap(terrain, xy, target, ground, self._settings.costmap.max_step_m)
+        gap = detect_gap(terrain, xy, target, ground, self._settings.costmap.max_step_m, self._settings.gap_detection)
         if isinstance(gap, str):
             return xy.copy() if self.ordered(goal) else gap
         ahead = np.array([np.cos(gap.heading), np.sin(gap.heading)])
-        return np.asarray(xy + max(0.0, gap.distance - START_DISTANCE_M) * ahead)
+        return np.asarray(xy + max(0.0, gap.distance - self._params.start_distance_m) * ahead)

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.search_tables import legs_of, rules_of
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -112,7 +112,7 @@ def _cut(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
     Wide ground is one tile, a narrow piece has three.
     """
     carries = np.zeros(field.evaluation.shape, dtype=np.bool_)
-    roadmap_search.candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, carries)
+    roadmap_search.candidates(field.evaluation, settings.strong_cells, settings.wide_cells, settings.weakest_cells, carries)
     part = np.full(carries.shape, -1, dtype=np.int16)
     tile, tiles = part.copy(), 0
     for k in range(_label(carries, part)):

@@ -4,15 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.planner.terrain import ACCEPTABLE, Terrain
+from sextant.services.planner.gap_crossing.params import GapDetectionParams
+from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
-
-_HALF_WIDTH = 0.20  # [m] half width of the band ahead that is checked, about the width of the feet
-_CARRYING = 0.8  # [1] share of the band across that must carry a foot for normal walking
-_KNOWN = 0.5  # [1] share of it that must be known
-_HIGHER = 0.1  # [1] share of the band higher than a step of the legs, from which it is a wall
-_BASE = 0.10  # [m] before a wall, where ground at its foot also carries none
-_WIDE = 0.06  # [m] minimum length of a gap; narrower ones are stepped over
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +17,9 @@ class GapEdge:
     heading: float  # [rad] {world} of the line across
 
 
-def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float, max_step_m: float) -> GapEdge | str:
+def detect_gap(
+    terrain: Terrain, xy: Array, target: Array, ground: float, max_step_m: float, params: GapDetectionParams
+) -> GapEdge | str:
     """Return the first gap on a straight line, or why there is none.
 
     Args:
@@ -32,6 +28,7 @@ def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float, max_st
         target: (2,) [m] {world} goal.
         ground: [m] {world} ground height under the robot.
         max_step_m: [m] height above that ground, from which an obstacle is a wall.
+        params: Parameters of the detection.
     """
     way = target - xy
     length = float(np.linalg.norm(way))
@@ -40,18 +37,21 @@ def detect_gap(terrain: Terrain, xy: Array, target: Array, ground: float, max_st
     heading = float(np.arctan2(way[1], way[0]))
     reach = float(np.hypot(*terrain.map.elevation.shape)) * terrain.map.resolution  # nothing is known beyond
     along = np.arange(0.0, min(length, reach), terrain.map.resolution)
-    across = np.arange(-_HALF_WIDTH, _HALF_WIDTH + 1e-9, terrain.map.resolution)
+    across = np.arange(-params.half_width_m, params.half_width_m + 1e-9, terrain.map.resolution)
     ahead = way / length
     places = xy + along[:, None, None] * ahead + across[:, None] * np.array([-ahead[1], ahead[0]])
     heights = terrain.heights(places)
-    wall = (heights > ground + max_step_m).mean(axis=1) > _HIGHER
-    bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
-    known = np.isfinite(heights).mean(axis=1) > _KNOWN
+    wall = (heights > ground + max_step_m).mean(axis=1) > params.wall_share
+    bare = _wide(
+        (terrain.scores(places) <= terrain.params.max_score).mean(axis=1) < params.carrying_share,
+        round(params.min_length_m / terrain.map.resolution),
+    )
+    known = np.isfinite(heights).mean(axis=1) > params.known_share
     if not (bare & known).any():
         return "no gap on the straight line to the goal"
     verge = float(along[bare & known][0])
     walls = along[wall]
-    if walls.size and walls[0] < verge + _BASE:
+    if walls.size and walls[0] < verge + params.wall_base_m:
         return f"an obstacle blocks the straight line to the goal after {walls[0]:.1f} m"
     return GapEdge(verge, heading)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of, tree_of
 from sextant.services.planner.gap_crossing.sections import bare
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -202,7 +202,7 @@ class Roadmap:
             return stance
         first = found.copy()
         for strict in (0, 1):  # first with the reserves for the next steps, then without
-            for shift in _shifts(self._settings.repair, 0.005):
+            for shift in _shifts(self._settings.max_repair_m, 0.005):
                 body = stance.body + shift
                 roadmap_search.faults(self._legs, self._rules, strict, stance.feet, body, found)
                 if not found.any():
@@ -210,7 +210,7 @@ class Roadmap:
                     return replace(stance, body=body)
         if np.count_nonzero(first[:6]) == 1 and not first[6]:
             return stance  # the next step of that leg repairs it
-        self._blame, self._blamed = describe_fault(first, self._settings.repair), int(np.flatnonzero(first)[0])
+        self._blame, self._blamed = describe_fault(first, self._settings.max_repair_m), int(np.flatnonzero(first)[0])
         return stance
 
     def _crossing(self, goal: int) -> SectionPlan | NoSection:
@@ -300,7 +300,7 @@ class Roadmap:
         steps = [self._step(n) for n in self._back(node)][::-1]
         if self._shift.any():
             body = self._tree.body[0].copy()
-            steps.insert(0, PassageStep(roadmap_search.ALL_STAND, body, 0.0, body, self._settings.margin))
+            steps.insert(0, PassageStep(roadmap_search.ALL_STAND, body, 0.0, body, self._settings.margin_m))
         return tuple(steps)
 
     def _before(self, node: int, way: float) -> int:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap_search import (
     COUNTS,
     CROWDS,
@@ -13,7 +14,6 @@ from sextant.services.planner.gap_crossing.roadmap_search import (
     Tree,
     nearest_seen,
 )
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.locomotion.leg_clearance import LEVEL, SWING_TIME, swing_shape
 from sextant.shared.geometry import Array
@@ -31,7 +31,7 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0.0, np.sign(mount[:, 0]))
     unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / LEVEL]))[:, 0]
     table = []
-    for angle, length in ((np.radians(settings.spare_deg), settings.spare), (0.0, 0.0)):
+    for angle, length in ((np.radians(settings.joint_margin_deg), settings.reach_margin_m), (0.0, 0.0)):
         limits = profile.joint_limits + np.array([angle, -angle])
         ends = np.maximum(limits[:, 2, 0], -np.pi), np.minimum(limits[:, 2, 1], 0.0)
         way = np.column_stack(
@@ -61,25 +61,25 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
         half_width=body.size[1] / 2,
         half_height=body.size[2] / 2,
         weight=body.total_mass * GRAVITY,
-        torque=settings.torque * profile.servo.stall_torque,
+        torque=settings.torque_share * profile.servo.stall_torque,
         easy_torque=_EASY * profile.servo.stall_torque,
         height=settings.body_height or stance.body_height,
         climb=0.5 * stance.max_climb,
         centre_x=float(centre[0]),
         centre_y=float(centre[1]),
-        margin=settings.margin,
+        margin=settings.margin_m,
         feet_apart=stance.foot_distance,
-        legs_apart=settings.legs_apart,
-        body_clear=settings.body_clear,
-        leg_clear=settings.leg_clear,
-        swing_clear=settings.swing_clear,
-        least_lift=settings.swing_clear + 0.01,
+        legs_apart=settings.legs_apart_m,
+        body_clear=settings.body_clear_m,
+        leg_clear=settings.leg_clear_m,
+        swing_clear=settings.swing_clear_m,
+        least_lift=settings.swing_clear_m + 0.01,
         most_lift=stance.max_lift,
         lift_step=0.015,
-        moved_most=settings.moved_most,
-        lattice=settings.lattice,
-        alike_body=settings.alike * settings.lattice,
-        alike_foot=settings.alike,
+        moved_most=settings.max_swing_shift_m,
+        lattice=settings.lattice_m,
+        alike_body=settings.alike_cells * settings.lattice_m,
+        alike_foot=settings.alike_cells,
         body_low=settings.body_step[0] * size,
         body_high=settings.body_step[1] * size,
         body_angle=float(np.radians(settings.body_angle_deg)),
@@ -87,10 +87,10 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
         foot_high=settings.foot_step[1],
         foot_angle=float(np.radians(settings.foot_angle_deg)),
         foot_back=settings.foot_back * size,
-        strong=settings.strong,
-        wide=settings.wide,
-        weakest=settings.weakest,
-        drift=settings.drift,
+        strong=settings.strong_cells,
+        wide=settings.wide_cells,
+        weakest=settings.weakest_cells,
+        drift=settings.drift_m,
         depth=6 * settings.cycles,
         step_gain=0.15 * size,
         eager=settings.eager,

@@ -409,7 +409,7 @@ class GapCrossing:
             self._trail.ended(done)
             self._because = f" again: {why}" if why else ""
             return self._enter("survey", Wait(f"surveying the gap{self._because}"))
-        if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1, a foot searches for ground
+        if not resting and not self._settings.revision.plan_from_phase <= state.phase < 1.0:  # at 1, a foot searches for ground
             return Wait(self._words(done))
         return NextStep(
             self._stride(standing, self._steps[done]), state.step + 1, done == len(self._steps) - 1, self._words(done + 1)
@@ -421,12 +421,12 @@ class GapCrossing:
         T = self._field.T_world_strip
         swing = np.arange(6) == step.leg
         touchdown = standing.feet.copy()
-        clearance = np.full(6, self._settings.path_margin)
+        clearance = np.full(6, self._settings.step.path_margin_m)
         if step.leg >= 0:
             touchdown[step.leg], clearance[step.leg] = apply(T, np.asarray(step.touchdown)), step.clearance
         body = T @ from_xyz_rpy(step.body, np.zeros(3))
         legs = np.flatnonzero(swing)
-        swinging = time_to_swing(self._profile, self._settings, standing.feet[legs], touchdown[legs], clearance[legs])
+        swinging = time_to_swing(self._profile, self._settings.step, standing.feet[legs], touchdown[legs], clearance[legs])
         duration = max([self._profile.stance.step_s, *swinging.tolist()])
         return PlannedStep(swing, touchdown, touchdown[:, :2], clearance, body, body, standing.feet, 0, 1.0, duration, GOOD)
 

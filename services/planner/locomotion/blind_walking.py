@@ -19,10 +19,6 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import VelocityCommand
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
-_SEEN_LENGTH_M, _SEEN_ASIDE_M = 0.35, 0.15  # [m] region of the ground ahead that must be seen: length and half width
-_SEEN = 0.4  # [1] share of it that must be seen
-_LEVEL = 0.10  # [m] maximum difference between its median height and the plane of the feet
-_FOLLOWED = 0.3  # [1] share by which the body follows the slope of the newest feet in each step
 
 
 class BlindStepPlanner:
@@ -31,19 +27,20 @@ class BlindStepPlanner:
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Initialize for a robot."""
         self._profile = profile
-        self._settings = settings
-        front, middle, rear = (settings.touch_width * radius for radius in profile.stance.foot_radius_from_coxa)
+        self._params = params = settings.blind_walking
+        self._max_lean_deg, self._blind_radius_m = settings.step.max_lean_deg, settings.costmap.blind_radius_m
+        front, middle, rear = (params.width_ratio * radius for radius in profile.stance.foot_radius_from_coxa)
         slow = replace(
             profile.stance,
-            step_s=settings.touch_step_s,
-            stride=settings.touch_stride,
+            step_s=params.step_s,
+            stride=params.stride_m,
             foot_radius_from_coxa=(front, middle, rear),
         )
         self._strides = StepPlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:
         """Return the command with the higher lift of walking by touch."""
-        return replace(command, lift=max(command.lift, self._settings.touch_lift))
+        return replace(command, lift=max(command.lift, self._params.lift_m))
 
     def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
         """Return the expected ground for standing feet (6, 3) [m] {world}."""
@@ -65,12 +62,14 @@ class BlindStepPlanner:
         """
         xy, height, slope = plane_through(feet - [0.0, 0.0, self._profile.foot.radius])
         ahead = np.array([np.cos(course), np.sin(course)])
-        radius = self._settings.costmap.blind_radius_m
-        ranges = np.arange(radius, radius + _SEEN_LENGTH_M, 0.02)
-        along, aside = np.meshgrid(ranges, np.arange(-_SEEN_ASIDE_M, _SEEN_ASIDE_M + 1e-9, 0.02))
+        radius = self._blind_radius_m
+        ranges = np.arange(radius, radius + self._params.seen_length_m, 0.02)
+        along, aside = np.meshgrid(
+            ranges, np.arange(-self._params.seen_half_width_m, self._params.seen_half_width_m + 1e-9, 0.02)
+        )
         beyond = put_down + along[..., None] * ahead + aside[..., None] * np.array([-ahead[1], ahead[0]])
         above = terrain.heights(beyond) - height - (beyond - xy) @ slope
-        if np.isfinite(above).mean() < _SEEN or abs(float(np.nanmedian(above))) > _LEVEL:
+        if np.isfinite(above).mean() < self._params.seen_share or abs(float(np.nanmedian(above))) > self._params.level_m:
             return None
         m = terrain.map
         x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
@@ -112,9 +111,9 @@ class BlindStepPlanner:
         """
         level = from_xyz_rpy(stride.body_goal[:3, 3], (0.0, 0.0, yaw_of(stride.body_goal)))
         slope = slope_under(at.feet, level)
-        steep = max(float(np.linalg.norm(slope)) / np.radians(self._settings.max_lean_deg), 1.0)
+        steep = max(float(np.linalg.norm(slope)) / np.radians(self._max_lean_deg), 1.0)
         was = rpy_from_rotation(at.T_world_body[:3, :3])[:2]
-        goal = leaning(level, was + _FOLLOWED * (slope / steep - was), 0.0)
+        goal = leaning(level, was + self._params.slope_share * (slope / steep - was), 0.0)
         return replace(stride, body_goal=goal) if self._strides.reached(stride.touchdown, goal).all() else stride
 
     def _lowered(self, stride: PlannedStep) -> PlannedStep:

@@ -19,6 +19,7 @@ from sextant.services.planner.locomotion.leg_clearance import (
     rises_clear,
     stands_clear,
 )
+from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.terrain import GOOD, NONE, Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from sextant.shared.robot.kinematics import body_inverse, leg_inverse, within_limits
@@ -27,17 +28,9 @@ from sextant.shared.robot.stability import resting_centre_of_mass, support_margi
 from sextant.shared.wire.messages import VelocityCommand
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # shares of the commanded travel, tried in this order
-_WIDTHS = (1.0, 1.5)  # factors of the foothold search radius; the wider one only if the narrower one finds no step
-_ROOM_ENOUGH = 1.75  # suitability of a foothold; above it the step is not shortened for a better one
-_DESCENT = np.array([0.0, 0.0, 0.03])  # [m] above a foothold, from where the foot descends vertically
-_DEARER = 2.0  # cost of height relative to ground distance: the body covers half of a foot's ground distance
-_DEARER_YET = 2.5  # the same where a foot goes higher than commanded, over uneven ground where the stance is less firm
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the ground's slope by which the body may lean
-_GATHERED = 0.02  # [m] minimum total approach of the feet to their resting places in a step on the spot
 _ASIDE, _AROUND = (0.02, 0.04, 0.06), np.arange(8) * np.pi / 4  # [m] and [rad] of body shifts that make room for a leg
-_SHIFT_S = 1.0  # [s] duration of such a shift
-_REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may be lower than estimated
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +84,10 @@ class StepPlanner:
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Initialize for a robot."""
         self._profile = profile
-        self._settings = settings
+        self._params = settings.step
+        self._widths = (1.0, settings.step.wide_search_ratio)  # the wider search only if the narrower one finds no step
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `_WIDTHS`, for the current map resolution
+        self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `_widths`, for the current map resolution
         self._offsets_resolution = 0.0  # [m]
 
     def validation_error(self, command: VelocityCommand) -> str:
@@ -141,10 +135,10 @@ class StepPlanner:
             at: Start of the step.
             terrain: The map.
             refused: Indices into `SHARES` that must not be tried.
-            width: Factor of the robot's search radius for footholds, one of `_WIDTHS`.
-            foot_margin: [m] between the ground and a foot that a folded leg pushes aside; default `Settings.sink_margin`.
+            width: Factor of the robot's search radius for footholds, 1 or `wide_search_ratio`.
+            foot_margin: [m] between the ground and a foot that a folded leg pushes aside; default `sink_margin_m`.
         """
-        foot_margin = self._settings.sink_margin if foot_margin is None else foot_margin
+        foot_margin = self._params.sink_margin_m if foot_margin is None else foot_margin
         best: PlannedStep | None = None
         first: NoStep | None = None
         for number, share in enumerate(SHARES):
@@ -155,7 +149,7 @@ class StepPlanner:
                 first = first or found
             elif best is None or found.room > best.room:
                 best = found
-            if best is not None and best.room >= _ROOM_ENOUGH:
+            if best is not None and best.room >= self._params.room_enough:
                 break
         return best or first or NoStep("the actuator refused every step")
 
@@ -179,8 +173,8 @@ class StepPlanner:
             refused: Ways that must not be tried.
         """
         first: NoStep | None = None
-        for foot_margin in (self._settings.sink_margin, -np.inf):
-            for width, (turn, at) in product(_WIDTHS, enumerate(situations)):
+        for foot_margin in (self._params.sink_margin_m, -np.inf):
+            for width, (turn, at) in product(self._widths, enumerate(situations)):
                 ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
                 found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
                 if isinstance(found, PlannedStep):
@@ -201,14 +195,15 @@ class StepPlanner:
         body = at.T_world_body
         away = np.arctan2(*(body[:2, 3] - at.feet[leg, :2])[::-1])
         turns = _AROUND[np.argsort(np.abs((_AROUND + np.pi) % (2.0 * np.pi) - np.pi), kind="stable")]
+        shift_s = self._params.shift_s
         for distance, turn in product(_ASIDE, turns):
             moved = body.copy()
             moved[:2, 3] += distance * np.array([np.cos(away + turn), np.sin(away + turn)])
             if not self.reached(at.feet, moved).all() or self._unstable(at.feet, moved, ""):
                 continue
             if isinstance(self.plan(replace(at, T_world_body=moved), terrain), PlannedStep):
-                nobody, low = np.zeros(6, dtype=np.bool_), np.full(6, self._settings.path_margin)
-                return PlannedStep(nobody, at.feet, at.feet[:, :2], low, moved, moved, at.feet, 0, 1.0, _SHIFT_S, GOOD)
+                nobody, low = np.zeros(6, dtype=np.bool_), np.full(6, self._params.path_margin_m)
+                return PlannedStep(nobody, at.feet, at.feet[:, :2], low, moved, moved, at.feet, 0, 1.0, shift_s, GOOD)
         return None
 
     def gather(
@@ -225,12 +220,12 @@ class StepPlanner:
             refused: Ways that must not be tried; their numbers continue those of `choose`.
         """
         for way, at in enumerate(situations, len(SHARES) * len(situations)):
-            found = self._attempt(at, terrain, 0.0, _WIDTHS[0], self._settings.sink_margin) if way not in refused else None
+            found = self._attempt(at, terrain, 0.0, self._widths[0], self._params.sink_margin_m) if way not in refused else None
             if isinstance(found, PlannedStep):
                 legs = found.swing
                 before = np.linalg.norm((found.start[:, :2] - found.nominal)[legs], axis=1)
                 after = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[legs], axis=1)
-                if before.sum() - after.sum() > _GATHERED:
+                if before.sum() - after.sum() > self._params.gathered_m:
                     return found, way
         return NoStep("no step on the spot brings the feet closer to their rest positions"), 0
 
@@ -251,7 +246,7 @@ class StepPlanner:
         return replace(stride, touchdown=touchdown)
 
     def _attempt(self, at: StepStart, terrain: Terrain, share: float, width: float, foot_margin: float) -> PlannedStep | NoStep:
-        settings = self._settings
+        params = self._params
         gait = GAITS[at.command.gait]
         travel, turn = self._travel(at.command, share)
         level = from_xyz_rpy(at.T_world_body[:3, 3], (0.0, 0.0, yaw_of(at.T_world_body)))
@@ -288,13 +283,13 @@ class StepPlanner:
             return NoStep(f"{LEGS[leg]} leg: an obstacle on the foot's path needs {clearance[leg] * 100:.0f} cm of lift", leg)
         way = StepMotion(at.feet, touchdown, at.T_world_body, T_end, at.swing)
         highest = self._profile.stance.max_lift
-        lifted = find_clearances(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
+        lifted = find_clearances(way, clearance, params.leg_margin_m, foot_margin, highest, self._profile, terrain)
         if isinstance(lifted, LegCollision):
             return NoStep(lifted.reason, lifted.leg, touching=True)
         clearance = lifted
-        clearance = np.where(at.swing, clearance, settings.path_margin)
-        dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
-        swinging = time_to_swing(self._profile, settings, at.feet, touchdown, clearance, dearer)
+        clearance = np.where(at.swing, clearance, params.path_margin_m)
+        dearer = np.where(clearance > at.command.lift, params.rough_height_cost, params.height_cost)
+        swinging = time_to_swing(self._profile, params, at.feet, touchdown, clearance, dearer)
         duration = max(self.duration(at.command), swinging[at.swing].max())
         return PlannedStep(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
 
@@ -303,12 +298,12 @@ class StepPlanner:
 
         They are as commanded, limited by the reach of the legs.
         """
-        settings, gait = self._settings, GAITS[command.gait]
+        params, gait = self._params, GAITS[command.gait]
         duration = self.duration(command)
         travel = command.velocity * duration
         longest = self._profile.stance.stride / gait.stances
         travel = travel * (share * min(1.0, longest / max(float(np.linalg.norm(travel)), 1e-9)))
-        limit = np.radians(settings.max_turn_deg) / gait.stances
+        limit = np.radians(params.max_turn_deg) / gait.stances
         return travel, share * float(np.clip(command.yaw_rate * duration, -limit, limit))
 
     def _standing_next(self, command: VelocityCommand, feet: Array, T_world_body: Array) -> NDArray[np.bool_]:
@@ -340,7 +335,7 @@ class StepPlanner:
         lowest = max(floor + self._profile.stance.body_height_range[0], now - climb)
         second_best = T_end, T_after
         for lean, stoop in self._postures(at.T_world_body, slope_under(stance, T_end), height - lowest):
-            spare = _REACH_SPARE if stoop > 0.0 or lean.any() else np.zeros(3)
+            spare = np.array([0.0, 0.0, self._params.reach_margin_m]) if stoop > 0.0 or lean.any() else np.zeros(3)
             feet = np.where(at.swing[:, None], stance + self._foot_up, at.feet) - spare
             end, after = leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
             reached = self.reached(feet, end) & (self.reached(feet, after) | ~at.swing)
@@ -360,9 +355,9 @@ class StepPlanner:
             slope: (2,) [rad] of the ground, in the convention of `leaning`.
             room: [m] maximum height reduction.
         """
-        settings = self._settings
-        most = min(1.0, np.radians(settings.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
-        now, change = rpy_from_rotation(T_world_body[:3, :3])[:2], np.radians(settings.max_tilt_deg)
+        params = self._params
+        most = min(1.0, np.radians(params.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
+        now, change = rpy_from_rotation(T_world_body[:3, :3])[:2], np.radians(params.max_tilt_deg)
         for share in _LEANS:
             lean = np.clip(share * most * slope, now - change, now + change)
             for stoop in _STOOPS[(_STOOPS == 0.0) | (room >= _STOOPS)].tolist():
@@ -383,16 +378,16 @@ class StepPlanner:
 
         def reachable(points: Array) -> NDArray[np.bool_]:
             at = points + self._foot_up
-            above = at + _DESCENT  # a folded leg descends further out
+            above = at + np.array([0.0, 0.0, self._params.descent_m])  # a folded leg descends further out
             reached = self._reaches(leg, (above, T_end), (at, T_end), (at, T_after))
             for T in (T_end, T_after):
-                reached[reached] = stands_clear(leg, at[reached], T, self._settings.leg_margin, self._profile, terrain)
-            reached[reached] = rises_clear(leg, at[reached], passed, self._settings.sink_margin, self._profile, terrain)
+                reached[reached] = stands_clear(leg, at[reached], T, self._params.leg_margin_m, self._profile, terrain)
+            reached[reached] = rises_clear(leg, at[reached], passed, self._params.sink_margin_m, self._profile, terrain)
             return reached
 
         if terrain.map.resolution != self._offsets_resolution:
             radius, self._offsets_resolution = self._profile.stance.search_radius, terrain.map.resolution
-            self._offsets = {w: offsets_by_distance(w * radius, terrain.map.resolution) for w in _WIDTHS}
+            self._offsets = {w: offsets_by_distance(w * radius, terrain.map.resolution) for w in self._widths}
         return nearest_foothold(terrain, nominal, self._offsets[width], others, self._profile.stance.foot_distance, reachable)
 
     def _reaches(self, leg: int, *ways: tuple[Array, Array]) -> NDArray[np.bool_]:
@@ -430,32 +425,32 @@ class StepPlanner:
 
         It includes the ground between the ends, and is higher on rough ground.
         """
-        settings = self._settings
+        params = self._params
         start, end = feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
         higher, lower = np.maximum(start, end), np.minimum(start, end)
         ground = terrain.ground_along(feet[:, :2], touchdown[:, :2])
         between = ground.max(axis=0)
-        rough = np.maximum(higher, between) - lower > settings.uneven
+        rough = np.maximum(higher, between) - lower > params.rough_m
         lift_if_rough = max(lift, self._profile.stance.rough_lift)
-        clearance = np.maximum(np.where(rough, lift_if_rough, lift), between - higher + settings.path_margin)
+        clearance = np.maximum(np.where(rough, lift_if_rough, lift), between - higher + params.path_margin_m)
         sole = np.array([0.0, 0.0, self._profile.foot.radius])
-        to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, settings.sink_margin)
+        to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, params.sink_margin_m)
         return np.asarray(np.maximum(clearance, to_sink))
 
 
 def time_to_swing(
-    profile: RobotProfile, settings: Settings, start: Array, end: Array, clearance: Array, dearer: Array | float = _DEARER
+    profile: RobotProfile, params: StepParams, start: Array, end: Array, clearance: Array, dearer: Array | None = None
 ) -> Array:
     """Return the duration (n,) [s] of steps at the sustainable speed of the servos.
 
     Args:
         profile: The robot.
-        settings: Settings of the planner.
+        params: Parameters of a step.
         start: (n, 3) [m] foot centres at the start.
         end: (n, 3) [m] foot centres at the end.
         clearance: (n,) [m] over the higher end.
-        dearer: Cost of height relative to ground distance, (n,) or one value.
+        dearer: (n,) cost of height relative to ground distance; None: `height_cost` for all.
     """
     up_and_down = 2.0 * clearance + np.abs((end - start)[:, 2])
-    way = np.linalg.norm((end - start)[:, :2], axis=1) + dearer * up_and_down
-    return np.asarray(settings.handover_s + way / profile.stance.foot_speed)
+    way = np.linalg.norm((end - start)[:, :2], axis=1) + (params.height_cost if dearer is None else dearer) * up_and_down
+    return np.asarray(params.handover_s + way / profile.stance.foot_speed)

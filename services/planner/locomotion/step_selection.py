@@ -110,8 +110,8 @@ class StepSelector:
             return Decision("stepping", "by touch: the feet search for the ground", step=step)
         if refusals.count:
             refusals.give_up()
-            return Decision("blocked", f"by touch: {refusals.words()}", retry_s=self._settings.revise_s)
-        return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revise_s)
+            return Decision("blocked", f"by touch: {refusals.words()}", retry_s=self._settings.revision.interval_s)
+        return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revision.interval_s)
 
     def retarget(self, robot: RobotEstimate, terrain: Terrain) -> NumberedStep | None:
         """Return a revision of the running step if the map moves a touchdown enough."""
@@ -123,7 +123,7 @@ class StepSelector:
             return None  # nothing has changed since then
         planned = running.planned_in(robot.T_world_odom)
         found = self._by_sight.retarget(planned, terrain)
-        if np.abs(found.touchdown - planned.touchdown).max() < self._settings.retarget_from_m:
+        if np.abs(found.touchdown - planned.touchdown).max() < self._settings.revision.retarget_from_m:
             return None
         return NumberedStep(found, running.plan.step, running.step.variant, robot.T_world_odom)
 
@@ -145,7 +145,8 @@ class StepSelector:
             if by_touch is not None:
                 return by_touch
             reason = found.reason + (self._advice_to_turn(found, command) if steered else "")
-            return Decision("blocked", reason, found.leg, retry_s=self._settings.revise_s)  # all shares take the most time
+            retry_s = self._settings.revision.interval_s  # all shares take the most time
+            return Decision("blocked", reason, found.leg, retry_s=retry_s)
         step = self._next(robot, found, (number, way))
         if refusals.given_up:
             return Decision("blocked", refusals.words(), step=step)

@@ -58,3 +58,15 @@ class PathFollowerParams(Params):
     in_sight_deg: float = ranged(25.0, 1.0, 90.0)  # [deg] heading error, up to which a place is in the image
     sight_m: float = ranged(1.3, 0.1, 5.0)  # [m] range at which ground is visible
     must_see_m: float = ranged(0.20, 0.0, 2.0)  # [m] beyond the blind radius: nearer places must be in the image to walk on
+
+
+@dataclass(frozen=True, slots=True)
+class StallParams(Params):
+    """Stall detection: when the robot counts as making no progress on its path."""
+
+    still_s: float = ranged(4.0, 0.5, 120.0)  # [s] without motion, from which the robot counts as stalled
+    no_progress_s: float = ranged(16.0, 1.0, 600.0)  # [s] with motion but without progress, as where it steps back to look
+    min_progress_m: float = ranged(0.05, 0.001, 1.0)  # [m] minimum motion or progress
+    min_turn_deg: float = ranged(8.0, 0.5, 90.0)  # [deg] minimum turn or progress in heading
+    max_resets: int = ranged(4, 0, 100)  # maximum number of new paths or places to look at that reset what was reached
+    pause_s: float = ranged(2.5, 0.1, 60.0)  # [s] maximum time between two updates that counts; longer gaps are pauses

@@ -12,7 +12,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 
 from sextant.services.planner.locomotion.gait import GAITS
-from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams
+from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams, StallParams
 from sextant.services.planner.navigation.path_planner import NoPath, PlannedPath, cost_of, find_path
 from sextant.services.planner.navigation.stall_detection import StallDetector
 from sextant.services.planner.navigation.traversability import (
@@ -43,6 +43,7 @@ class _ActiveGoal:
 
     goal: Goal
     begin: Array  # (2,) [m] {world} start of the straight line to the next waypoint
+    progress: StallDetector  # to the next waypoint
     leg: int = 0  # index of the next waypoint
     arrived: bool = False
     map: TerrainMap | None = None  # the map of the last path search
@@ -53,16 +54,15 @@ class _ActiveGoal:
     stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places without progress
     stuck_reason: str = ""
     reason: str = ""  # why the newest command has no step
-    progress: StallDetector = field(default_factory=StallDetector)  # to the next waypoint
     facing: float = 0.0  # [rad] {world} heading of the newest command
 
 
 class PathFollower:
     """Follows the path to one goal at a time."""
 
-    def __init__(self, profile: RobotProfile, costmap: CostmapParams, params: PathFollowerParams):
+    def __init__(self, profile: RobotProfile, costmap: CostmapParams, params: PathFollowerParams, stall: StallParams):
         """Initialize for a robot."""
-        self._profile, self._params = profile, params
+        self._profile, self._params, self._stall = profile, params, stall
         feet = profile.rest_feet()
         half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + params.margin_m  # the robot must be able to turn
         # Next to a hole the outermost feet may stand closer, by the radius of the foothold search.
@@ -94,13 +94,14 @@ class PathFollower:
         params, xy = self._params, body[:2, 3]
         # 1. For a new goal, discard the state of the old one.
         if self._active_goal is None or not same_goal(goal, self._active_goal.goal):
-            self._active_goal = _ActiveGoal(goal, xy.copy())
+            self._active_goal = _ActiveGoal(goal, xy.copy(), StallDetector(self._stall))
         active_goal = self._active_goal
         active_goal.goal = goal
         # 2. Select the next waypoint.
         target = goal.waypoints[active_goal.leg]
         while active_goal.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, params.passed_m):
-            active_goal.begin, active_goal.way, active_goal.map, active_goal.progress = target, None, None, StallDetector()
+            active_goal.begin, active_goal.way, active_goal.map = target, None, None
+            active_goal.progress = StallDetector(self._stall)
             active_goal.leg += 1
             target = goal.waypoints[active_goal.leg]
         # A robot that has arrived does not start again because of small changes of its estimate.
@@ -158,7 +159,7 @@ class PathFollower:
         free = np.isfinite(active_goal.cost_map.at(active_goal.cost_map.cost, places))
         active_goal.stuck.append(places[int(np.argmax(free))])
         active_goal.stuck_reason = f"{words}: {active_goal.reason}" if active_goal.reason else words
-        active_goal.map, active_goal.progress = None, StallDetector()  # plan another path immediately
+        active_goal.map, active_goal.progress = None, StallDetector(self._stall)  # plan another path immediately
 
     def _plan(self, active_goal: _ActiveGoal, place: Array, target: Array) -> None:
         """Plan the path; keep the current one unless the new one is clearly cheaper."""

@@ -10,20 +10,15 @@ from math import hypot, inf, pi, radians
 
 import numpy as np
 
+from sextant.services.planner.navigation.params import StallParams
 from sextant.shared.geometry import Array
-
-_STILL_S = 4.0  # [s] without motion, from which the robot counts as stalled
-_NO_PROGRESS_S = 16.0  # [s] with motion but without progress, for example where the robot steps back to look
-_MIN_PROGRESS_M = 0.05  # [m] minimum motion or progress
-_MIN_TURN_RAD = radians(8.0)  # minimum turn or progress in heading
-_MAX_RESETS = 4  # maximum number of resets
-_PAUSE_S = 2.5  # [s] maximum time between two updates that counts; longer gaps are pauses
 
 
 @dataclass(slots=True, eq=False)
 class StallDetector:
     """Progress on a path and on the paths that replace it."""
 
+    params: StallParams = field(default_factory=StallParams)
     nearest: float = inf  # [m] shortest remaining path ever
     left: float = inf  # [m] shortest remaining path since the last reset
     error: float = inf  # [rad] smallest heading error since the last progress
@@ -44,23 +39,25 @@ class StallDetector:
             error: [rad] absolute heading error.
             speed: [m/s] commanded speed.
         """
-        passed = 0.0 if self.now_ns is None else min((now_ns - self.now_ns) * 1e-9, _PAUSE_S)
+        params = self.params
+        min_turn = radians(params.min_turn_deg)
+        passed = 0.0 if self.now_ns is None else min((now_ns - self.now_ns) * 1e-9, params.pause_s)
         self.now_ns, self.still_s, self.no_progress_s = now_ns, self.still_s + passed, self.no_progress_s + passed
         off = place - self.place
-        if not (hypot(off[0], off[1]) <= _MIN_PROGRESS_M and abs((off[2] + pi) % (2.0 * pi) - pi) <= _MIN_TURN_RAD):
+        if not (hypot(off[0], off[1]) <= params.min_progress_m and abs((off[2] + pi) % (2.0 * pi) - pi) <= min_turn):
             self.place, self.still_s = place, 0.0
-        if left < self.nearest - _MIN_PROGRESS_M:
+        if left < self.nearest - params.min_progress_m:
             self.nearest, self.resets = left, 0
-        if left < self.left - _MIN_PROGRESS_M:
+        if left < self.left - params.min_progress_m:
             self._begin(left, error)
-        elif error < self.error - _MIN_TURN_RAD:
+        elif error < self.error - min_turn:
             self._begin(self.left, error)
-        slowly = max(1.0, 2.0 * _MIN_PROGRESS_M / (speed * _STILL_S))
-        if self.still_s >= slowly * _STILL_S:
+        slowly = max(1.0, 2.0 * params.min_progress_m / (speed * params.still_s))
+        if self.still_s >= slowly * params.still_s:
             return f"no motion for {self.still_s:.0f} s"
-        if self.no_progress_s < slowly * _NO_PROGRESS_S:
+        if self.no_progress_s < slowly * params.no_progress_s:
             return ""
-        if self.changed and self.resets < _MAX_RESETS:
+        if self.changed and self.resets < params.max_resets:
             self.resets += 1
             self._begin(left, error)
             return ""

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from benchmarks.peers.passage_peer import NumpyTests
 from sextant.deploy.evaluation.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
 from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
 

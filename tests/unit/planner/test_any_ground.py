@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
+from sextant.services.planner.gap_crossing.params import GapDetectionParams
 from sextant.services.planner.gap_crossing.sections import bare, goal_behind, without
 from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
 from sextant.services.planner.gap_crossing.strip_map import StripMap
@@ -24,6 +25,7 @@ from sextant.shared.wire.messages import Goal, PassageMap, PassageRequest, StepP
 from tests.unit.planner.test_service import HEIGHT, Rig
 
 CAMERA = load_profile("phantomx_mk2").camera
+MAX_STEP_M = CostmapParams().max_step_m
 HEIGHTS = [0.0, 0.0, 0.0, 0.03, 0.09, 0.4, -0.05, -0.4, np.nan]  # [m] of patches
 RESOLUTIONS = [0.01, 0.01, 0.015, 0.04, 0.1]  # [m]
 seeds = st.integers(0, 2**32 - 1)
@@ -88,7 +90,9 @@ def test_detected_gap_lies_between_robot_and_target(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = Terrain(any_map(rng))
     xy, target = rng.uniform(-1.5, 1.5, (2, 2))
-    found = detect_gap(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])), CostmapParams().max_step_m)
+    found = detect_gap(
+        terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])), CostmapParams().max_step_m, GapDetectionParams()
+    )
     if isinstance(found, GapEdge):
         assert 0.0 <= found.distance <= np.linalg.norm(target - xy)
     else:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.params import RevisionParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, StepPlanner
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
@@ -279,7 +280,7 @@ def test_plan_revisions_and_stamps_increase() -> None:
     assert [p.revision for p in plans] == list(range(1, len(plans) + 1))
     assert {p.step for p in plans} == {1}
     gaps = np.diff([p.stamp_ns for p in plans])
-    assert (gaps >= round(rig.planner._settings.revise_s * 1e9)).all()
+    assert (gaps >= round(rig.planner._settings.revision.interval_s * 1e9)).all()
 
 
 def test_newer_map_retargets_touchdowns_of_running_step(make_terrain: Maker) -> None:
@@ -324,13 +325,9 @@ def test_infeasible_command_is_refused_with_reason() -> None:
     assert rig.status().reason == "a body height of 0.085 to 0.15 m expected, 0.25 m commanded"
 
 
-@pytest.mark.parametrize(
-    ("name", "bad"),
-    [("touch_stride", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan), ("uneven", 0.0), ("retarget_from_m", -1.0)],
-)
-def test_invalid_settings_are_refused(name: str, bad: float) -> None:
-    with pytest.raises(ValueError, match=f"{name}.* expected, found {bad}"):
-        Settings(**{name: bad})
+def test_revision_in_reverse_order_is_refused() -> None:
+    with pytest.raises(ValueError, match="retarget_until_phase: less than plan_from_phase expected, found"):
+        RevisionParams(retarget_until_phase=0.6, plan_from_phase=0.5)
 
 
 def test_nearly_complete_step_is_not_revised(make_terrain: Maker) -> None:
@@ -339,7 +336,7 @@ def test_nearly_complete_step_is_not_revised(make_terrain: Maker) -> None:
     rig.begin(first)
     rig.plans(1, phase=0.1)
     rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 0.9), height=lambda x, y: np.full_like(x, 0.02)).map
-    between = (rig.planner._settings.retarget_until + rig.planner._settings.plan_from) / 2
+    between = (rig.planner._settings.revision.retarget_until_phase + rig.planner._settings.revision.plan_from_phase) / 2
     assert rig.plans(5, phase=between) == []
 
 
@@ -385,7 +382,7 @@ def test_blocked_planner_limits_its_search_rate(make_terrain: Maker) -> None:
     rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 9.0)).map
     rig.plans(50)
     searches = rig.planner.stages.runs("plan step")
-    assert searches <= 1 + 1.0 / rig.planner._settings.revise_s
+    assert searches <= 1 + 1.0 / rig.planner._settings.revision.interval_s
 
 
 def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000) -> list[StepPlan]:
@@ -625,14 +622,14 @@ def by_touch() -> Rig:
 def test_blind_walking_without_pose_and_map_is_slow_with_high_lift() -> None:
     rig = by_touch()
     (plan,) = rig.plans(10)[:1]
-    settings = Settings()
+    params = Settings().blind_walking
     assert plan.stop
-    assert plan.duration == settings.touch_step_s
-    assert np.linalg.norm(plan.body_goal[:2, 3]) <= settings.touch_stride + 1e-9
+    assert plan.duration == params.step_s
+    assert np.linalg.norm(plan.body_goal[:2, 3]) <= params.stride_m + 1e-9
     low = plan.touchdown[plan.swing, 2] - PROFILE.foot.radius
     assert low.max() <= -0.03, "feet are sent below the ground"
     assert low.min() >= -0.05 - 1e-9
-    assert (plan.clearance[plan.swing] >= settings.touch_lift - 1e-9).all()
+    assert (plan.clearance[plan.swing] >= params.lift_m - 1e-9).all()
     np.testing.assert_allclose(plan.touchdown[~plan.swing], apply(standing(), REST)[~plan.swing], atol=1e-9)
     assert "by touch" in rig.status().reason
 
@@ -718,7 +715,7 @@ def test_robot_turns_on_the_spot_on_mapped_ground() -> None:
     assert len(reached) == 40
     assert np.abs(np.array(reached)[:, :2]).max() < 1e-6
     assert rig.pose is not None
-    a_step = np.radians(Settings().max_turn_deg)
+    a_step = np.radians(Settings().step.max_turn_deg)
     assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * a_step + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -880,7 +877,7 @@ def test_blind_walking_continues_when_no_other_step_is_possible(monkeypatch: pyt
         rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
     stretched = NoStep("right rear leg: its foot would be out of reach at the end of the step")
     choose = StepPlanner.choose
-    by_touch = Settings().touch_step_s
+    by_touch = Settings().blind_walking.step_s
     monkeypatch.setattr(
         StepPlanner,
         "choose",

@@ -6,8 +6,8 @@ import numpy as np
 
 from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
 from sextant.services.planner.config import Settings
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.warmup import compile_functions
 from sextant.shared.robot.profiles import load_profile

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.approach import START_DISTANCE_M, GapCrossingController
+from sextant.services.planner.gap_crossing.approach import GapCrossingController
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
+from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
 from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_follower import MotionCommand
@@ -137,7 +138,10 @@ def test_invalid_goal_is_refused_with_reason(changes: dict[str, Any], words: str
 
 def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
     terrain = Terrain(gap(0.8))
-    near, far = (detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0, CostmapParams().max_step_m) for x in (2.5, 9e3))
+    near, far = (
+        detect_gap(terrain, np.zeros(2), np.array([x, 0.0]), 0.0, CostmapParams().max_step_m, GapDetectionParams())
+        for x in (2.5, 9e3)
+    )
     assert isinstance(near, GapEdge)
     assert near == far
 
@@ -174,7 +178,7 @@ def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, mon
     rig, terrain = Rig(), Terrain(gap(0.8))
     mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
     body = rig.state.T_odom_body.copy()
-    body[0, 3] = EDGE - START_DISTANCE_M
+    body[0, 3] = EDGE - GapApproachParams().start_distance_m
     standing = WorldStance(body, apply(body, rig.state.feet))
     goal = replace(GOAL, passage=True)
 

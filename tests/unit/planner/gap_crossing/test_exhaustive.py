@@ -19,8 +19,8 @@ from sextant.deploy.evaluation.passage_fields import (
     thesis_blocks,
 )
 from sextant.services.planner.gap_crossing.exhaustive import has_way, passable
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.robot.profiles import load_profile
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
+from sextant.services.planner.gap_crossing.params import GapDetectionParams
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
@@ -28,7 +29,7 @@ def score(begin: float, end: float) -> Callable[[Array, Array], Array]:
 @pytest.mark.parametrize("length", [0.1, 0.5])
 def test_gap_edge_is_detected_at_end_of_ground(make_terrain: Maker, begin: float, length: float) -> None:
     terrain = make_terrain(ditch(begin, begin + length), score(begin, begin + length))
-    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M)
+    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
     assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(begin, abs=0.021)
     assert found.heading == pytest.approx(0.0)
@@ -36,20 +37,22 @@ def test_gap_edge_is_detected_at_end_of_ground(make_terrain: Maker, begin: float
 
 def test_level_ground_has_no_gap(make_terrain: Maker) -> None:
     assert (
-        detect_gap(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0, MAX_STEP_M)
+        detect_gap(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
         == "no gap on the straight line to the goal"
     )
 
 
 def test_ditch_narrower_than_step_is_not_gap(make_terrain: Maker) -> None:
-    assert isinstance(detect_gap(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0, MAX_STEP_M), str)
+    assert isinstance(
+        detect_gap(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams()), str
+    )
 
 
 def test_wall_before_gap_is_reported(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where((x > 0.4) & (x < 0.6), 0.3, np.where(x > 0.9, -0.4, 0.0)) + 0.0 * y, score(0.38, 9.0)
     )
-    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M)
+    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
     assert isinstance(found, str)
     assert "an obstacle" in found
 
@@ -58,7 +61,7 @@ def test_unseen_ground_is_not_gap(make_terrain: Maker) -> None:
     terrain = make_terrain(
         lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y, lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y
     )
-    assert isinstance(detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M), str)
+    assert isinstance(detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams()), str)
 
 
 def test_gap_with_pillars_is_detected(make_terrain: Maker) -> None:
@@ -72,7 +75,7 @@ def test_gap_with_pillars_is_detected(make_terrain: Maker) -> None:
         lambda x, y: np.where(inside(x) & ~pillars(x, y), -0.4, 0.0),
         lambda x, y: np.where(inside(x) & ~pillars(x, y), 9.0, 0.0),
     )
-    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M)
+    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
     assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(0.5, abs=0.021)
 
@@ -82,11 +85,14 @@ def test_gap_starting_just_before_goal_is_detected(make_terrain: Maker, short: f
     """Check a goal above the gap, so near its edge that no wall could begin before it."""
     edge = float(GOAL[0]) - short
     terrain = make_terrain(ditch(edge, 9.0), score(edge, 9.0), half=2.0)
-    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M)
+    found = detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
     assert isinstance(found, GapEdge)
     assert found.distance == pytest.approx(edge, abs=0.021)
 
 
 def test_wall_just_before_goal_is_reported(make_terrain: Maker) -> None:
     terrain = make_terrain(lambda x, y: np.where(x > 1.52, 0.3, 0.0) + 0.0 * y, score(1.5, 9.0), half=2.0)
-    assert detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M) == "an obstacle blocks the straight line to the goal after 1.5 m"
+    assert (
+        detect_gap(terrain, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
+        == "an obstacle blocks the straight line to the goal after 1.5 m"
+    )

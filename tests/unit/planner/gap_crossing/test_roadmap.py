@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from sextant.deploy.evaluation.passage_checker import violations
 from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
 from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import NoSection, Roadmap, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.roadmap_search import nearest_seen
 from sextant.services.planner.gap_crossing.sections import bare
-from sextant.services.planner.gap_crossing.settings import PassageSettings
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
@@ -53,7 +53,7 @@ def test_plan_over_level_ground_reaches_goal(roadmap: Roadmap) -> None:
     assert isinstance(found, SectionPlan)
     assert found.complete
     assert found.steps[-1].body[0] >= 1.2 - 1e-9
-    assert min(step.margin for step in found.steps) >= SETTINGS.margin
+    assert min(step.margin for step in found.steps) >= SETTINGS.margin_m
     assert {step.leg for step in found.steps} >= set(range(6))
     np.testing.assert_array_equal(found.end.body, found.steps[-1].body)
     assert len(roadmap.edges) >= len(found.steps)
@@ -84,9 +84,9 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
     for step in found.steps:
         if step.leg >= 0:
             i, j = np.rint((step.touchdown[:2] - (x0, y0)) / field.resolution).astype(int)
-            assert field.evaluation[i, j] <= SETTINGS.weakest
+            assert field.evaluation[i, j] <= SETTINGS.weakest_cells
             assert step.touchdown[2] == pytest.approx(field.elevation[i, j] + PROFILE.foot.radius)
-            assert SETTINGS.swing_clear <= step.clearance <= PROFILE.stance.max_lift
+            assert SETTINGS.swing_clear_m <= step.clearance <= PROFILE.stance.max_lift
 
 
 def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) -> None:
@@ -198,7 +198,7 @@ def test_slightly_invalid_stance_is_repaired_by_body_shift(roadmap: Roadmap) -> 
     found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
     assert isinstance(found, SectionPlan)
     assert found.steps[0].leg == -1
-    assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.repair + 1e-9
+    assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.max_repair_m + 1e-9
 
 
 def test_invalid_stance_is_reported_by_leg_and_test(roadmap: Roadmap) -> None:
@@ -219,7 +219,13 @@ def test_invalid_arguments_are_refused(roadmap: Roadmap) -> None:
         roadmap.begin(level(), Stance(np.zeros(3), np.full((6, 3), np.nan)), 1.0, 0)
     with pytest.raises(ValueError, match="begun"):
         Roadmap(PROFILE, PassageSettings(nodes=100)).grow(1)
-    for bad in ({"body_moves": 0}, {"body_angle_deg": 0.0}, {"foot_angle_deg": np.nan}, {"wide": -1}, {"weakest": 0}):
+    for bad in (
+        {"body_moves": 0},
+        {"body_angle_deg": 0.0},
+        {"foot_angle_deg": np.nan},
+        {"wide_cells": -1},
+        {"weakest_cells": 0},
+    ):
         with pytest.raises(ValueError, match=next(iter(bad))):
             PassageSettings(**bad)
 

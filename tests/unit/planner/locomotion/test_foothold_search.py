@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array
 
 Flags = NDArray[np.bool_]
@@ -19,6 +20,7 @@ Flags = NDArray[np.bool_]
 RADIUS, RESOLUTION = 0.06, 0.01
 OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
 NO_OTHER_FEET = np.zeros((0, 2))
+ACCEPTABLE = FootholdParams().max_score
 Maker = Callable[..., Terrain]
 
 

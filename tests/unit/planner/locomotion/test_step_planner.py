@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.leg_clearance import clearance_to_sink
+from sextant.services.planner.locomotion.params import FootholdParams, StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
-from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profiles import load_profile
@@ -26,6 +27,7 @@ from sextant.shared.wire.messages import GaitName, VelocityCommand
 
 Flags = NDArray[np.bool_]
 
+ACCEPTABLE = FootholdParams().max_score
 PROFILE = load_profile("phantomx_mk2")
 SETTINGS = Settings()
 PLANNER = StepPlanner(PROFILE, SETTINGS)
@@ -71,7 +73,7 @@ def check_walkable(found: PlannedStep, at: StepStart) -> None:
     # The body does not climb, sink or tilt faster than allowed.
     assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= PROFILE.stance.max_climb + 1e-9
     tilt = rpy_from_rotation(found.body_goal[:3, :3])[:2] - rpy_from_rotation(at.T_world_body[:3, :3])[:2]
-    assert np.degrees(np.abs(tilt)).max() <= SETTINGS.max_tilt_deg + 1e-6
+    assert np.degrees(np.abs(tilt)).max() <= SETTINGS.step.max_tilt_deg + 1e-6
 
 
 @given(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-0.2, 0.2), st.booleans())
@@ -81,7 +83,7 @@ def test_step_on_level_ground_follows_command(vx: float, vy: float, yaw_rate: fl
     found = stride(at)
     check_walkable(found, at)
     turn = (
-        float(np.clip(yaw_rate * PROFILE.stance.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg])))
+        float(np.clip(yaw_rate * PROFILE.stance.step_s, *np.radians([-SETTINGS.step.max_turn_deg, SETTINGS.step.max_turn_deg])))
         * found.share
     )
     travel = np.array([vx, vy]) * PROFILE.stance.step_s
@@ -100,7 +102,7 @@ def test_moderate_command_gives_full_stride() -> None:
 def test_stride_and_turn_are_limited() -> None:
     found = stride(standing(command(5.0, 0.0, 9.0)))
     assert np.linalg.norm(found.body_goal[:2, 3]) <= PROFILE.stance.stride + 1e-9
-    assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.max_turn_deg) + 1e-9
+    assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.step.max_turn_deg) + 1e-9
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -194,13 +196,13 @@ def lean_deg(found: PlannedStep) -> float:
 def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tread: float) -> None:
     strides = climbs(PLANNER, staircase(make_terrain, riser, tread))
     assert strides[-1].body_goal[0, 3] >= 1.4
-    assert max(map(lean_deg, strides)) <= min(SETTINGS.max_lean_deg, np.degrees(np.arctan(abs(riser) / tread)) + 5.0)
+    assert max(map(lean_deg, strides)) <= min(SETTINGS.step.max_lean_deg, np.degrees(np.arctan(abs(riser) / tread)) + 5.0)
     assert lean_deg(strides[0]) == 0.0
 
 
 def test_high_stairs_need_leaning_body(make_terrain: Maker) -> None:
     ground = staircase(make_terrain, 0.06, 0.25)
-    level = climbs(StepPlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
+    level = climbs(StepPlanner(PROFILE, Settings(step=StepParams(max_lean_deg=0.0))), ground)
     assert level[-1].body_goal[0, 3] < 1.0
     assert max(map(lean_deg, climbs(PLANNER, ground))) > 3.0
 
@@ -267,7 +269,7 @@ def test_foot_is_lifted_over_obstacle_on_its_path(make_terrain: Maker) -> None:
     ridge = make_terrain(lambda x, y: np.where(np.hypot(x - middle[0], y - middle[1]) < 0.012, 0.06, 0.0))
     found = stride(at, ridge)
     assert plain.clearance[0] == pytest.approx(at.command.lift)
-    assert found.clearance[0] >= 0.06 + SETTINGS.path_margin - 0.01
+    assert found.clearance[0] >= 0.06 + SETTINGS.step.path_margin_m - 0.01
     assert found.clearance[2] == pytest.approx(at.command.lift)
 
 
@@ -540,7 +542,7 @@ def test_swing_clears_obstacle_before_touchdown(height: float, before: float, as
     if isinstance(found, PlannedStep):
         swing = found.swing
         along = ground.ground_along(found.start[:, :2], found.touchdown[:, :2])
-        needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.sink_margin)
+        needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.step.sink_margin_m)
         assert (found.clearance[swing] >= needed[swing] - 1e-9).all()
         assert found.clearance[swing].max() <= PROFILE.stance.max_lift
 
@@ -550,7 +552,7 @@ def test_higher_lift_takes_longer_step(make_terrain: Maker) -> None:
     assert low.duration == PROFILE.stance.step_s
     assert high.duration > low.duration
     way = np.linalg.norm((high.touchdown - high.start)[high.swing], axis=1).max() + 4 * 0.08
-    assert way / (high.duration - SETTINGS.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
+    assert way / (high.duration - SETTINGS.step.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
 
 
 @pytest.mark.parametrize("off", [0.03, 0.04])

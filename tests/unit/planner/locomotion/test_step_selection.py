@@ -56,7 +56,7 @@ def test_reason_is_that_of_the_last_command(steps: StepSelector) -> None:
     assert decision.state == "blocked"
     assert decision.step is None
     assert "body height" in decision.reason
-    assert decision.retry_s == Settings().revise_s, "the search for the first command takes time"
+    assert decision.retry_s == Settings().revision.interval_s, "the search for the first command takes time"
 
 
 def test_advice_to_turn_is_for_a_steering_operator_alone(steps: StepSelector, make_terrain: Maker) -> None:
