@@ -24,7 +24,7 @@ from sextant.services.mapper.footholds.foothold_map import DISCS, TOO_WIDE, Eval
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
 from sextant.shared.runtime.compiled import compiled
-from sextant.shared.wire.messages import UNKNOWN
+from sextant.shared.wire.messages import UNKNOWN, BodyPose
 
 _WIDEST = 0.05  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
 _WHOLE = 0.8  # share of the map, above which all of it is recomputed
@@ -269,6 +269,18 @@ class FootholdLayers:
         accessible, refused, seen = (np.asarray(ground[a0:a1, b0:b1] >> bit & 1, dtype=np.uint8) for bit in range(3))
         F = self._evaluator.evaluate(accessible, refused, seen, None if level is None else level[a0:a1, b0:b1])
         self._evaluation[i0:i1, j0:j1] = F[i0 - a0 : i1 - a0, j0 - b0 : j1 - b0]
+
+
+def body_height_and_sigma(pose: BodyPose | None) -> tuple[float, float]:
+    """Return the body's height [m] {world} and the standard deviation [m] of its place along the floor.
+
+    The latter is that of the least certain horizontal axis. Without a pose the height is infinite, and so excludes no depth.
+    """
+    if pose is None:
+        return math.inf, 0.0
+    xy = pose.covariance[:2, :2]
+    half, spread = (xy[0, 0] + xy[1, 1]) / 2, math.hypot((xy[0, 0] - xy[1, 1]) / 2, xy[0, 1])
+    return float(pose.T_world_body[2, 3]), math.sqrt(max(0.0, half + spread))
 
 
 def _rectangle_of(layer: NDArray[np.uint8] | NDArray[np.bool_]) -> Rectangle:

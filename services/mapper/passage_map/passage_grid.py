@@ -145,22 +145,6 @@ def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:
     return PassageGrid(grid.strip, grid.resolution, elevation, normals, roughness, assumed)
 
 
-def feet_plane(feet: Array) -> Array:
-    """Fit a plane z = a + b x + c y to soles (n, 3) [m] and return (a, b, c).
-
-    The fit is by least squares, with n >= 3.
-
-    Raises:
-        ValueError: There are fewer than three feet.
-
-    Source: Masri 2016, section 4.7.
-    """
-    if feet.ndim != 2 or feet.shape[1] != 3 or len(feet) < 3:
-        raise ValueError(f"feet (n, 3), three or more, expected, found {feet.shape}")
-    A = np.column_stack([np.ones(len(feet)), feet[:, :2]])
-    return np.asarray(np.linalg.lstsq(A, feet[:, 2], rcond=None)[0], dtype=np.float64)
-
-
 def _slope(heights: Array, axis: int, resolution: float) -> Array:
     """Return the mean differences (nx, ny) [1] to the neighbours along an axis.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
+from sextant.services.mapper.elevation.start_ground import feet_plane
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.mapper.footholds.score import Scalar, ScoreWeights
 from sextant.services.mapper.passage_map.next_best_view import (
@@ -20,7 +21,6 @@ from sextant.services.mapper.passage_map.passage_grid import (
     PassageGrid,
     cell_centres,
     cells_of,
-    feet_plane,
     passage_grid,
     with_assumed,
 )

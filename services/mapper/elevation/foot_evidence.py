@@ -1,0 +1,80 @@
+"""Evidence of the feet about the map: touchdowns correct it, standing feet may refute it."""
+
+import numpy as np
+
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.shared.geometry import Array, apply
+from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode
+
+# [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
+MAX_HEIGHT_ERROR_M = 0.30
+_FARTHEST_FOOT_M = 1.0  # [m] from the body
+_EVEN = 5  # feet that must carry load before the first step
+_CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
+_SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
+_TOUCH_SIGMA_M = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
+
+
+class FootEvidence:
+    """Compares the feet with the map."""
+
+    def __init__(self, foot_radius_m: float, resolution: float):
+        """Start without touchdowns.
+
+        Args:
+            foot_radius_m: [m] from a foot's centre to its underside.
+            resolution: [m] cell edge of the map.
+        """
+        self._foot_radius_m = foot_radius_m
+        self._offsets = np.arange(-_SOLE_RADIUS_M, _SOLE_RADIUS_M + 1e-9, resolution)  # [m] of the cells around a foot
+        self._touch_ns = np.full(6, -1, dtype=np.int64)  # stamps of the newest touchdowns in the map
+        self._refuted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
+
+    def apply_touchdowns(self, grid: ElevationGrid, pose: BodyPose, legs: ActuatorState) -> None:
+        """Correct the map at the newest touchdowns, with or without ground."""
+        new = np.flatnonzero(legs.touch_ns > self._touch_ns)
+        self._touch_ns = legs.touch_ns.copy()
+        for p in apply(pose.T_world_odom, legs.touch[new]):
+            if abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # and not NaN
+                grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
+
+    def is_refuted(self, grid: ElevationGrid, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
+        """Return whether stance feet have refuted the map for `_CONTRADICTED_NS`.
+
+        At least three feet that carry load, and all of them but one, must disagree with the known heights around them. A
+        single foot over an edge, or a pose error of a few centimetres, does not refute the map.
+        """
+        if legs.swing.any() or not feet_show_ground(legs):
+            self.forget()
+            return False
+        feet = apply(pose.T_world_body, legs.feet)[legs.contact] - [0.0, 0.0, self._foot_radius_m]
+        refuted = np.count_nonzero([self._disagrees(grid, foot) for foot in feet])
+        if refuted < max(3, len(feet) - 1):
+            self.forget()
+            return False
+        if not 0 <= self._refuted_ns <= stamp_ns:
+            self._refuted_ns = stamp_ns
+        return stamp_ns - self._refuted_ns >= _CONTRADICTED_NS
+
+    def forget(self) -> None:
+        """Forget that the feet have refuted the map."""
+        self._refuted_ns = -1
+
+    def _disagrees(self, grid: ElevationGrid, foot: Array) -> bool:
+        """Return whether the map around a foot's underside (3,) [m] {world} is wrong."""
+        around = foot[:2] + np.stack(np.meshgrid(self._offsets, self._offsets), axis=-1)
+        above = grid.heights(around) - foot[2]
+        known = above[np.isfinite(above)]
+        return bool(len(known)) and float(np.mean(np.abs(known) < _CONTRADICTED)) < _SOLE_AGREES
+
+
+def feet_show_ground(legs: ActuatorState) -> bool:
+    """Return whether the feet show the height of the ground.
+
+    They do not with torque off or while the robot is carried. Before the first step at least `_EVEN` feet must carry load:
+    if more feet hang, the ground is not a plane.
+    """
+    carrying = legs.contact & ~legs.swing
+    enough = _EVEN if legs.step == 0 and not legs.swing.any() else 3
+    near = np.abs(legs.feet).max() < _FARTHEST_FOOT_M
+    return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= enough and near)
