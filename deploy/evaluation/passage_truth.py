@@ -10,8 +10,8 @@ from sextant.deploy.evaluation.passage_fields import RESOLUTION, field_of, stanc
 from sextant.services.planner.gap_crossing.exhaustive import passable
 from sextant.services.planner.gap_crossing.params import GapApproachParams, PassageSettings
 from sextant.services.planner.gap_crossing.sections import goal_behind
-from sextant.services.planner.gap_crossing.state_machine import BEHIND, STRIP
 from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import PillarField, Scenario
 

@@ -5,7 +5,7 @@ One leg moves at a time.
 
 from itertools import pairwise
 
-from sextant.services.planner.gap_crossing.state_machine import STRIP
+from sextant.services.planner.gap_crossing.strip_survey import STRIP
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import topics
 from tests.support.walks import walk

@@ -13,8 +13,8 @@ import pytest
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.approach import GapCrossingController
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
+from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, Outcome
 from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
-from sextant.services.planner.gap_crossing.state_machine import CannotCross, Completed, Outcome
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_follower import MotionCommand
 from sextant.services.planner.robot_estimate import WorldStance
