@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
+from sextant.services.actuator.locomotion.ground_contacts import Finding
 from sextant.services.actuator.locomotion.motion_controller import MotionController
-from sextant.services.actuator.locomotion.step_executor import Finding
 from sextant.services.actuator.safety.guard import Guard
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared.geometry import Array

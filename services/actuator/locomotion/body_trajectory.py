@@ -1,8 +1,124 @@
-"""Body pose as six coordinates, and interpolation between two poses. Pure."""
+"""Commanded body pose: a cubic from pose to pose, in a frame that follows the measured pose. Pure."""
+
+import math
+from collections.abc import Iterator
 
 import numpy as np
 
-from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
+
+LEVEL = np.array([1.0, 1.0, 0.0])  # mask of x, y, z, or of roll, pitch, yaw
+_FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
+_SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # squared weights in the length of a body path: 1 rad counts as 0.14 m
+_PLACES = 11  # number of candidate rest poses of a stopping body, from the earliest possible one to its goal
+
+
+class BodyTrajectory:
+    """Commanded body pose in {cmd}, the frame in which standing feet are fixed.
+
+    {cmd} follows {odom} slowly in x, y and yaw, because feet roll and slip, so that the commanded and the measured pose stay
+    together.
+    """
+
+    def __init__(self, T_odom_body: Array):
+        """Begin at rest, with {cmd} at {odom}."""
+        self.T_odom_cmd: Array = np.eye(4)
+        self.place = coordinates(T_odom_body)  # (6,) [m, rad] {cmd} commanded body pose
+        self._velocity = np.zeros(6)  # [m/s, rad/s]
+        self.begin(0.0, 1.0)
+
+    def begin(self, at_s: float, end_s: float, velocity_scale: float = 1.0) -> None:
+        """Begin a path at the present pose.
+
+        Args:
+            at_s: [s] time of the step now.
+            end_s: [s] time of the step at the end of the path.
+            velocity_scale: Present velocity per time of the step, as a multiple of the one before.
+        """
+        self._start, self._start_velocity = self.place.copy(), self._velocity * velocity_scale
+        self._start_s, self._end_s = at_s, end_s
+
+    @property
+    def T_odom_body(self) -> Array:
+        """(4, 4) {odom} commanded body pose now."""
+        return np.asarray(self.T_odom_cmd @ pose(self.place))
+
+    @property
+    def T_cmd_start(self) -> Array:
+        """(4, 4) {cmd} body pose at the start of the path."""
+        return pose(self._start)
+
+    def to_cmd(self, points: Array) -> Array:
+        """Return points (n, 3) [m] {odom} in {cmd}."""
+        return apply(inverse(self.T_odom_cmd), points)
+
+    def to_odom(self, points: Array) -> Array:
+        """Return points (n, 3) [m] {cmd} in {odom}."""
+        return apply(self.T_odom_cmd, points)
+
+    def to_body(self, points: Array) -> Array:
+        """Return points (n, 3) [m] {cmd} in the commanded body frame."""
+        return apply(inverse(pose(self.place)), points)
+
+    def goal(self, T_world_odom: Array, T_world_body: Array) -> Array:
+        """Return a body goal as coordinates (6,) {cmd}, with angles unwrapped."""
+        goal = coordinates(inverse(T_world_odom @ self.T_odom_cmd) @ T_world_body)
+        goal[3:] = self._start[3:] + wrapped(goal[3:] - self._start[3:])
+        return goal
+
+    def advance(self, elapsed_s: float, goal: Array, stop: bool) -> None:
+        """Move along the path.
+
+        Args:
+            elapsed_s: [s] time of the step.
+            goal: (6,) [m, rad] {cmd} end of the path, from `goal`.
+            stop: Whether the body rests there.
+        """
+        whole = self._end_s - self._start_s
+        end_velocity = np.zeros(6) if stop else (goal - self._start) / whole
+        way = (self._start, self._start_velocity, goal, end_velocity)
+        self.place, self._velocity = hermite(*way, whole, min(elapsed_s - self._start_s, whole))
+
+    def pause(self) -> None:
+        """Stay at the present pose for now."""
+        self._velocity = np.zeros(6)
+
+    def brake(self, dt: float, brake_s: float) -> None:
+        """Come to rest without a goal, with a time constant [s]."""
+        self._velocity = self._velocity * np.exp(-dt / brake_s)
+        self.place = self.place + self._velocity * dt
+
+    def rest_poses(self, goal: Array, left_s: float, velocity_scale: float) -> Iterator[Array]:
+        """Yield poses (4, 4) {cmd} at which the body could rest, from the earliest possible one to its goal.
+
+        Args:
+            goal: (6,) [m, rad] {cmd} end of the path.
+            left_s: [s] braking time.
+            velocity_scale: Present speed of the step relative to its plan.
+        """
+        velocity = velocity_scale * self._velocity
+        soon = self.place + left_s / 3.0 * velocity  # brakes with a deceleration that decreases linearly to zero
+        if (goal - self.place) @ (_SPAN * velocity) > 0.0 > (goal - soon) @ (_SPAN * velocity):
+            soon = goal
+        for share in np.linspace(0.0, 1.0, _PLACES):
+            yield pose(soon + share * (goal - soon))
+
+    def follow(self, dt: float, T_odom_body: Array) -> None:
+        """Move {cmd} in {odom} so that commanded and measured x, y and yaw converge."""
+        ref = self.T_odom_body
+        place = ref[:3, 3]
+        way = (T_odom_body[:3, 3] - place) * LEVEL
+        turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
+        R = rotation_z(_FOLLOW * dt * turn)
+        # First turn about the body, then translate.
+        step = transform(R, place - R @ place + _FOLLOW * dt * way)
+        self.T_odom_cmd = step @ self.T_odom_cmd
+
+    def error(self, T_odom_body: Array) -> Array:
+        """Return commanded minus measured coordinates (6,) [m, rad] {cmd} of a measured pose (4, 4)."""
+        error = self.place - coordinates(inverse(self.T_odom_cmd) @ T_odom_body)
+        error[3:] = wrapped(error[3:])
+        return np.asarray(error)
 
 
 def coordinates(T: Array) -> Array:

@@ -1,0 +1,44 @@
+"""Control of body height, roll and pitch by the heights of the standing feet. Pure."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.shared.geometry import Array
+
+_PRESSED_LIMIT_M = 0.025
+_RELEASE_S = 0.1  # [s] time constant in which the offset of an unloaded foot decays
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class PostureControl:
+    """Integrator that commands each standing foot lower where the body sags.
+
+    The offset of the other feet decays. A foot that touched down with the offset of the others would miss its foothold by it,
+    and be overloaded or hang.
+    """
+
+    def __init__(self, gain: float):
+        """Begin without an offset; `gain` [1/s] is that of the integrator."""
+        self._gain = gain
+        self._pressed = np.zeros(6)  # [m] by which each foot is commanded lower
+
+    def update(self, dt: float, error: Array, feet: Array, share: Array) -> None:
+        """Integrate one cycle.
+
+        Args:
+            dt: [s] since the last cycle.
+            error: (6,) [m, rad] commanded minus measured x, y, z, roll, pitch, yaw of the body.
+            feet: (6, 3) [m] {body} commanded feet.
+            share: (6,) share of its load that each leg may carry, 0 to 1.
+        """
+        low = error[2] + error[3] * feet[:, 1] - error[4] * feet[:, 0]
+        self._pressed += dt * (share * self._gain * low - (1.0 - share) / _RELEASE_S * self._pressed)
+        self._pressed = np.minimum(np.maximum(self._pressed, -_PRESSED_LIMIT_M), _PRESSED_LIMIT_M)
+
+    def lowered(self, feet: Array) -> Array:
+        """Return feet (6, 3) [m] {cmd}, lower by their offsets."""
+        return np.asarray(feet - self._pressed[:, None] * _UP)
+
+    def reset(self, legs: NDArray[np.bool_]) -> None:
+        """Discard the offsets of legs (6,)."""
+        self._pressed[legs] = 0.0
