@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from sextant.services.actuator.safety.command_arbiter import AWAY_NS, LEASE_NS
 from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS
-from sextant.services.actuator.safety.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, Act, Guard
+from sextant.services.actuator.safety.guard import DEADLINE_NS, Act, Guard
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan
 from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, PROFILE, SPENT, Robot, rested

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.services.actuator.safety.guard import DEADLINE_NS, LEASE_NS, Act
+from sextant.services.actuator.safety.command_arbiter import LEASE_NS
+from sextant.services.actuator.safety.guard import DEADLINE_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import Mode, ModeCommand

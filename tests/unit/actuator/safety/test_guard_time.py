@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from sextant.services.actuator.safety.command_arbiter import AWAY_NS, LEASE_NS
 from sextant.services.actuator.safety.command_ordering import AHEAD_NS, ORDER_AGE_NS, WalkOrder
-from sextant.services.actuator.safety.guard import AWAY_NS, LEASE_NS, Act, Guard
+from sextant.services.actuator.safety.guard import Act, Guard
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
