@@ -78,7 +78,7 @@ RUN_BY = {
     "service install": "tests/unit/deploy/launch/test_units.py::test_service_command_installs_prints_next_step_and_uninstalls",
     "benchmarks faults": "tests/walk/test_faults_command.py::test_faults_are_injected_held_to_their_limits_and_not_done_again",
     "benchmarks fuzz": "tests/unit/benchmarks/test_fuzz.py::test_fuzz_command_reports_findings_and_repeats_message",
-    "benchmarks faults --live": "tests/live/test_live_faults.py::test_actuator_killed_during_walk_restarts_and_holds",
+    "benchmarks faults --live": "tests/live/test_live_faults.py::test_hung_actuator_is_replaced_and_robot_holds",
     "benchmarks bus": "tests/unit/benchmarks/test_bench_bus.py::test_bus_command_writes_table",
     "benchmarks start": "tests/unit/benchmarks/test_bench_start.py::test_start_command_writes_figures",
     "benchmarks strangers": "tests/live/test_strangers.py::test_base_and_actuator_connect_among_unauthorized_clients",

@@ -11,13 +11,13 @@ pytestmark = pytest.mark.live
 
 
 def test_access_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["access", "--messages", "300", "--out", str(tmp_path)]) == 0
+    assert cli.main(["access", "--messages", "100", "--out", str(tmp_path)]) == 0
     assert "| what | tried | came through | |" in capsys.readouterr().out
     rows = {row["what"]: row for row in json.loads((tmp_path / "access.json").read_text())}
     flood = rows.pop("flood on operator/mode, by an authorised client")
-    assert flood["through"] < 300
+    assert flood["through"] < 100
     assert {row["through"] for row in rows.values()} == {0}
-    assert [row["tried"] for row in rows.values()] == [300] * 6 + [10] + [300] * 4
+    assert [row["tried"] for row in rows.values()] == [100] * 6 + [10] + [100] * 4
     led, alone, anew, around = [row["note"] for row in rows.values()][-4:]
     for said in (led, alone, anew):  # the reason for rejection of each kind of replayed message
         assert "`walk` of operator refused: it is" in said

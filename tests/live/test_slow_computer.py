@@ -49,7 +49,7 @@ def said(command: Command, *words: str) -> Callable[[], bool]:
     return lambda: any(all(word in line for word in words) for line in command.said)
 
 
-def test_slow_computer_run_reports_late_inputs(tmp_path: Path) -> None:
+def test_slow_computer_run_reports_late_inputs_and_ends_with_its_simulator(tmp_path: Path) -> None:
     course, out = write_course(tmp_path, "long", 8.0), tmp_path / "out"
     with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
         with Ear.at(command.endpoints()) as ear:
@@ -57,13 +57,17 @@ def test_slow_computer_run_reports_late_inputs(tmp_path: Path) -> None:
         with paused(command, "mapper", stands_s=1.5, runs_s=0.3):
             sentence = said(command, "warning: this computer is too slow: ", "allowed", "use --lockstep or close programs")
             command.wait_for(sentence, "the sentence")
-        command.interrupt()
-        assert command.status() == 130
+        victim = command.service("simulator")
+        assert victim is not None
+        os.kill(victim.pid, signal.SIGKILL)
+        assert command.status() == 1
         command.gone()
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["too_slow"].startswith("this computer is too slow: ")
     assert report["late_s"] > 0.0
     assert report["input_ages_s"].keys() >= {"planner mapper/terrain", "mapper perception/scan", "actuator beat"}
+    assert report["success"] is False
+    assert "simulator ended (killed by SIGKILL)" in report["reason"]
     assert "stuck" not in report["reason"]
 
 
