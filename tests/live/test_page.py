@@ -137,7 +137,16 @@ def test_robot_walks_while_pad_is_held(robot: PageRobot, hand: Hand) -> None:
     assert robot.state.reason.startswith(("ordered to stop", "the last accepted step is finished"))
 
 
-@pytest.mark.parametrize("how", ["keys", "blur", "hidden", "frozen", "cut off"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        "keys",
+        "hidden",
+        "frozen",
+        pytest.param("blur", marks=pytest.mark.campaign),
+        pytest.param("cut off", marks=pytest.mark.campaign),
+    ],
+)
 def test_end_of_press_stops_robot_until_new_press(robot: PageRobot, chromium: Any, hand: Hand, how: str) -> None:
     page = hand.page
     if how == "keys":

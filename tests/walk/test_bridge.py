@@ -25,7 +25,7 @@ PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] limit for an order to take effect; time un
 COURSE = """
 name = "level"
 time_limit_s = 60.0
-goal = { distance = 0.8 }
+goal = { distance = 0.4 }
 terrain = [{ kind = "plane" }]
 """
 

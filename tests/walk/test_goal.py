@@ -4,6 +4,7 @@ The walk runs in lockstep with camera and estimated pose.
 """
 
 import numpy as np
+import pytest
 
 from sextant.deploy.evaluation.report import as_table, check
 from sextant.shared.scenario.scenario import load_scenario
@@ -32,6 +33,7 @@ def test_around_a_wall_to_the_goal() -> None:
     assert not check(as_table(report))
 
 
+@pytest.mark.campaign
 def test_over_rubble_and_up_stairs_to_the_goal() -> None:
     found = walk(load_scenario("goal_stairs"), 1001, (topics.GOAL, topics.VELOCITY, topics.BODY_POSE))
     report = found.report

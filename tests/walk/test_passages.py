@@ -5,6 +5,8 @@ One leg moves at a time.
 
 from itertools import pairwise
 
+import pytest
+
 from sextant.services.planner.gap_crossing.strip_survey import STRIP
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import topics
@@ -39,6 +41,7 @@ def test_a_passage_is_crossed_from_one_side_to_the_other() -> None:
             assert all(b > a - 0.05 for a, b in pairwise(ahead))
 
 
+@pytest.mark.campaign
 def test_a_pillar_that_gives_way_is_found_out_by_touch_and_another_way_is_taken() -> None:
     found = walk(load_scenario("passage_gives_way"), 1005, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)

@@ -16,7 +16,14 @@ SELDOM = (
 PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
 
 
-@pytest.mark.parametrize(("scenario", "until_s"), [("steps", 5.0), ("cobbles", 2.0), ("puddle", 3.0)])
+@pytest.mark.parametrize(
+    ("scenario", "until_s"),
+    [
+        ("steps", 5.0),
+        pytest.param("cobbles", 2.0, marks=pytest.mark.campaign),
+        pytest.param("puddle", 3.0, marks=pytest.mark.campaign),
+    ],
+)
 def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: float) -> None:
     command = [sys.executable, "-m", "tests.support.compiled", scenario, str(until_s)]
     done = subprocess.run(
