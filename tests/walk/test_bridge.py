@@ -20,7 +20,7 @@ from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo.bridge_protocol import Mode
 from tests.support.walks import LockstepRun, flat, walk
 
-PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] limit for an order to take effect; time until a new session repeats it
+PATIENCE_S, ANEW_S = 180.0, 3.0  # [s] limit for an order to take effect; time until a new session repeats it
 
 COURSE = """
 name = "level"
