@@ -11,15 +11,14 @@ from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FOLLOWED = 8  # every n-th point of a scan has its ray traced, different ones in each scan
+FOLLOWED = 2  # every n-th point of a scan has its ray traced, different ones in each scan
 SHORT = 3  # [cells] before its end at which a ray stops, because a hit object has a thickness and a position error
 WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a ray must pass below its height
 SIGHTS_NEEDED = 8  # scans through a cell inside an object until it is cleared, if none measures it
 SIGHTS_PER_MEASUREMENT = 4  # scans through a cell outside an object, for each scan that has measured it
-LEAST_SIGHTS = 4  # scans through a cell outside an object that one scan has measured
 MAX_SIGMA_M = 0.01  # [m] cap of a cell's height sigma, because a larger value is the spread of the object that stood there
 FELL_AROUND = 3  # cleared neighbours from which a cell at the rim of an object may also be cleared
-SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # measuring scans after which a cleared cell counts as normal again
+SETTLED = 16 * SIGHTS_NEEDED  # measuring scans after which a cleared cell counts as normal again
 _REFRESHED = 16  # [scans] between searches for the highest cell
 
 
@@ -185,7 +184,7 @@ def _clear_along_sights(
         within, slot[c] = slot[c], -1
         a, b = c // columns, c % columns
         through[a, b] = min(through[a, b] + 1, 255)
-        needed = max(SIGHTS_PER_MEASUREMENT * int(support[a, b]), LEAST_SIGHTS)
+        needed = SIGHTS_PER_MEASUREMENT * max(int(support[a, b]), 1)
         if through[a, b] < (min(needed, SIGHTS_NEEDED) if within else needed):
             continue
         height[a, b] = variance[a, b] = first[a, b] = np.nan

@@ -160,9 +160,9 @@ def test_static_scene_loses_few_cells_to_ray_clearing_on_noisy_walk() -> None:
         report = take(
             grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
         )
-        assert report.cleared <= 1
+        assert report.cleared <= 2
         cleared += report.cleared
-    assert cleared <= 5
+    assert cleared <= 10
     assert grid.height_drift == 0.0
 
 
