@@ -4,12 +4,17 @@ python -m sextant.deploy.warm_up
 """
 
 import argparse
+import itertools
 import os
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from sextant.deploy.terminal.output import say
 from sextant.deploy.workers import share_out
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -17,49 +22,21 @@ from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.scenario.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour
-_Rehearsal = Callable[[RobotProfile, str], None]  # each imports its service itself, so that other processes need not
-
-
-def _perception(profile: RobotProfile, _: str) -> None:
-    from sextant.services.perception.config import Settings
-    from sextant.services.perception.warmup import compile_functions
-
-    compile_functions(profile, Settings())
-
-
-def _mapper(profile: RobotProfile, _: str) -> None:
-    from sextant.services.mapper.config import Settings
-    from sextant.services.mapper.warmup import compile_functions
-
-    compile_functions(profile, Settings())
-
-
-def _planner(profile: RobotProfile, _: str) -> None:
-    from sextant.services.planner.config import Settings
-    from sextant.services.planner.warmup import compile_functions
-
-    compile_functions(profile, Settings())
-
-
-def _simulator(profile: RobotProfile, scenario: str) -> None:
-    from sextant.services.simulator.config import Settings
-    from sextant.services.simulator.warmup import compile_functions
-
-    compile_functions(profile, Settings(scenario))
-
-
-_SHARES = ((_planner,), (_perception, _mapper, _simulator))  # both take about equally long when nothing is compiled
+_SHARES = (("planner",), ("perception", "mapper", "simulator"))  # both take about equally long when nothing is compiled
+_REPORT_EVERY_S = 0.5
+COMPILED = "compiled"  # first word of a line of progress; then process, compiled functions, all functions
 
 
 def main() -> int:
     """Compile for all scenarios; on two cores if much is to be compiled."""
     parser = argparse.ArgumentParser(prog="python -m sextant.deploy.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="id of the parent process; this process ends with it")
+    parser.add_argument("--progress", action="store_true", help="print how many functions are compiled")
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
     jobs = 1 if _compiled_before() else min(len(_SHARES), len(os.sched_getaffinity(0)))
-    for _ in share_out(_rehearse_everywhere, [(share,) for share in _SHARES], jobs, in_order=False):
+    for _ in share_out(_compile_share, [(share, arguments.progress) for share in _SHARES], jobs, in_order=False):
         pass
     return 0
 
@@ -71,21 +48,69 @@ def _compiled_before() -> bool:
     """
     from sextant.services.planner.gap_crossing import roadmap_search
 
-    compiled: Any = roadmap_search.grow
-    return any(Path(compiled.stats.cache_path).glob("search.*.nbi"))
+    search: Any = roadmap_search.grow
+    return any(Path(search.stats.cache_path).glob(f"{roadmap_search.__name__.rpartition('.')[2]}.grow-*.nbi"))
 
 
 def compile_functions(profile: RobotProfile, scenario: str) -> None:
     """Compile all services for a robot on a course."""
-    for share in _SHARES:
-        for rehearsal in share:
-            rehearsal(profile, scenario)
+    for service in itertools.chain(*_SHARES):
+        _compile(service, profile, scenario)
 
 
-def _rehearse_everywhere(share: tuple[_Rehearsal, ...]) -> None:
-    for scenario in _SCENARIOS:
-        for rehearsal in share:
-            rehearsal(load_profile(load_scenario(scenario).robot), scenario)
+def _compile(service: str, profile: RobotProfile, scenario: str) -> None:
+    """Compile the functions of a service, which is imported here, so that other processes need not."""
+    settings = import_module(f"sextant.services.{service}.config").Settings
+    warmup = import_module(f"sextant.services.{service}.warmup")
+    warmup.compile_functions(profile, settings(scenario) if service == "simulator" else settings())
+
+
+def _compile_share(share: tuple[str, ...], progress: bool) -> None:
+    """Compile some services for all scenarios."""
+    for service in share:
+        import_module(f"sextant.services.{service}.warmup")  # now all functions are known
+    with _reported() if progress else nullcontext():
+        for scenario in _SCENARIOS:
+            for service in share:
+                _compile(service, load_profile(load_scenario(scenario).robot), scenario)
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """Print the number of compiled functions while the block runs, whenever it changes."""
+    ended = threading.Event()
+
+    def report() -> None:
+        told = ""
+        while not ended.wait(_REPORT_EVERY_S):
+            known = _compiled_functions()
+            line = f"{COMPILED} {os.getpid()} {len(_ready(known))} {len(known)}"
+            if line != told:
+                told = line
+                say(line)
+
+    reporter = threading.Thread(target=report, name="report", daemon=True)
+    reporter.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        reporter.join()
+
+
+def _ready(functions: list[Any]) -> list[Any]:
+    """Return the functions that are compiled, also those that a loaded function of their file contains."""
+    loaded = {one.py_func.__module__ for one in functions if one.stats.cache_hits}
+    return [one for one in functions if one.overloads or one.py_func.__module__ in loaded]
+
+
+def _compiled_functions() -> list[Any]:
+    """Return the functions that Numba compiles, except those that it inlines."""
+    from numba.core.dispatcher import Dispatcher
+
+    modules = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("sextant.")]
+    found = {id(one): one for names in modules for one in list(names.values()) if isinstance(one, Dispatcher)}
+    return [one for one in found.values() if one.targetoptions.get("inline") != "always"]
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from sextant.deploy.terminal.arguments import Choice, argument, command, flag, o
 if TYPE_CHECKING:
     from sextant.deploy.evaluation.report import Report
     from sextant.shared.scenario.scenario import Scenario
+    from sextant.shared.wire.transport import Endpoints
 
 
 @command()
@@ -70,10 +71,16 @@ def run(
     if slow_down and (lockstep or connection.connect):
         raise InputError("--slow-down is for services that this command starts live; leave --lockstep and --connect out")
     course = variant.load(scenario)
-    walk = _Walk(replace(course, bridge=True) if bridge else course, scenario, seed, out, as_json)
+    if connection.connect and not all(fault.of_camera for fault in course.faults):
+        raise InputError(f"{course.name} injects faults into services that this command starts; leave --connect out")
+    if connection.connect and course.params:
+        raise InputError(f"{course.name} has [params] for services that this command starts; leave --connect out")
+    attach = connection.endpoints() if connection.connect else None
+    course = replace(course, bridge=True) if bridge else course
+    walk = _Walk(course, scenario, seed, out_folder(out, f"{course.name}-{seed}"), as_json)
     if lockstep:
         return _run_lockstep(walk, record_depth)
-    return _run_live(walk, connection, slow_down, "use --lockstep", parent)
+    return _run_live(walk, "use --lockstep", slow_down, attach, parent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +90,8 @@ class _Walk:
     scenario: "Scenario"
     source: str  # name or path of the scenario
     seed: int
-    out: str | None
+    out: Path
     as_json: bool = False
-
-    def folder(self) -> Path:
-        """Create and return the output folder."""
-        return out_folder(self.out, f"{self.scenario.name}-{self.seed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +100,8 @@ class _Demo:
 
     scenario: str
     before: str
-    after: str
+    picture: str
+    shows: str
 
 
 DEMOS = {
@@ -105,13 +109,15 @@ DEMOS = {
         "steps",
         "A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each "
         "foot goes, and walks across.",
-        "summary.png shows the walk: map, path, footholds, height and tilt.",
+        "summary.png",
+        "shows the walk: map, path, footholds, height and tilt",
     ),
     "gap": _Demo(
         "passage1",
         "A six-legged robot stands before a gap of 80 cm with only six pillars in it. It stops, looks from higher up, plans "
         "each foothold on its map, and crosses one leg at a time.",
-        "passage.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
+        "passage.png",
+        "shows the crossing: where feet could stand, what was planned, how it was walked",
     ),
 }
 _TALKING = "Six processes communicate over Zenoh; the simulator stands in for the camera and the servo bus."
@@ -127,10 +133,14 @@ def demo(course: str, seed: int, out: str | None, params: tuple[str, ...]) -> in
     """Simulate a walk over low steps, or across a gap, over Zenoh."""
     shown = DEMOS[course]
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
-    walk = _Walk(options.Variant(params=params).load(shown.scenario), shown.scenario, seed, out)
-    status = _run_live(walk, None, True, f"use `sextant run {shown.scenario} --lockstep`")
+    scenario = options.Variant(params=params).load(shown.scenario)
+    walk = _Walk(scenario, shown.scenario, seed, out_folder(out, f"{scenario.name}-{seed}"))
+    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True)
     if status == SUCCESS:
-        say(f"The robot stands at its goal. {shown.after}")
+        recording = f"has all messages; `sextant video {walk.out}` draws them, Foxglove opens them"
+        files = {shown.picture: shown.shows, "recording.mcap": recording, "report.json": "has the result in numbers"}
+        say("The robot stands at its goal. Three files are worth opening:")
+        say("\n".join(f"  {walk.out / name} {words}" for name, words in files.items()))
     return status
 
 
@@ -139,7 +149,6 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
     from sextant.deploy.runs.lockstep_run import run_lockstep
     from sextant.shared.robot.profiles import load_profile
 
-    out = walk.folder()
     with contextlib.ExitStack() as stack:
         taps = []
         if record_depth:
@@ -148,23 +157,16 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
             except FileExistsError as error:
                 raise InputError(f"--record-depth: {error}; name a new folder") from None
             taps.append(stack.enter_context(recorder).tap)
-        report = run_lockstep(walk.scenario, walk.seed, out, open_progress(walk.as_json), taps)
-    return _tell(report, out, walk.as_json)
+        report = run_lockstep(walk.scenario, walk.seed, walk.out, open_progress(walk.as_json), taps)
+    return _tell(report, walk)
 
 
-def _run_live(
-    walk: _Walk, connection: options.Connection | None, slow_down: bool, remedy: str, parent: int | None = None
-) -> int:
-    scenario, attach = walk.scenario, connection.endpoints() if connection and connection.connect else None
-    if attach and not all(fault.of_camera for fault in scenario.faults):
-        raise InputError(f"{scenario.name} injects faults into services that this command starts; leave --connect out")
-    if attach and scenario.params:
-        raise InputError(f"{scenario.name} has [params] for services that this command starts; leave --connect out")
-    progress, out = open_progress(walk.as_json), walk.folder()
+def _run_live(walk: _Walk, remedy: str, slow_down: bool, attach: "Endpoints | None" = None, parent: int | None = None) -> int:
     from sextant.deploy.runs import live_run
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
+    progress = open_progress(walk.as_json)
     with Interrupts() as interrupts:
         if parent:
             end_with(parent)
@@ -175,16 +177,17 @@ def _run_live(
             raise KeyboardInterrupt
         source = str(Path(walk.source).resolve()) if walk.source.endswith(".toml") else walk.source
         outcome = live_run.run_live_scenario(
-            scenario, source, walk.seed, out, progress, interrupts, attach, slow_down=slow_down
+            walk.scenario, source, walk.seed, walk.out, progress, interrupts, attach, slow_down=slow_down
         )
-    status = _tell(outcome.report, out, walk.as_json, f"{remedy} or close programs")
+    status = _tell(outcome.report, walk, f"{remedy} or close programs")
     return INTERRUPTED if outcome.interrupted else status
 
 
-def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --lockstep or close programs") -> int:
+def _tell(report: "Report", walk: _Walk, remedy: str = "use --lockstep or close programs") -> int:
+    """Print the result of a walk; return the exit status."""
     from sextant.deploy.evaluation.report import FILE, to_json
 
-    if as_json:
+    if walk.as_json:
         say(to_json(report).rstrip("\n"))
     else:
         verdict = f"{'success' if report.success else 'failed'}: {report.reason}"
@@ -192,5 +195,5 @@ def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --locks
         say(f"{verdict}; {walked}, {report.steps} steps, {report.falls} falls")
         if report.too_slow:
             say(f"{report.too_slow}; {remedy}")
-        say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
-    return SUCCESS if report.success and (out / FILE).exists() else FAILED
+        say(f"written to {walk.out}: {', '.join(sorted(path.name for path in walk.out.iterdir() if path.is_file()))}")
+    return SUCCESS if report.success and (walk.out / FILE).exists() else FAILED

@@ -12,6 +12,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Self
 
+from sextant.deploy import warm_up as compilation
 from sextant.deploy.evaluation.report import Report
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import Launcher, free_port, host_router
@@ -42,8 +43,8 @@ _REAL_TIME = 0.95  # [1] share of real time from which simulated time counts as 
 # [1] share of real time. Passing the servo bus's bytes between processes takes time on a fast computer, too: `sextant demo` on
 # two idle cores runs at about 0.85. A computer counts as too slow below this, or where simulated time waited for a service.
 _TOO_SLOW = 0.75
-_WARM_S = 10.0  # [s] the warm-up takes less when everything is compiled already
-_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.warm_up"), ENVIRONMENT)
+_WARM_S = 5.0  # [s] the warm-up takes less when everything is compiled already
+_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.warm_up", "--progress"), ENVIRONMENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,18 +129,35 @@ def warm_up(progress: Progress, interrupts: Interrupts) -> str:
     Returns:
         The error as text, or an empty string.
     """
-    began = time.monotonic()
-    with Launcher([_WARM_UP]) as launcher:
-        told = False
+    began, found, told = time.monotonic(), CompiledFunctions(), None
+    with Launcher([_WARM_UP], hear=found.hear) as launcher:
         while not interrupts.asked():
             ended = launcher.wait(_LOOK_S)
             if ended:
                 return "" if ended[0].how == "exit status 0" else str(ended[0])
-            if not told and time.monotonic() - began > _WARM_S:
-                told = True
-                progress.say("warming up: the first start compiles the inner loops for about a minute")
+            if time.monotonic() - began > _WARM_S and found.count() != told:
+                told = found.count()
+                progress.compiled(*told)
         launcher.stop(interrupts.insisted)
     return ""
+
+
+class CompiledFunctions:
+    """Number of functions that the processes of the warm-up have compiled, from their lines of progress."""
+
+    def __init__(self) -> None:
+        self._of_process: dict[str, tuple[int, int]] = {}
+
+    def hear(self, _name: str, line: str) -> None:
+        """Read a line; ignore one that is not about progress."""
+        match line.split():
+            case [compilation.COMPILED, process, done, total] if done.isdecimal() and total.isdecimal():
+                self._of_process[process] = int(done), int(total)
+
+    def count(self) -> tuple[int, int]:
+        """Return the number of compiled functions, and of all."""
+        counts = list(self._of_process.values())
+        return sum(done for done, _ in counts), sum(total for _, total in counts)
 
 
 class ObserverThread:

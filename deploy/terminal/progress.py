@@ -3,13 +3,17 @@
 Only this module and cli.py write to stdout.
 """
 
+import atexit
 import contextlib
 import math
+import os
+import re
 import shutil
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, TextIO
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Protocol, TextIO, cast
 
 from sextant.deploy.evaluation.report import InputAges
 from sextant.shared.runtime.health_table import HealthTable
@@ -18,14 +22,18 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
 _MOST_WARNINGS = 200  # most kinds of warnings per run, because they quote text of services
 _SPEED_OVER_NS = 2_000_000_000  # [ns] speed is the mean over the newest two seconds
 _SILENT_NS = 3_500_000_000  # [ns] a service is silent without a health report (one per second) for this long
 _REAL_TIME = 0.95  # [1] share of real time below which the speed of simulated time is shown
-_LINE_EVERY_S = 5.0  # [s] simulated time between two plain lines
+_LINE_EVERY_S = 5.0  # [s] simulated time between two plain lines of the position
+_CHANGE_EVERY_S = 1.0  # [s] shortest simulated time between two plain lines of one service
 _ATTENDING = ("operator", "scorer")  # their status repeats what the line shows
 _REMEDY = "use --lockstep or close programs"  # for a computer that is too slow
-_BAR = 20  # characters of the progress bar
+_WIDTH = 100  # [characters] of the widest table
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +43,7 @@ class View:
     time_s: float = 0.0  # [s] simulated time since the first message of the actuator
     speed: float = 0.0  # [m/s] of the estimated pose over the newest two seconds
     walked: float = 0.0  # [m] along the starting direction
-    to_goal: float = 0.0  # [m]
+    to_goal: float | None = 0.0  # [m]; None without a goal
     up: bool = False  # whether the actuator has sent a message
     of_real_time: float = 1.0  # [1] speed of simulated time
     doing: Mapping[str, str] = field(default_factory=dict)  # service -> its status as text
@@ -100,10 +108,10 @@ class Monitor:
     )
     publishes: tuple[AnyTopic, ...] = ()
 
-    def __init__(self, goal_distance: float, computer: SlowComputer | None = None):
+    def __init__(self, goal_distance: float | None, computer: SlowComputer | None = None):
         self.stages = Stages()
         self.lateness = RunLateness(computer or SlowComputer())
-        self.view = View(to_goal=goal_distance)
+        self.view = View(to_goal=goal_distance)  # None without a goal
         self._goal_distance = goal_distance
         self._began_ns: int | None = None
         self._track: deque[tuple[int, float, float]] = deque()  # stamp, x, y
@@ -118,18 +126,20 @@ class Monitor:
             self._began_ns = state.stamp_ns
         if pose is not None:
             self._follow(pose)
+        walked = self._track[-1][1] if self._track else 0.0
+        warnings = (
+            *((f"{too_slow}; {_REMEDY}",) if too_slow else ()),
+            *_of_camera(inbox.fresh(topics.CAMERA_STATE)),
+            *self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns),
+        )
         self.view = View(
             time_s=0.0 if self._began_ns is None else (tick.stamp_ns - self._began_ns) * 1e-9,
             speed=self._speed(),
-            walked=self._track[-1][1] if self._track else 0.0,
-            to_goal=max(0.0, self._goal_distance - (self._track[-1][1] if self._track else 0.0)),
+            walked=walked,
+            to_goal=None if self._goal_distance is None else max(0.0, self._goal_distance - walked),
             up=self._began_ns is not None,
-            doing={name: health.doing for name, (health, _) in self._services()},
-            warnings=(
-                *((f"{too_slow}; {_REMEDY}",) if too_slow else ()),
-                *_of_camera(inbox.fresh(topics.CAMERA_STATE)),
-                *self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns),
-            ),
+            doing={name: _printable(health.doing) for name, (health, _) in self._services()},
+            warnings=tuple(map(_printable, warnings)),
         )
         return ()
 
@@ -201,6 +211,10 @@ class Progress(Protocol):
         """Show the current state of the run."""
         ...
 
+    def compiled(self, done: int, total: int) -> None:
+        """Show how many functions are compiled before the run."""
+        ...
+
     def say(self, text: str) -> None:
         """Show one event permanently."""
         ...
@@ -216,6 +230,9 @@ class Silent:
     def update(self, view: View) -> None:
         """Do nothing."""
 
+    def compiled(self, done: int, total: int) -> None:
+        """Do nothing."""
+
     def say(self, text: str) -> None:
         """Do nothing."""
 
@@ -228,94 +245,149 @@ class _Output:
 
     def __init__(self, stream: TextIO):
         self._stream = stream
+        self.encoding = stream.encoding
 
-    def write(self, text: str) -> None:
-        """Write and flush a text; ignore errors."""
+    def write(self, text: str) -> int:
+        """Write a text; ignore errors."""
         with contextlib.suppress(OSError):
             self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the stream; ignore errors."""
+        with contextlib.suppress(OSError):
             self._stream.flush()
 
 
 class Lines:
-    """Plain lines for logs and pipes: the state at intervals, and each warning once."""
+    """Plain lines for logs and pipes: each change and each warning, and the position at intervals."""
 
     def __init__(self, stream: TextIO):
         self._stream = _Output(stream)
         self._next_s = 0.0
         self._warned: set[str] = set()
+        self._told: dict[str, tuple[str, float]] = {}  # service -> kind of its status, and when it was written [s]
+        self._compiling = False
 
     def update(self, view: View) -> None:
-        """Write a line every few simulated seconds, and each new warning."""
+        """Write new warnings, what services do now, and every few simulated seconds where the robot is."""
         for warning in view.warnings:
             if _kind(warning) not in self._warned and len(self._warned) < _MOST_WARNINGS:
                 self._warned.add(_kind(warning))
                 self.say(f"{view.time_s:6.1f} s  warning: {warning}")
-        if view.up and view.time_s >= self._next_s:
+        if not view.up:
+            return
+        for name, doing in view.doing.items():
+            kind, before = _kind(_first_clause(doing)), self._told.get(name)
+            changed = before is None or (kind != before[0] and view.time_s - before[1] >= _CHANGE_EVERY_S)
+            if changed and name not in _ATTENDING:
+                self._told[name] = kind, view.time_s
+                self.say(f"{view.time_s:6.1f} s  {name}: {doing}")
+        if view.time_s >= self._next_s:
             self._next_s = view.time_s + _LINE_EVERY_S
-            busy = "; ".join(f"{name}: {doing}" for name, doing in view.doing.items() if name not in _ATTENDING)
-            slower = f"  at {view.of_real_time:.2f} of real time" if view.of_real_time < _REAL_TIME else ""
-            self.say(f"{view.time_s:6.1f} s{slower}  {view.speed:.3f} m/s  {view.to_goal:.2f} m to the goal  {busy}")
+            self.say(f"{view.time_s:6.1f} s  {'  '.join(_motion(view))}")
+
+    def compiled(self, done: int, total: int) -> None:
+        """Write once that functions are being compiled."""
+        if not self._compiling:
+            self._compiling = True
+            self.say(f"compiling the inner loops, {done} of {total} so far; the first start takes about a minute")
 
     def say(self, text: str) -> None:
         """Write one line."""
         self._stream.write(text + "\n")
+        self._stream.flush()
 
     def finish(self) -> None:
         """Do nothing: no line is open."""
 
 
 class Terminal:
-    """A block of lines at the bottom of a terminal, redrawn in place."""
+    """A table at the bottom of a terminal, redrawn in place; it has colours unless NO_COLOR is set."""
 
     def __init__(self, stream: TextIO):
-        self._stream = _Output(stream)
-        self._height = 0
+        from rich.console import Console
+        from rich.live import Live
+
+        self._console = Console(
+            file=cast(TextIO, _Output(stream)), force_terminal=True, highlight=False, markup=False, emoji=False
+        )
+        self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+        atexit.register(self._live.stop)  # an error shows the cursor again
 
     def update(self, view: View) -> None:
-        """Redraw the block."""
-        width = shutil.get_terminal_size().columns
-        self._erase()
-        lines = [line if len(line) < width else line[: width - 2] + "…" for line in block(view)]
-        self._stream.write("".join(f"{line}\n" for line in lines))
-        self._height = len(lines)
+        """Redraw the table."""
+        self._show(table(view))
+
+    def compiled(self, done: int, total: int) -> None:
+        """Show how many functions are compiled."""
+        from rich.text import Text
+
+        self._show(Text(f"compiling the inner loops: {done} of {total}; the first start takes about a minute", "cyan"))
 
     def say(self, text: str) -> None:
-        """Write a line above the block."""
-        self._erase()
-        self._stream.write(text + "\n")
+        """Write a line above the table."""
+        self._console.print(text, soft_wrap=True)
 
     def finish(self) -> None:
-        """Keep the last block on the screen."""
-        self._height = 0
+        """Keep the last table on the screen."""
+        self._live.stop()
 
-    def _erase(self) -> None:
-        if self._height:
-            self._stream.write(f"\x1b[{self._height}F\x1b[J")  # move up by the height, clear to the end of the screen
-        self._height = 0
+    def _show(self, content: "RenderableType") -> None:
+        self._console.width = min(shutil.get_terminal_size().columns, _WIDTH)
+        self._live.start()
+        self._live.update(content, refresh=True)
 
 
 def progress_for(stream: TextIO) -> Progress:
-    """Return a redrawn block if the stream is a terminal, else plain lines."""
-    return Terminal(stream) if stream.isatty() else Lines(stream)
+    """Return a table that is redrawn on a terminal, or plain lines.
+
+    Lines are for a stream that is no terminal, a terminal that cannot move its cursor, and an installation without rich.
+    """
+    redrawn = stream.isatty() and os.environ.get("TERM") != "dumb" and find_spec("rich") is not None
+    return Terminal(stream) if redrawn else Lines(stream)
 
 
-def block(view: View) -> list[str]:
-    """Return the lines of the block."""
-    if not view.up:
-        head = "waiting for the robot to start"
-    else:
-        whole = view.walked + view.to_goal
-        done = round(_BAR * min(max(view.walked / whole, 0.0), 1.0)) if whole > 0 else _BAR
-        bar = "#" * done + "-" * (_BAR - done)
-        slower = f"   at {view.of_real_time:.2f} of real time" if view.of_real_time < _REAL_TIME else ""
-        head = f"{view.time_s:6.1f} s{slower}   {view.speed:.3f} m/s   {view.to_goal:.2f} m to the goal  [{bar}]"
-    return [
-        head,
-        *(f"  {name:<11} {doing}" for name, doing in view.doing.items()),
-        *(f"  ! {warning}" for warning in view.warnings),
-    ]
+def table(view: View) -> "RenderableType":
+    """Return the state of a run as a table with a line for each service and warning."""
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    state = f"{view.time_s:6.1f} s   {'   '.join(_motion(view))}" if view.up else "waiting for the robot to start"
+    services = Table.grid(padding=(0, 2), expand=True)
+    services.add_column(style="cyan", no_wrap=True)
+    services.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
+    for name, doing in view.doing.items():
+        services.add_row(f"  {name}", Text(doing))
+    for warning in view.warnings:
+        services.add_row(Text("  warning", "yellow"), Text(warning, "yellow", no_wrap=False, overflow="fold"))
+    whole = Table.grid(expand=True)
+    whole.add_row(Text(state, "bold", no_wrap=True, overflow="ellipsis"))
+    if view.up and view.to_goal is not None:
+        way = view.walked + view.to_goal
+        whole.add_row(ProgressBar(max(way, 1e-9), view.walked if way > 0 else 1e-9, complete_style="green"))
+    whole.add_row(services)
+    return whole
 
 
-def _kind(warning: str) -> str:
-    """Return a warning without its numbers; new numbers are no new warning."""
-    return "".join("#" if c.isdigit() else c for c in warning)
+def _motion(view: View) -> list[str]:
+    """Return speed and way to the goal as texts."""
+    slower = [f"at {view.of_real_time:.2f} of real time"] if view.of_real_time < _REAL_TIME else []
+    goal = [] if view.to_goal is None else [f"{view.to_goal:.2f} m to the goal"]
+    return [*slower, f"{view.speed:.3f} m/s", *goal]
+
+
+def _printable(text: str) -> str:
+    """Return a text of a service without characters that control a terminal."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def _first_clause(doing: str) -> str:
+    """Return what a service does without details that change all the time."""
+    return re.split("[,;]", doing, maxsplit=1)[0]
+
+
+def _kind(text: str) -> str:
+    """Return a text without its numbers; new numbers are no news."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)

@@ -246,7 +246,9 @@ def test_live_run_and_demo_exit_codes_follow_walk_outcome(
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "")
     monkeypatch.setattr(live_run, "run_live_scenario", walk)
     assert cli.main(["demo", "--out", str(tmp_path)]) == status
-    assert ("stands at its goal" in capsys.readouterr().out) == success
+    printed = capsys.readouterr().out
+    assert ("stands at its goal" in printed) == success
+    assert all((f"  {tmp_path / file} " in printed) == success for file in ("summary.png", "recording.mcap", "report.json"))
     assert cli.main(["demo", "gap", "--out", str(tmp_path)]) == status
     assert ("shows the crossing" in capsys.readouterr().out) == success
     assert cli.main(["run", "flat", "--seed", "5", "--out", str(tmp_path)]) == status

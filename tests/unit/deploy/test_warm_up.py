@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from sextant.deploy import warm_up
+from sextant.deploy.runs.live_run import CompiledFunctions
 from sextant.services.planner.gap_crossing import roadmap_search
 
 
@@ -30,15 +32,52 @@ def test_first_compilation_runs_on_at_most_two_cores(
     assert warm_up.main() == 0
     ((tasks, found),) = asked
     assert found == jobs
-    rehearsed = [rehearsal for (share,) in tasks for rehearsal in share]
-    assert sorted(rehearsal.__name__ for rehearsal in rehearsed) == ["_mapper", "_perception", "_planner", "_simulator"]
+    assert sorted(service for share, _ in tasks for service in share) == ["mapper", "perception", "planner", "simulator"]
 
 
 def test_numba_cache_files_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: Any = roadmap_search.grow
     assert Path(compiled.stats.cache_path).is_dir()
     monkeypatch.setattr(roadmap_search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
-    (tmp_path / "roadmap.other-1.py311.nbi").touch()
+    (tmp_path / "roadmap_search.other-1.py311.nbi").touch()
     assert not warm_up._compiled_before()
-    (tmp_path / "search.grow-1132.py311.nbi").touch()
+    (tmp_path / "roadmap_search.grow-1132.py311.nbi").touch()
     assert warm_up._compiled_before()
+
+
+def test_compiled_functions_are_counted_over_processes() -> None:
+    found = CompiledFunctions()
+    for line in (
+        f"{warm_up.COMPILED} 11 3 30",
+        f"{warm_up.COMPILED} 12 20 24",
+        "a warning",
+        f"{warm_up.COMPILED} 11 x 30",
+        f"{warm_up.COMPILED} 11 11 30",
+    ):
+        found.hear("warm-up", line)
+    assert found.count() == (31, 54)
+
+
+def test_progress_of_compilation_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    printed = threading.Event()
+    no = {"py_func": SimpleNamespace(__module__="a"), "stats": SimpleNamespace(cache_hits={})}
+    counts = iter([[SimpleNamespace(overloads=(), **no), SimpleNamespace(overloads=("f",), **no)]])
+    monkeypatch.setattr(warm_up, "_REPORT_EVERY_S", 0.001)
+    monkeypatch.setattr(warm_up, "_compiled_functions", lambda: next(counts, None) or printed.set() or [])
+    with warm_up._reported():
+        assert printed.wait(60.0)
+    assert capsys.readouterr().out.splitlines()[0] == f"{warm_up.COMPILED} {os.getpid()} 1 2"
+
+
+def test_functions_of_a_file_are_ready_once_one_is_loaded() -> None:
+    def function(file: str, hits: int, overloads: int) -> Any:
+        stats = SimpleNamespace(cache_hits={"f": hits} if hits else {})
+        return SimpleNamespace(py_func=SimpleNamespace(__module__=file), stats=stats, overloads="f" * overloads)
+
+    known = [function("a", 1, 1), function("a", 0, 0), function("b", 0, 1), function("b", 0, 0)]
+    assert warm_up._ready(known) == known[:3]
+
+
+def test_inlined_functions_are_not_counted() -> None:
+    names = {one.py_func.__name__ for one in warm_up._compiled_functions()}
+    assert "grow" in names

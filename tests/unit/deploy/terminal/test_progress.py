@@ -3,8 +3,9 @@ import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pytest
 
-from sextant.deploy.terminal.progress import Lines, Monitor, Terminal, View, block, progress_for
+from sextant.deploy.terminal.progress import Lines, Monitor, Terminal, View, progress_for
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lateness import SlowComputer
 from sextant.shared.runtime.lockstep import Lockstep
@@ -61,7 +62,7 @@ def test_monitor_without_messages_is_not_up() -> None:
     view = Bench().hear(S)
     assert not view.up
     assert view.to_goal == 2.5
-    assert block(view) == ["waiting for the robot to start"]
+    assert shown(view) == ["waiting for the robot to start"]
 
 
 def test_time_starts_at_first_actuator_message_and_speed_is_mean() -> None:
@@ -120,58 +121,124 @@ def test_stage_times_use_slowest_subscriber_of_topic() -> None:
     assert bench.monitor.stages_ms()["latency scan"] == (4.0, 8.0), "the newest percentiles count, not the start's"
 
 
-def test_plain_progress_is_periodic_and_warns_once() -> None:
+def test_plain_progress_shows_position_at_intervals_and_each_change_once() -> None:
     stream = io.StringIO()
     progress = progress_for(stream)
     assert isinstance(progress, Lines)
     for i in range(60):
         warnings = (f"mapper: no message for {i} s",) if i > 30 else ()
-        progress.update(View(time_s=i * 0.25, up=True, doing={"planner": "stepping"}, warnings=warnings))
+        doing = {
+            "planner": f"stepping: {i} of 3, speed limited" if i < 30 else "blocked: no foothold",
+            "mapper": f"mapping, {i} scans",
+        }
+        progress.update(View(time_s=i * 0.25, up=True, doing=doing, warnings=warnings))
     lines = stream.getvalue().splitlines()
     assert sum("to the goal" in line for line in lines) == 3
     assert sum("no message" in line for line in lines) == 1
+    assert [line.split("  ")[-1] for line in lines if "planner" in line or "mapper: mapping" in line] == [
+        "planner: stepping: 0 of 3, speed limited",
+        "mapper: mapping, 0 scans",
+        "planner: blocked: no foothold",
+    ]
     assert "\x1b" not in stream.getvalue()
 
 
-def terminal_screen(text: str) -> list[str]:
-    """Return what a terminal shows, with the two control sequences in use."""
-    screen: list[str] = [""]
-    i = 0
-    while i < len(text):
-        if text.startswith("\x1b[", i):
-            end = next(j for j in range(i, len(text)) if text[j] in "FJ")
-            if text[end] == "F":
-                row = len(screen) - 1 - int(text[i + 2 : end])
-                screen, below = screen[: row + 1], screen[row + 1 :]
-                assert below
-                screen[row] = ""
-            i = end + 1
-        elif text[i] == "\n":
-            screen.append("")
-            i += 1
-        else:
-            screen[-1] += text[i]
-            i += 1
-    return screen[:-1]
-
-
-def test_progress_block_is_redrawn_below_messages() -> None:
+def test_plain_progress_of_an_unsteady_service_is_at_most_a_line_a_second() -> None:
     stream = io.StringIO()
-    terminal = Terminal(stream)
-    view = View(
-        time_s=1.0, up=True, walked=1.0, to_goal=1.0, doing={"mapper": "mapping", "planner": "stepping"}, warnings=("careful",)
-    )
-    terminal.update(view)
-    terminal.say("mapper ended")
-    terminal.update(replace(view, time_s=2.0))
-    terminal.update(replace(view, time_s=3.0, warnings=()))
+    progress = Lines(stream)
+    for i in range(400):
+        progress.update(View(time_s=i * 0.025, up=True, doing={"planner": ("stepping", "waiting")[i % 2]}))
+    assert 8 <= stream.getvalue().count("planner:") <= 11
+
+
+class Screen(io.StringIO):
+    """A terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def lines(self) -> list[str]:
+        """Return what the terminal shows, with the control sequences in use."""
+        rows, y, x = [""], 0, 0
+        for end, command, control, text in re.findall(r"\x1b\[([\d;?]*)([A-Za-z])|([\r\n])|([^\x1b\r\n]+)", self.getvalue()):
+            if command == "A":
+                y -= int(end or 1)
+            elif command == "K":
+                rows[y] = ""
+            elif control == "\r":
+                x = 0
+            elif control == "\n":
+                y, x = y + 1, 0
+                rows += [""] * (y == len(rows))
+            elif text:
+                rows[y] = rows[y][:x].ljust(x) + text
+                x += len(text)
+            else:
+                assert command in "mhl", command  # colours, and whether the cursor is visible
+        return [row.rstrip() for row in rows if row.strip()]
+
+
+def shown(view: View) -> list[str]:
+    """Return the lines of the table on a terminal."""
+    screen = Screen()
+    Terminal(screen).update(view)
+    return screen.lines()
+
+
+RUNNING = View(
+    time_s=1.0, up=True, walked=1.0, to_goal=1.0, doing={"mapper": "mapping", "planner": "stepping"}, warnings=("careful",)
+)
+
+
+def test_progress_table_is_redrawn_below_messages() -> None:
+    screen = Screen()
+    terminal = progress_for(screen)
+    assert isinstance(terminal, Terminal)
+    terminal.compiled(31, 54)
+    assert screen.lines() == ["compiling the inner loops: 31 of 54; the first start takes about a minute"]
+    terminal.update(RUNNING)
+    terminal.say("mapper ended [exit status 1]")
+    terminal.update(replace(RUNNING, time_s=2.0))
+    assert screen.lines()[-1].split() == ["warning", "careful"]
+    terminal.update(replace(RUNNING, time_s=3.0, warnings=()))
     terminal.finish()
     terminal.say("done")
-    shown = terminal_screen(stream.getvalue())
-    assert shown[0] == "mapper ended"
-    assert shown[1].strip().startswith("3.0 s")
-    assert "[##########----------]" in shown[1]
-    assert shown[2:] == ["  mapper      mapping", "  planner     stepping", "done"]
+    lines = screen.lines()
+    assert lines[0] == "mapper ended [exit status 1]"
+    assert lines[1].strip().startswith("3.0 s")
+    assert lines[3:] == ["  mapper   mapping", "  planner  stepping", "done"]
+    assert screen.getvalue().endswith("done\n")
+    assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l"), "the cursor is visible again"
+
+
+@pytest.mark.parametrize("columns", [40, 80, 160])
+def test_progress_table_fits_the_terminal_and_100_columns(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = shown(replace(RUNNING, doing={"planner": "stepping " * 30}, warnings=("careful " * 30,)))
+    assert all(len(line) <= min(columns, 100) for line in lines)
+    assert lines[2].endswith("…")
+    assert "".join(lines).count("careful") == 30, "warnings are shown in full"
+
+
+def test_progress_has_colours_unless_no_color_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for colours in (True, False):
+        screen = Screen()
+        Terminal(screen).update(RUNNING)
+        assert bool(re.search(r"\x1b\[3\dm", screen.getvalue())) == colours
+        monkeypatch.setenv("NO_COLOR", "1")
+
+
+def test_progress_on_a_dumb_terminal_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    assert isinstance(progress_for(Screen()), Lines)
+
+
+def test_status_cannot_control_the_terminal() -> None:
+    view = Bench().hear(S, replace(health(S, "mapper"), doing="\x1b[2J[red]busy"))
+    assert view.doing == {"mapper": "\N{REPLACEMENT CHARACTER}[2J[red]busy"}
+    assert any(line.endswith("[red]busy") for line in shown(view))
 
 
 @dataclass
@@ -218,8 +285,8 @@ def test_lockstep_does_not_warn_about_slow_computer() -> None:
 
 def test_slow_simulated_time_is_shown() -> None:
     slow, real = (View(time_s=1.0, up=True, to_goal=1.0, of_real_time=share) for share in (0.4, 0.99))
-    assert "at 0.40 of real time" in block(slow)[0]
-    assert "of real time" not in block(real)[0]
+    assert "at 0.40 of real time" in shown(slow)[0]
+    assert "of real time" not in shown(real)[0]
     stream = io.StringIO()
     Lines(stream).update(slow)
     assert "at 0.40 of real time" in stream.getvalue()
