@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sextant.deploy.video.robot_figure import GROUND
 from sextant.shared.geometry import Array
+from sextant.shared.rendering.meshes import box_faces
 
 if TYPE_CHECKING:
     from sextant.services.simulator.physics.terrain import Terrain
@@ -21,17 +22,6 @@ _AROUND = 0.035  # [m] standard deviation of that mean
 _MOST = 3000  # most cells of that raster along either axis
 _NARROWEST = 0.06  # [m] least range of the colours, so that level ground does not look mountainous
 RELIEF = ((152, 170, 174), (182, 203, 184), (230, 225, 197), (240, 200, 143), (218, 142, 92))  # R, G, B from low to high
-_FACES = np.array(  # corners of a box's six faces, outward and counter-clockwise, as signs along its axes
-    [
-        [[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
-        [[-1, -1, -1], [-1, 1, -1], [1, 1, -1], [1, -1, -1]],
-        [[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]],
-        [[-1, -1, -1], [-1, -1, 1], [-1, 1, 1], [-1, 1, -1]],
-        [[-1, 1, -1], [-1, 1, 1], [1, 1, 1], [1, 1, -1]],
-        [[-1, -1, -1], [1, -1, -1], [1, -1, 1], [-1, -1, 1]],
-    ],
-    dtype=np.float64,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +29,7 @@ class Ground:
     """Geometry and colours of the ground; each own colour is a separate material."""
 
     faces: Array  # (n, 4, 3) [m] {world}
-    materials: NDArray[np.uint8]  # (n,)
+    materials: NDArray[np.uint16]  # (n,)
     field: NDArray[np.float64]  # (nx, ny) [m] {world} heights, NaN where there is none; (0, 0) without one
     grid: Array  # (3,) [m] x and y of its first cell, and their spacing
     field_material: int
@@ -49,7 +39,7 @@ class Ground:
     high: float  # [m] {world}
     colors: tuple[tuple[int, tuple[float, float, float]], ...] = ()  # further materials: number, R, G, B
     sinking: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 6, 4, 3)))  # (k, 6, 4, 3) faces of weak boxes
-    sinking_materials: NDArray[np.uint8] = dataclasses.field(default_factory=lambda: np.zeros((0, 6), dtype=np.uint8))
+    sinking_materials: NDArray[np.uint16] = dataclasses.field(default_factory=lambda: np.zeros((0, 6), dtype=np.uint16))
 
     @property
     def around(self) -> NDArray[np.float32]:
@@ -61,8 +51,8 @@ class Ground:
 def of_terrain(terrain: "Terrain", way: Array) -> Ground:
     """Build a scenario's terrain, coloured by heights along a path (n, 2) [m] {world}."""
     boxes, look = terrain.boxes, terrain.look
-    corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
-    faces, materials = [corners.reshape(-1, 4, 3)], [np.full(6 * len(boxes), GROUND, dtype=np.uint8)]
+    corners = box_faces(boxes.centre, boxes.half, boxes.R)
+    faces, materials = [corners.reshape(-1, 4, 3)], [np.full(6 * len(boxes), GROUND, dtype=np.uint16)]
     colors: list[tuple[int, tuple[float, float, float]]] = []
 
     def painted(color: Array | None) -> int:
@@ -76,17 +66,17 @@ def of_terrain(terrain: "Terrain", way: Array) -> Ground:
         return colors[-1][0]
 
     if look is not None:
-        materials[0] = np.repeat([painted(color) for color in look.boxes], 6).astype(np.uint8)
+        materials[0] = np.repeat([painted(color) for color in look.boxes], 6).astype(np.uint16)
     weak = np.zeros(len(boxes), dtype=bool)
     weak[terrain.weak.box] = True
     sinking, sinking_materials = corners[terrain.weak.box], materials[0].reshape(-1, 6)[terrain.weak.box]
     faces[0], materials[0] = corners[~weak].reshape(-1, 4, 3), materials[0].reshape(-1, 6)[~weak].ravel()
     if terrain.plane is not None:
         faces.append(_rectangle(way.mean(axis=0) - _FAR, way.mean(axis=0) + _FAR, terrain.plane)[None])
-        materials.append(np.array([painted(look.plane if look else None)], dtype=np.uint8))
+        materials.append(np.array([painted(look.plane if look else None)], dtype=np.uint16))
         for low, high, color in zip(terrain.hollows.low, terrain.hollows.high, terrain.hollows.color, strict=True):
             faces.append(_rectangle(low, high, terrain.plane + _FILM)[None])
-            materials.append(np.array([painted(color)], dtype=np.uint8))
+            materials.append(np.array([painted(color)], dtype=np.uint16))
     field_, grid, field_material = np.zeros((0, 0)), np.zeros(3), GROUND
     if terrain.height_field is not None:
         field_ = np.ascontiguousarray(terrain.height_field.heights, dtype=np.float64)
@@ -111,7 +101,7 @@ def of_map(elevation: NDArray[np.float32], origin: Array, resolution: float, lim
     grid = np.array([*origin, resolution])
     raster = (float(origin[0]), float(origin[1]), resolution)
     none = np.zeros((0, 4, 3))
-    return Ground(none, np.zeros(0, dtype=np.uint8), elevation.astype(np.float64), grid, GROUND, elevation, raster, *limits)
+    return Ground(none, np.zeros(0, dtype=np.uint16), elevation.astype(np.float64), grid, GROUND, elevation, raster, *limits)
 
 
 def limits_of(elevation: NDArray[np.float32]) -> tuple[float, float]:

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.deploy.video.ground import RELIEF, Ground
-from sextant.deploy.video.rasterizer import blank, draw_faces, draw_field, draw_limbs
 from sextant.deploy.video.robot_figure import COLORS, GROUND, occluders, robot_solids
 from sextant.deploy.video.shading import Grid, Scene, Shadow, light, shade_under
 from sextant.shared.geometry import Array, inverse, transform
+from sextant.shared.rendering.rasterizer import Canvas, draw_capsules, draw_faces, draw_field, field_blocks, new_canvas
 from sextant.shared.robot.profile import RobotProfile
 
 _SUN = np.array([-0.30, 0.62, 0.78])  # {world} toward it: to the side of a robot that starts along x
@@ -65,14 +65,14 @@ class Renderer:
         """
         self._profile, self.size, self._finer = profile, size, finer
         width, height = size
-        self._sight = blank(width * finer, height * finer, (1.0, 1.0, 0.0, 0.0))
+        self._canvas = new_canvas(width * finer, height * finer, (1.0, 1.0, 0.0, 0.0))
         self._linear = np.zeros((height, width, 3), dtype=np.float32)
         self._curve = np.round(255.0 * _encode(np.linspace(0.0, 1.0, _CURVE))).astype(np.uint8)
         self._ground: Ground | None = None
         self._sun = _SUN / np.linalg.norm(_SUN)
         self._reach = _ROBOT_REACH * max(1.0, (profile.links.femur + profile.links.tibia + profile.links.coxa) / 0.25)
         side = round(2 * self._reach / _ROBOT_TEXEL)
-        self._robot_shadow = blank(side, side, self._lamp_lens(side, side, _ROBOT_TEXEL), only_depth=True)
+        self._robot_shadow = new_canvas(side, side, self._lamp_lens(side, side, _ROBOT_TEXEL), surfaces=False)
 
     def stand_on(self, ground: Ground) -> None:
         """Set the ground of the next pictures."""
@@ -93,33 +93,31 @@ class Renderer:
             marks: Rings on the ground.
             way: (s, 2, 2) [m] {world} segments of a line on the ground.
         """
-        ground, sight = self._ground, self._sight
+        ground, canvas = self._ground, self._canvas
         if ground is None:
             raise ValueError("no ground to paint; call stand_on first")
         solids = robot_solids(self._profile, figure.T_world_body, figure.q, figure.carries)
         faces, face_materials, starts, ends, radii, limb_materials = solids.arrays()
         # 1. Visible surfaces.
-        rows, columns = sight.w.shape
+        rows, columns = canvas.w.shape
         focal = view.focal * rows
-        sight = sight._replace(lens=(focal, focal, (columns - 1) / 2, (rows - 1) / 2))
-        sight.w.fill(0.0)
-        sight.material.fill(0)
+        canvas = canvas._replace(lens=(focal, focal, (columns - 1) / 2, (rows - 1) / 2))
+        canvas.w.fill(0.0)
+        canvas.material.fill(0)
         T = inverse(view.T_world_camera)
-        draw_limbs(sight, T, starts, ends, radii, limb_materials)
-        draw_faces(sight, T, faces, face_materials)
-        draw_faces(sight, T, ground.faces, ground.materials)
-        if ground.field.size:
-            draw_field(sight, T, ground.field, ground.grid, ground.field_material)
+        draw_capsules(canvas, T, starts, ends, radii, limb_materials)
+        draw_faces(canvas, T, faces, face_materials)
+        _draw_ground(canvas, T, ground)
         loose = ground.sinking.reshape(-1, 4, 3)
         if figure.sunk is not None:
             loose = loose - np.repeat(figure.sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
         loose_materials = ground.sinking_materials.ravel()
-        draw_faces(sight, T, loose, loose_materials)
+        draw_faces(canvas, T, loose, loose_materials)
         # 2. Shadow and sky occlusion of the robot and other moving parts.
         T_lamp = self._lamp_at(figure.T_world_body[:3, 3])
         shadow = self._robot_shadow
         shadow.w.fill(0.0)
-        draw_limbs(shadow, T_lamp, starts, ends, radii, limb_materials)
+        draw_capsules(shadow, T_lamp, starts, ends, radii, limb_materials)
         draw_faces(shadow, T_lamp, faces, face_materials)
         draw_faces(shadow, T_lamp, loose, loose_materials)
         # 3. Lighting.
@@ -138,7 +136,7 @@ class Renderer:
             np.zeros((0, 2, 2)) if way is None else way,
             view.middle,
         )
-        light(sight, np.ascontiguousarray(view.T_world_camera, dtype=np.float64), scene, self._linear)
+        light(canvas, np.ascontiguousarray(view.T_world_camera, dtype=np.float64), scene, self._linear)
         return np.asarray(self._curve[(np.clip(self._linear, 0.0, 1.0) * (_CURVE - 1)).astype(np.intp)])
 
     def _under(self, figure: Figure, ground: Ground) -> Grid:
@@ -175,16 +173,22 @@ class Renderer:
         seen = np.abs(corners @ T[:3, :3].T + T[:3, 3])[:, :2].max(axis=0) * 2
         texel = max(_GROUND_TEXEL, float(seen.max()) / _MOST_TEXELS)
         width, height = np.ceil(seen / texel).astype(int).tolist()
-        sight = blank(width, height, self._lamp_lens(width, height, texel), only_depth=True)
-        draw_faces(sight, T, ground.faces, ground.materials)
-        if ground.field.size:
-            draw_field(sight, T, ground.field, ground.grid, ground.field_material)
-        return Shadow(sight, T, max(_SOFT / texel, 1.0))
+        canvas = new_canvas(width, height, self._lamp_lens(width, height, texel), surfaces=False)
+        _draw_ground(canvas, T, ground)
+        return Shadow(canvas, T, max(_SOFT / texel, 1.0))
+
+
+def _draw_ground(canvas: Canvas, T: Array, ground: Ground) -> None:
+    """Draw the fixed ground, for T_camera_world (4, 4)."""
+    draw_faces(canvas, T, ground.faces, ground.materials)
+    if ground.field.size:
+        blocks = field_blocks(ground.field, ground.grid)
+        draw_field(canvas, T, ground.field, ground.grid, blocks, ground.field_material)
 
 
 def _materials(ground: Ground) -> Array:
     """Return the table of materials for `light`."""
-    table = np.zeros((256, 5))
+    table = np.zeros((GROUND + 1 + len(ground.colors), 5))
     for number, (rgb, gloss) in COLORS.items():
         table[number, :3], table[number, 4] = _decode(np.array(rgb, dtype=np.float64)), gloss
     table[GROUND, 3] = 2.0

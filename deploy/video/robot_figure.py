@@ -71,18 +71,18 @@ class Solids:
                     start, end = apply(T, edge)
                     self.limb(start, end, bevel, bevel, material)
 
-    def arrays(self) -> tuple[Array, NDArray[np.uint8], Array, Array, Array, NDArray[np.uint8]]:
+    def arrays(self) -> tuple[Array, NDArray[np.uint16], Array, Array, Array, NDArray[np.uint16]]:
         """Return faces (n, 4, 3) with materials (n,), and limbs.
 
         Limbs are starts and ends (m, 3), radii (m, 2) and materials (m,).
         """
         return (
             np.array(self.faces).reshape(-1, 4, 3),
-            np.array(self.face_materials, dtype=np.uint8),
+            np.array(self.face_materials, dtype=np.uint16),
             np.array(self.starts).reshape(-1, 3),
             np.array(self.ends).reshape(-1, 3),
             np.array(self.radii).reshape(-1, 2),
-            np.array(self.limb_materials, dtype=np.uint8),
+            np.array(self.limb_materials, dtype=np.uint16),
         )
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.video.rasterizer import Sight
 from sextant.shared.geometry import Array
+from sextant.shared.rendering.rasterizer import Canvas
 from sextant.shared.runtime.compiled import compiled, written_into
 
 BY_HEIGHT, GLOSS = 3, 4  # columns of the table of materials, after R, G, B
@@ -21,15 +21,19 @@ _HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the picture's middle where haze be
 _WAY, _WAY_COLOR = 0.005, (0.05, 0.20, 0.70)  # [m] half width of the path on the ground
 _GRID, _GRID_LINE = 0.10, 0.0011  # [m] spacing of lines on level ground, and half their width
 _BIAS = 0.0015  # [m] offset toward the lamp against self-shadowing
-_CREASE = 0.0035  # relative kink of the inverse depth that counts as an edge
+_SMOOTH, _CREASE = 0.0014, 0.0035  # relative kinks of the inverse depth on a smooth surface at most, and at an edge at least
 _EVEN = 0.02  # most difference of normals on an even face
 _LEVEL = 0.7  # z of a normal above which a face is floor, not wall
+
+# Tuples of numbers stay in registers in the inner loops; each array that a function takes costs time.
+_Point = tuple[float, float, float]  # [m] {world}, or a direction
+_Color = tuple[float, float, float]  # linear R, G, B
 
 
 class Shadow(NamedTuple):
     """The view of a lamp."""
 
-    sight: Sight
+    canvas: Canvas
     T: Array  # (4, 4) T_lamp_world
     reach: float  # [px] width of its soft rim
 
@@ -64,7 +68,7 @@ class Scene(NamedTuple):
 
 
 @compiled
-def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.float32]) -> None:
+def light(canvas: Canvas, T_world_camera: Array, scene: Scene, out: NDArray[np.float32]) -> None:
     """Light the view of a camera pose (4, 4) into a picture (h, w, 3).
 
     The view is an integer factor finer than the picture. A pixel that shows a single even face is lit once, any other pixel at
@@ -72,141 +76,188 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
     """
     T = T_world_camera
     rows, columns, _ = out.shape
-    times = len(sight.w) // rows
-    fx, fy, cx, cy = sight.lens
-    w, sun, materials = sight.w, scene.sun, scene.materials
+    times = len(canvas.w) // rows
+    fx, fy, cx, cy = canvas.lens
+    w, materials = canvas.w, scene.materials
     # Unpacked here, because unpacking per pixel would cost more than the lighting.
-    ground_seen, T_ground, ground_reach = scene.ground_shadow.sight.w, scene.ground_shadow.T, scene.ground_shadow.reach
-    robot_seen, T_robot, robot_reach = scene.robot_shadow.sight.w, scene.robot_shadow.T, scene.robot_shadow.reach
-    ground_lens, robot_lens = scene.ground_shadow.sight.lens, scene.robot_shadow.sight.lens
+    ground_seen, T_ground, ground_reach = scene.ground_shadow.canvas.w, scene.ground_shadow.T, scene.ground_shadow.reach
+    robot_seen, T_robot, robot_reach = scene.robot_shadow.canvas.w, scene.robot_shadow.T, scene.robot_shadow.reach
+    ground_lens, robot_lens = scene.ground_shadow.canvas.lens, scene.robot_shadow.canvas.lens
     around_values, around_x, around_y, around_step = scene.around
     under_values, under_x, under_y, under_step = scene.under
-    marks, way, normals, seen_materials, heights = scene.marks, scene.way, sight.normal, sight.material, scene.heights
+    marks, way, normals, seen_materials, heights = scene.marks, scene.way, canvas.normal, canvas.material, scene.heights
     low, high, middle = scene.low, scene.high, scene.middle
-    sun_x, sun_y, sun_z = sun[0], sun[1], sun[2]
-    color = np.empty(3)
-    shades = len(heights) - 1
-    total = np.empty(3)
+    sun = (scene.sun[0], scene.sun[1], scene.sun[2])
+    evens, means = np.empty(columns, dtype=np.bool_), np.empty(columns)
     for row in range(rows):
+        _find_even(canvas, row * times, times, evens, means)
         for column in range(columns):
-            even, mean = True, 0.0
-            top, left = row * times, column * times
-            for y in range(top, top + times):
-                for x in range(left, left + times):
-                    mean += w[y, x]
-                    even = even and seen_materials[y, x] == seen_materials[top, left]
-                    for k in range(3):
-                        even = even and abs(normals[y, x, k] - normals[top, left, k]) < _EVEN
-                    even = even and (w[y, x] <= 0.0 or _crease(w, y, x) <= 0.0)
-            total[:] = 0.0
+            even, top, left = evens[column], row * times, column * times
+            total = (0.0, 0.0, 0.0)
             looks = 1 if even else times * times
             wide = 1.25 * times if even else 1.0  # [px] smoothing width of paint; ground is seen at a slant
             for look in range(looks):
                 y, x = top + look // times, left + look % times
-                near = mean / (times * times) if even else np.float64(w[y, x])
+                near = means[column] if even else np.float64(w[y, x])
                 aside = 0.5 * (times - 1) if even else 0.0
                 dx, dy = (x + aside - cx) / fx, (y + aside - cy) / fy
-                rx = T[0, 0] * dx + T[0, 1] * dy + T[0, 2]
-                ry = T[1, 0] * dx + T[1, 1] * dy + T[1, 2]
-                rz = T[2, 0] * dx + T[2, 1] * dy + T[2, 2]
+                ray = (
+                    T[0, 0] * dx + T[0, 1] * dy + T[0, 2],
+                    T[1, 0] * dx + T[1, 1] * dy + T[1, 2],
+                    T[2, 0] * dx + T[2, 1] * dy + T[2, 2],
+                )
                 long = np.sqrt(dx * dx + dy * dy + 1.0)
-                upward = min(max(2.2 * rz / long, 0.0), 1.0)
                 if near <= 0.0:
-                    for k in range(3):
-                        total[k] += _HORIZON[k] + upward * (_ZENITH[k] - _HORIZON[k])
+                    upward = min(max(2.2 * ray[2] / long, 0.0), 1.0)
+                    total = _sum(total, _mix(_HORIZON, _ZENITH, upward))
                     continue
                 z = 1.0 / near
-                px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
-                nx, ny, nz = normals[y, x, 0], normals[y, x, 1], normals[y, x, 2]
-                material = seen_materials[y, x]
+                p = (T[0, 3] + z * ray[0], T[1, 3] + z * ray[1], T[2, 3] + z * ray[2])
+                normal = (normals[y, x, 0], normals[y, x, 1], normals[y, x, 2])
                 # 1. Surface colour.
-                ground = materials[material, 3] > 0.0
-                if materials[material, 3] > 1.0:
-                    at = min(max((pz - low) / (high - low), 0.0), 1.0) * shades
-                    i = min(int(at), shades - 1)
-                    deep = min(max((low - 0.10 - pz) / 0.25, 0.0), 1.0)
-                    for k in range(3):
-                        color[k] = heights[i, k] + (at - i) * (heights[i + 1, k] - heights[i, k])
-                        color[k] += deep * (_DEEP[k] - color[k])
+                material = seen_materials[y, x]
+                ground = materials[material, BY_HEIGHT] > 0.0
+                if materials[material, BY_HEIGHT] > 1.0:
+                    color = _height_color(heights, (p[2] - low) / (high - low))
+                    color = _mix(color, _DEEP, min(max((low - 0.10 - p[2]) / 0.25, 0.0), 1.0))
                 else:
-                    for k in range(3):
-                        color[k] = materials[material, k]
-                if ground:
-                    if nz > _LEVEL:
-                        _draw_grid(color, px, py, wide * z / fx)
-                        _draw_marks(color, px, py, pz, wide * z / fx, marks, way)
-                    else:
-                        for k in range(3):
-                            color[k] *= 0.78
+                    color = (materials[material, 0], materials[material, 1], materials[material, 2])
+                if ground and normal[2] > _LEVEL:
+                    color = _with_grid(color, p[0], p[1], wide * z / fx)
+                    color = _with_marks(color, p, wide * z / fx, marks, way)
+                elif ground:
+                    color = _mix((0.0, 0.0, 0.0), color, 0.78)
                 # 2. Incoming light.
-                cosine = nx * sun_x + ny * sun_y + nz * sun_z
-                lit = max(cosine, 0.0)
+                lit = max(normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2], 0.0)
                 if lit > 0.0:
-                    lit *= _shadow(ground_seen, T_ground, ground_lens, ground_reach, px, py, pz, nx, ny, nz)
+                    lit *= _shadow(ground_seen, T_ground, ground_lens, ground_reach, p, normal)
                 if lit > 0.0:
-                    lit *= _shadow(robot_seen, T_robot, robot_lens, robot_reach, px, py, pz, nx, ny, nz)
-                open_sky = 1.0
-                around = _at(around_values, around_x, around_y, around_step, px, py)
-                if np.isfinite(around):
-                    open_sky = 1.0 - 0.6 * min(max((around - pz) / 0.045, 0.0), 1.0)
-                if ground:
-                    under = _at(under_values, under_x, under_y, under_step, px, py)
-                    if np.isfinite(under):
-                        open_sky *= 1.0 - under
-                half = 0.5 + 0.5 * nz
+                    lit *= _shadow(robot_seen, T_robot, robot_lens, robot_reach, p, normal)
+                around = _at(around_values, around_x, around_y, around_step, p[0], p[1])
+                under = _at(under_values, under_x, under_y, under_step, p[0], p[1]) if ground else np.nan
+                open_sky = _open_sky(around, under, p[2])
                 # 3. Reflection toward the camera, and haze.
-                gloss = 0.0
-                if materials[material, 4] > 0.0:
-                    hx, hy, hz = sun_x - rx / long, sun_y - ry / long, sun_z - rz / long
-                    size = np.sqrt(hx * hx + hy * hy + hz * hz)
-                    shine = max((nx * hx + ny * hy + nz * hz) / size, 0.0) ** 40
-                    rim = (1.0 - max(-(nx * rx + ny * ry + nz * rz) / long, 0.0)) ** 4
-                    gloss = materials[material, 4] * (shine * min(2.0 * lit, 1.0) + 0.35 * rim * half)
+                gloss = materials[material, GLOSS]
+                if gloss > 0.0:
+                    gloss *= _reflection(sun, normal, (ray[0] / long, ray[1] / long, ray[2] / long), lit)
                 haze = min(max((z * long - middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
                 haze = haze * haze * (3.0 - 2.0 * haze)
                 edge = 1.0 if even or not ground else 1.0 - 0.38 * _crease(w, y, x) * (1.0 - haze)
-                for k in range(3):
-                    sky = _EARTH[k] + half * (_SKY[k] - _EARTH[k])
-                    seen = color[k] * (_SUN[k] * lit + sky * open_sky) + gloss
-                    total[k] += (1.0 - haze) * seen * edge + haze * _HORIZON[k]
+                sky = _mix(_EARTH, _SKY, 0.5 + 0.5 * normal[2])
+                seen = (
+                    edge * (color[0] * (_SUN[0] * lit + sky[0] * open_sky) + gloss),
+                    edge * (color[1] * (_SUN[1] * lit + sky[1] * open_sky) + gloss),
+                    edge * (color[2] * (_SUN[2] * lit + sky[2] * open_sky) + gloss),
+                )
+                total = _sum(total, _mix(seen, _HORIZON, haze))
             for k in range(3):
                 out[row, column, k] = total[k] / looks
 
 
 @written_into
-def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
-    """Draw faint lines on the ground; they fade where a pixel is wider than a line."""
-    for at in (x, y):
-        off = abs(at - _GRID * np.round(at / _GRID))
-        share = min(max((_GRID_LINE + 0.5 * pixel - off) / pixel, 0.0), 1.0) * min(2.0 * _GRID_LINE / pixel, 1.0)
-        for k in range(3):
-            color[k] *= 1.0 - 0.34 * share
+def _sum(one: _Color, other: _Color) -> _Color:
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
 @written_into
-def _draw_marks(color: Array, x: float, y: float, z: float, pixel: float, marks: Array, way: Array) -> None:
-    """Draw rings with a tinted middle, and the path, on the ground.
+def _mix(one: _Color, other: _Color, share: float) -> _Color:
+    """Interpolate from one colour to another."""
+    return (
+        one[0] + share * (other[0] - one[0]),
+        one[1] + share * (other[1] - one[1]),
+        one[2] + share * (other[2] - one[2]),
+    )
+
+
+@compiled
+def _find_even(canvas: Canvas, top: int, times: int, evens: NDArray[np.bool_], means: Array) -> None:
+    """Find which pixels of a row show a single even face, and the mean inverse depth [1/m] of their samples.
+
+    `top` is the first of the row's `times` lines in the canvas.
+    """
+    w, normals, materials = canvas.w, canvas.normal, canvas.material
+    for column in range(len(evens)):
+        left, even, total = column * times, True, 0.0
+        for y in range(top, top + times):
+            for x in range(left, left + times):
+                total += w[y, x]
+                even = (
+                    even
+                    and materials[y, x] == materials[top, left]
+                    and abs(normals[y, x, 0] - normals[top, left, 0]) < _EVEN
+                    and abs(normals[y, x, 1] - normals[top, left, 1]) < _EVEN
+                    and abs(normals[y, x, 2] - normals[top, left, 2]) < _EVEN
+                    and (w[y, x] <= 0.0 or _kink(w, y, x) <= _SMOOTH * w[y, x])
+                )
+        evens[column], means[column] = even, total / (times * times)
+
+
+@written_into
+def _height_color(heights: Array, share: float) -> _Color:
+    """Interpolate in a scale of colours (n, 3), from 0 at the first to 1 at the last."""
+    at = min(max(share, 0.0), 1.0) * (len(heights) - 1)
+    i = min(int(at), len(heights) - 2)
+    return _mix(
+        (heights[i, 0], heights[i, 1], heights[i, 2]), (heights[i + 1, 0], heights[i + 1, 1], heights[i + 1, 2]), at - i
+    )
+
+
+@written_into
+def _open_sky(around: float, under: float, z: float) -> float:
+    """Return the share of the sky that a place at a height [m] sees.
+
+    `around` is the mean height of the surrounding ground [m], and `under` the share that the robot hides; NaN is unknown.
+    """
+    sky = 1.0
+    if np.isfinite(around):
+        sky = 1.0 - 0.6 * min(max((around - z) / 0.045, 0.0), 1.0)
+    if np.isfinite(under):
+        sky *= 1.0 - under
+    return sky
+
+
+@written_into
+def _reflection(sun: _Point, normal: _Point, ray: _Point, lit: float) -> float:
+    """Return the light that a glossy surface reflects along a unit ray that reaches it."""
+    hx, hy, hz = sun[0] - ray[0], sun[1] - ray[1], sun[2] - ray[2]
+    size = np.sqrt(hx * hx + hy * hy + hz * hz)
+    shine = max((normal[0] * hx + normal[1] * hy + normal[2] * hz) / size, 0.0) ** 40
+    rim = (1.0 - max(-(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2]), 0.0)) ** 4
+    return float(shine * min(2.0 * lit, 1.0) + 0.35 * rim * (0.5 + 0.5 * normal[2]))
+
+
+@written_into
+def _with_grid(color: _Color, x: float, y: float, pixel: float) -> _Color:
+    """Darken a colour on faint lines of the ground; they fade where a pixel is wider than a line."""
+    for at in (x, y):
+        off = abs(at - _GRID * np.round(at / _GRID))
+        share = min(max((_GRID_LINE + 0.5 * pixel - off) / pixel, 0.0), 1.0) * min(2.0 * _GRID_LINE / pixel, 1.0)
+        color = _mix(color, (0.0, 0.0, 0.0), 0.34 * share)
+    return color
+
+
+@written_into
+def _with_marks(color: _Color, p: _Point, pixel: float, marks: Array, way: Array) -> _Color:
+    """Paint rings with a tinted middle, and the path, over a colour of the ground.
 
     Their rims are as soft as a pixel is wide.
     """
+    x, y, z = p
     for s in range(len(way)):
         ax, ay = way[s, 0, 0], way[s, 0, 1]
         bx, by = way[s, 1, 0] - ax, way[s, 1, 1] - ay
         size = bx * bx + by * by
         t = min(max(((x - ax) * bx + (y - ay) * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
         off = np.sqrt((x - ax - t * bx) ** 2 + (y - ay - t * by) ** 2)
-        share = min(max((_WAY - off) / pixel + 0.5, 0.0), 1.0)
-        for i in range(3):
-            color[i] += share * (_WAY_COLOR[i] - color[i])
+        color = _mix(color, _WAY_COLOR, min(max((_WAY - off) / pixel + 0.5, 0.0), 1.0))
     for k in range(len(marks)):
-        mark = marks[k]
-        dx, dy, reach = x - mark[0], y - mark[1], mark[4] + pixel
-        if dx * dx + dy * dy < reach * reach and abs(z - mark[2]) < 0.03:
+        dx, dy, reach = x - marks[k, 0], y - marks[k, 1], marks[k, 4] + pixel
+        if dx * dx + dy * dy < reach * reach and abs(z - marks[k, 2]) < 0.03:
             off = np.sqrt(dx * dx + dy * dy)
-            rim = min(max((off - mark[3]) / pixel + 0.5, 0.0), 1.0) if mark[3] > 0.0 else 1.0
-            share = min(max((mark[4] - off) / pixel + 0.5, 0.0), 1.0) * (0.30 + 0.62 * rim)
-            for i in range(3):
-                color[i] += share * (mark[5 + i] - color[i])
+            rim = min(max((off - marks[k, 3]) / pixel + 0.5, 0.0), 1.0) if marks[k, 3] > 0.0 else 1.0
+            share = min(max((marks[k, 4] - off) / pixel + 0.5, 0.0), 1.0) * (0.30 + 0.62 * rim)
+            color = _mix(color, (marks[k, 5], marks[k, 6], marks[k, 7]), share)
+    return color
 
 
 @written_into
@@ -229,18 +280,15 @@ def _shadow(
     T: Array,
     lens: tuple[float, float, float, float],
     reach: float,
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
+    p: _Point,
+    normal: _Point,
 ) -> float:
     """Return the share of a lamp's light that reaches a place on a face {world}.
 
     It is 1 outside the lamp's view. The face is extended as a plane around the place for comparison with the lamp's depths.
     """
     fx, fy, cx, cy = lens
+    (x, y, z), (nx, ny, nz) = p, normal
     a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
     b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
     c = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
@@ -278,15 +326,20 @@ def _shadow(
 
 @written_into
 def _crease(w: NDArray[np.float32], row: int, column: int) -> float:
-    """Return 1 at an edge: on a plane the inverse depth has no kink."""
+    """Return 1 at an edge and 0 on a smooth surface."""
+    kink = _kink(w, row, column) / w[row, column]
+    return float(min(max((kink - _SMOOTH) / (_CREASE - _SMOOTH), 0.0), 1.0))
+
+
+@written_into
+def _kink(w: NDArray[np.float32], row: int, column: int) -> float:
+    """Return the kink of the inverse depth [1/m], which is 0 on a plane and at the border of the view."""
     rows, columns = w.shape
     if not (0 < row < rows - 1 and 0 < column < columns - 1):
         return 0.0
-    here = w[row, column]
-    across = w[row, column - 1] + w[row, column + 1] - 2.0 * here
-    along = w[row - 1, column] + w[row + 1, column] - 2.0 * here
-    kink = max(abs(across), abs(along)) / here
-    return float(min(max((kink - 0.4 * _CREASE) / (0.6 * _CREASE), 0.0), 1.0))
+    across = w[row, column - 1] + w[row, column + 1] - 2.0 * w[row, column]
+    along = w[row - 1, column] + w[row + 1, column] - 2.0 * w[row, column]
+    return float(max(abs(across), abs(along)))
 
 
 @compiled

@@ -12,12 +12,18 @@ from sextant.deploy.warm_up import compile_functions
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 
-SERVICES = ("sextant.services.perception", "sextant.services.mapper", "sextant.services.planner", "sextant.services.simulator")
+WARMED_UP = (
+    "sextant.services.perception",
+    "sextant.services.mapper",
+    "sextant.services.planner",
+    "sextant.services.simulator",
+    "sextant.shared.rendering",
+)
 
 
 def signatures() -> set[str]:
-    """Return every signature of the compiled functions of services that warm up."""
-    modules = [module for name, module in sys.modules.items() if name.startswith(SERVICES)]
+    """Return every signature of the compiled functions that warm up."""
+    modules = [module for name, module in sys.modules.items() if name.startswith(WARMED_UP)]
     functions = {f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return {f"{f.__module__}.{f.__name__}{signature}" for f in functions for signature in f.signatures}
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 SELDOM = (
-    "perception.registration.relocalization_map._score_places",
-    "mapper.passage_map.voxel_cloud._merge",
-    "mapper.passage_map.next_best_view._sights",
-    "planner.gap_crossing.roadmap_search.grow",
-    "simulator.sensors.raster.draw_capsules",
+    "services.perception.registration.relocalization_map._score_places",
+    "services.mapper.passage_map.voxel_cloud._merge",
+    "services.mapper.passage_map.next_best_view._sights",
+    "services.planner.gap_crossing.roadmap_search.grow",
+    "shared.rendering.rasterizer.draw_capsules",
 )
 PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
 
@@ -30,5 +30,5 @@ def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: 
         command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     rehearsed, *new = done.stdout.strip().splitlines()
-    assert {f"sextant.services.{name}" for name in SELDOM} <= set(rehearsed.split())
+    assert {f"sextant.{name}" for name in SELDOM} <= set(rehearsed.split())
     assert not new

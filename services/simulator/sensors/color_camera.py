@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from sextant.services.simulator.physics.solids import Boxes, Capsules
 from sextant.services.simulator.physics.terrain import Terrain
-from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.services.simulator.sensors.renderer import PLANE, Renderer
 from sextant.shared.geometry import Array
-from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.rendering.rasterizer import Canvas
 from sextant.shared.runtime.compiled import compiled
 
 _EXPOSURE = 0.20  # [1] maximum relative deviation of a run's brightness
@@ -22,6 +22,8 @@ _GRAIN = 0.16  # [1] relative variation of the ground's brightness
 _TINT = 0.03  # [1] relative variation of the ground's colour
 _SENSOR = 3.0  # [1/255] maximum sensor noise of a pixel, uniform
 _SKY = (178.0, 200.0, 220.0)
+_LIGHT = np.array([-0.35, -0.45, 0.82])  # direction to the light {world}
+_AMBIENT = 0.45  # [1] share of the light that comes from all directions
 _RIM = 0.008  # [m] amplitude of irregular puddle edges
 
 
@@ -29,7 +31,7 @@ class ColorCamera:
     """Colour camera whose pixels coincide with those of the depth camera."""
 
     def __init__(self, renderer: Renderer, terrain: Terrain, rng: np.random.Generator):
-        """Draw the light of a run; the renderer provides flat-shaded images."""
+        """Draw the light of a run; the renderer provides the visible surfaces."""
         self._renderer = renderer
         self._key = np.uint32(rng.integers(1 << 32))
         balance = np.array([rng.uniform(-_BALANCE, _BALANCE), 0.0, rng.uniform(-_BALANCE, _BALANCE)])
@@ -47,15 +49,44 @@ class ColorCamera:
             T_world_camera: (4, 4) pose of the camera's optical frame.
             robot: Solids to draw in addition to the terrain.
         """
-        flat, inverse_depth = self._renderer.colored(T_world_camera, robot)
-        i: Intrinsics = self._renderer.intrinsics
-        out = np.empty_like(flat)
-        camera = np.array([i.fx, i.fy, i.cx, i.cy])
+        canvas = self._renderer.surfaces(T_world_camera, robot)
+        flat = np.empty((*canvas.w.shape, 3), dtype=np.uint8)
         T = np.ascontiguousarray(T_world_camera[:3], dtype=np.float64)
-        _develop(flat, inverse_depth, camera, T, self._gain, self._key, np.uint32(self._frames),
-                 self._plane, self._hollows, self._hollow_colors, out)  # fmt: skip
+        _shade(canvas, T, self._renderer.colours, _LIGHT / np.linalg.norm(_LIGHT), PLANE, flat)
+        _develop(flat, canvas.w, np.array(canvas.lens), T, self._gain, self._key, np.uint32(self._frames),
+                 self._plane, self._hollows, self._hollow_colors)  # fmt: skip
         self._frames += 1
-        return out
+        return flat
+
+
+@compiled
+def _shade(canvas: Canvas, T: Array, colours: Array, light: Array, plane: int, out: NDArray[np.uint8]) -> None:
+    """Light the surfaces of a canvas, and draw level ground up to a depth of 50 m as a 0.1 m checkerboard.
+
+    T is T_world_camera (3, 4); colours (m, 3) are those of the materials, `plane` is that of level ground, and light (3,) is a
+    unit vector {world}.
+    """
+    w = canvas.w
+    fx, fy, cx, cy = canvas.lens
+    for row in range(w.shape[0]):
+        for column in range(w.shape[1]):
+            material = canvas.material[row, column]
+            level = material == plane
+            if w[row, column] <= (0.02 if level else 0.0):
+                for k in range(3):
+                    out[row, column, k] = np.uint8(_SKY[k])
+                continue
+            n = canvas.normal[row, column]
+            bright = _AMBIENT + (1.0 - _AMBIENT) * max(0.0, n[0] * light[0] + n[1] * light[1] + n[2] * light[2])
+            if level:
+                z = 1.0 / w[row, column]
+                a, b = z * (column - cx) / fx, z * (row - cy) / fy
+                x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * z + T[0, 3]
+                y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * z + T[1, 3]
+                odd = (int(np.floor(x * 10.0)) + int(np.floor(y * 10.0))) & 1
+                bright *= 0.93 if odd else 1.0
+            for k in range(3):
+                out[row, column, k] = np.uint8(colours[material, k] * bright)
 
 
 @compiled
@@ -86,7 +117,7 @@ def _noise(x: float, y: float, key: np.uint32) -> float:
 
 @compiled
 def _develop(
-    flat: NDArray[np.uint8],
+    picture: NDArray[np.uint8],
     w: NDArray[np.float32],
     camera: Array,
     T: Array,
@@ -96,9 +127,8 @@ def _develop(
     plane: float,
     hollows: Array,
     hollow_colors: Array,
-    out: NDArray[np.uint8],
 ) -> None:
-    """Apply light, texture, puddles and sensor noise to a flat-shaded image.
+    """Apply light, texture, puddles and sensor noise to a flat-shaded image, in place.
 
     T is T_world_camera (3, 4); hollows (n, 4) are low x, low y, high x, high y [m] {world}.
     """
@@ -108,7 +138,7 @@ def _develop(
     for row in range(rows):
         for column in range(columns):
             for k in range(3):
-                color[k] = flat[row, column, k]
+                color[k] = picture[row, column, k]
             if w[row, column] > 0.02:
                 z = 1.0 / w[row, column]
                 a, b = z * (column - cx) / fx, z * (row - cy) / fy
@@ -147,4 +177,4 @@ def _develop(
             h = _mixed(np.uint32(row * columns + column) ^ np.uint32(frame * np.uint32(0x9E3779B1)) ^ key)
             for k in range(3):
                 spark = float(np.int64((h >> np.uint32(8 * k)) & np.uint32(255))) * (2.0 * _SENSOR / 255.0) - _SENSOR
-                out[row, column, k] = np.uint8(min(max(color[k] + spark, 0.0), 255.0))
+                picture[row, column, k] = np.uint8(min(max(color[k] + spark, 0.0), 255.0))

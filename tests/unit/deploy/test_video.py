@@ -14,7 +14,6 @@ from sextant.deploy import cli
 from sextant.deploy.video import ground, video_writer
 from sextant.deploy.video.captions import Caption
 from sextant.deploy.video.film import Animation, Cut
-from sextant.deploy.video.rasterizer import blank, draw_faces, draw_field, draw_limbs
 from sextant.deploy.video.renderer import Figure, Mark, Renderer, View
 from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
 from sextant.deploy.video.sinking import Sinking
@@ -241,60 +240,6 @@ def test_mark_and_robot_shadow_are_drawn_on_ground(level_renderer: Renderer) -> 
         np.round(pixel(view, level_renderer.size, np.array([0.0, -0.12, 0.0]))).astype(int),
     )
     assert lit[below[1], below[0]].sum() > 1.3 * bare[below[1], below[0]].sum()
-
-
-def solid_limbs(starts: Array, ends: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
-    """Draw limbs; return the drawn points (n, 3), their normals, and the images.
-
-    The images are the inverse depth and the material of all pixels.
-    """
-    sight = blank(120, 90, (150.0, 150.0, 59.5, 44.5))
-    draw_limbs(sight, np.eye(4), starts, ends, radii, np.ones(len(radii), dtype=np.uint8))
-    v, u = np.nonzero(sight.w)
-    z = 1.0 / sight.w[v, u].astype(float)
-    return np.column_stack([(u - 59.5) / 150 * z, (v - 44.5) / 150 * z, z]), sight.normal[v, u], sight.w, sight.material
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_limb_is_convex_hull_of_its_end_spheres(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    start, end = rng.uniform([-0.2, -0.15, 0.8], [0.2, 0.15, 1.2], (2, 3))
-    radii = rng.uniform(0.01, 0.07, 2)
-    points, normals, w, _ = solid_limbs(start[None], end[None], radii[None])
-    s = np.linspace(0.0, 1.0, 2001)[:, None]
-    centre, radius = start + s * (end - start), radii[0] + s[:, 0] * (radii[1] - radii[0])
-    gap = np.linalg.norm(points[:, None] - centre, axis=2) - radius
-    np.testing.assert_allclose(gap.min(axis=1), 0.0, atol=2e-5)
-    outward = points - centre[gap.argmin(axis=1)]
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    assert (np.einsum("ij,ij->i", outward, normals) > 0.99).all()
-    # Every ray that meets one of the balls is drawn.
-    v, u = np.mgrid[:90, :120]
-    rays = np.stack([(u - 59.5) / 150, (v - 44.5) / 150, np.ones(u.shape)], axis=-1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    for k in range(0, 2001, 100):
-        off = centre[k] - (rays @ centre[k])[..., None] * rays
-        assert (w[np.linalg.norm(off, axis=-1) < radius[k] - 1e-6] > 0).all()
-
-
-def test_faces_occlude_each_other_and_field_matches_heights() -> None:
-    T = side_view(np.zeros(3), 0.5).T_world_camera
-    sight = blank(96, 64, (90.0, 90.0, 47.5, 31.5))
-    square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-    lower, upper = 0.4 * square - [0.0, 0.0, 0.1], 0.1 * square + [0.0, 0.0, 0.1]
-    draw_faces(sight, inverse(T), np.array([lower, upper]), np.array([1, 2], dtype=np.uint8))
-    field = blank(96, 64, sight.lens)
-    heights = np.full((41, 41), -0.1)
-    draw_field(field, inverse(T), heights, np.array([-0.4, -0.4, 0.02]), 1)
-    v, u = np.nonzero(sight.material)
-    z = 1.0 / sight.w[v, u].astype(float)
-    world = apply(T, np.column_stack([(u - 47.5) / 90 * z, (v - 31.5) / 90 * z, z]))
-    np.testing.assert_allclose(world[:, 2], np.where(sight.material[v, u] == 2, 0.1, -0.1), atol=1e-4)
-    np.testing.assert_allclose(sight.normal[v, u], np.tile([0.0, 0.0, 1.0], (len(u), 1)), atol=1e-6)
-    below = (sight.material == 1) & (field.material == 1)
-    np.testing.assert_allclose(field.w[below], sight.w[below], rtol=1e-4)
-    draw_faces(sight, inverse(T), upper[None, ::-1] + [0.0, 0.0, 0.05], np.array([3], dtype=np.uint8))
-    assert not (sight.material == 3).any()  # seen from behind
 
 
 def test_rounded_box_stays_within_its_size() -> None:

@@ -74,3 +74,12 @@ def test_a_place_keeps_its_colour_from_view_to_view() -> None:
 def test_one_seed_one_light() -> None:
     np.testing.assert_array_equal(camera(5).picture(VIEWS[0]), camera(5).picture(VIEWS[0]))
     assert np.abs(camera(5).picture(VIEWS[0]).mean() - camera(6).picture(VIEWS[0]).mean()) > 1.0
+
+
+def test_sky_is_even_and_faces_differ_in_brightness() -> None:
+    T = from_xyz_rpy((-0.6, 0.5, 0.4), (0.0, -0.5, -0.7)) @ PROFILE.camera.T_body_camera
+    renderer = Renderer(TERRAIN, PROFILE.camera.intrinsics)
+    seen, picture = np.isfinite(renderer.depth(T)), camera().picture(T).astype(float)
+    assert 100 < (~seen).sum() < seen.sum()
+    assert np.ptp(picture[~seen], axis=0).max() <= 2 * 3.0 + 1, "noise of the sensor only"
+    assert np.ptp(picture[seen], axis=0).min() > 30.0

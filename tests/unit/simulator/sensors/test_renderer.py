@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
 from sextant.services.simulator.physics.world import ROBOT_GROUP, World
-from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.services.simulator.sensors.renderer import BOX, FIELD, PLANE, ROBOT, Renderer
 from sextant.shared.geometry import Array, from_xyz_rpy, transform
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profiles import load_profile
@@ -136,32 +136,29 @@ def test_level_ground_is_seen_from_above_only() -> None:
     assert not np.isfinite(Renderer(KINDS["plane"], XTION).depth(below)).any()
 
 
-def test_the_colour_picture_shows_the_same_scene() -> None:
+def test_surfaces_have_the_same_depth_and_show_the_robot_where_it_is_nearer() -> None:
     world = World(PROFILE, KINDS["boxes"])
     world.stand(Q)
     T = from_xyz_rpy((-0.6, 0.5, 0.4), (0, 0.45, -0.7)) @ OPTICAL
-    renderer = Renderer(KINDS["boxes"], XTION)
-    empty, full = renderer.rgb(T), renderer.rgb(T, world.robot_solids())
-    assert full.shape == (480, 640, 3)
-    assert full.dtype == np.uint8
-    changed = np.any(empty != full, axis=-1)
+    renderer, robot = Renderer(KINDS["boxes"], XTION), world.robot_solids()
+    canvas = renderer.surfaces(T, robot)
+    np.testing.assert_array_equal(canvas.w, renderer.inverse_depth(T, robot))
     robot_only = Renderer(Terrain(Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))), XTION)
-    silhouette = np.isfinite(robot_only.depth(T, world.robot_solids()))
-    nearer = silhouette & (renderer.depth(T, world.robot_solids()) < renderer.depth(T))
-    np.testing.assert_array_equal(changed, nearer)
+    nearer = np.isfinite(robot_only.depth(T, robot)) & (renderer.depth(T, robot) < renderer.depth(T))
+    np.testing.assert_array_equal((canvas.material == ROBOT) & (canvas.w > 0), nearer)
     assert nearer.sum() > 5000
-    sky = ~np.isfinite(renderer.depth(T, world.robot_solids()))
-    assert len(np.unique(full[sky], axis=0)) <= 1
-    assert len(np.unique(full[~sky], axis=0)) > 10  # faces differ in shade
+    assert set(np.unique(canvas.material[canvas.w > 0])) == {PLANE, ROBOT, BOX}
+    level = (canvas.material == PLANE) & (canvas.w > 0)
+    assert (canvas.normal[level] == [0.0, 0.0, 1.0]).all()
 
 
-def test_the_colour_picture_shows_a_height_field_that_a_camera_all_but_touches() -> None:
+def test_surfaces_show_a_height_field_that_a_camera_all_but_touches() -> None:
     renderer = Renderer(KINDS["height field"], WIDE)
     T = from_xyz_rpy((0, 0, 0.06), (0, 0.3, 0.2)) @ OPTICAL
-    seen = np.isfinite(renderer.depth(T))
-    sky = renderer.rgb(T)[~seen]
+    canvas = renderer.surfaces(T)
+    seen = canvas.w > 0
     assert seen.mean() > 0.4
-    assert np.all(sky == sky[0])
+    assert (canvas.material[seen] == FIELD).all()
 
 
 def test_a_bad_pose_is_refused() -> None:

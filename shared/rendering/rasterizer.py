@@ -1,8 +1,9 @@
-"""Compiled z-buffer rasteriser of planes, faces, height fields and capsules.
+"""Compiled z-buffer rasteriser of planes, faces, height fields and tapered capsules.
 
-The buffer holds inverse depth, because 1/z of a plane is linear in the pixel coordinates. A face is therefore exact and costs
-one multiplication and one addition per pixel. Faces are drawn as convex polygons, the height field as triangles, and capsules
-by ray casting. In all functions T is T_camera_world, and a colour is (3,) in full light.
+The simulated cameras and the video use it. The buffer holds inverse depth, because 1/z of a plane is linear in the pixel
+coordinates. A face is therefore exact and costs one multiplication and one addition per pixel. Faces are drawn as convex
+polygons, the height field as triangles, and capsules by ray casting. A canvas with surfaces also holds the normal and the
+material of each pixel, so that the caller lights each pixel once afterwards. In all functions T is T_camera_world (4, 4).
 """
 
 from typing import NamedTuple
@@ -25,13 +26,25 @@ _Vertex = tuple[float, float, float, float, float]  # x, y, z [m] {camera} and u
 
 
 class Canvas(NamedTuple):
-    """Output buffers, intrinsics and light."""
+    """Output buffers and intrinsics."""
 
     w: NDArray[np.float32]  # (h, w) [1/m] inverse depth, 0 without a surface
-    rgb: NDArray[np.uint8]  # (h, w, 3), or (0, 0, 3) without colour
+    normal: NDArray[np.float32]  # (h, w, 3) {world} unit normal of the visible surface; (0, 0, 3) without surfaces
+    material: NDArray[np.uint16]  # (h, w) number of the visible material; (0, 0) without surfaces
     lens: _Lens
     ramp: Array  # (n,) 0.0, 1.0, 2.0 ...; row and column numbers as floats, so that the inner loops are vectorised
-    light: _Point  # unit vector to the light {camera}
+
+
+def new_canvas(width: int, height: int, lens: tuple[float, float, float, float], surfaces: bool = True) -> Canvas:
+    """Return an empty canvas of a size [px], with buffers of normals and materials if `surfaces`."""
+    shape = (height, width) if surfaces else (0, 0)
+    return Canvas(
+        np.zeros((height, width), np.float32),
+        np.zeros((*shape, 3), np.float32),
+        np.zeros(shape, np.uint16),
+        lens,
+        np.arange(max(width, height), dtype=np.float64),
+    )
 
 
 class _Workspace(NamedTuple):
@@ -44,12 +57,21 @@ class _Workspace(NamedTuple):
     nearer: NDArray[np.float32]  # (columns,) new inverse depth of a row
 
 
-@compiled
-def draw_plane(canvas: Canvas, T: Array, height: float, colour: Array) -> None:
-    """Fill the buffer with level ground, in colour as a 0.1 m checkerboard.
+class _Surface(NamedTuple):
+    """What a canvas with surfaces stores for each pixel of a face."""
 
-    A height of NaN clears the buffer.
-    """
+    x: np.float32  # unit normal {world}
+    y: np.float32
+    z: np.float32
+    material: np.uint16
+
+
+_NO_SURFACE = _Surface(np.float32(0.0), np.float32(0.0), np.float32(0.0), np.uint16(0))
+
+
+@compiled
+def draw_plane(canvas: Canvas, T: Array, height: float, material: int) -> None:
+    """Fill the buffers with level ground at a height [m] {world}; NaN clears the depth."""
     w, ramp = canvas.w, canvas.ramp
     rows, columns = w.shape
     n = T[:3, 2]
@@ -64,37 +86,63 @@ def draw_plane(canvas: Canvas, T: Array, height: float, colour: Array) -> None:
         for column in range(columns):
             value = np.float32(start + a * ramp[column])
             line[column] = value if value > 0.0 else np.float32(0.0)
-    if canvas.rgb.shape[0] > 0:
-        _chequer(
-            canvas, T, colour, 0.45 + 0.55 * max(0.0, n[0] * canvas.light[0] + n[1] * canvas.light[1] + n[2] * canvas.light[2])
-        )
+    canvas.normal[:, :, :2] = 0.0
+    canvas.normal[:, :, 2] = 1.0
+    canvas.material[:] = material
 
 
 @compiled
-def draw_quads(canvas: Canvas, T: Array, quads: Array, colours: Array) -> None:
-    """Draw quadrilateral faces (n, 4, 3) [m] {world}."""
+def draw_faces(canvas: Canvas, T: Array, faces: Array, materials: NDArray[np.uint16]) -> None:
+    """Draw quadrilateral faces (n, 4, 3) [m] {world}, whose corners are counterclockwise as seen from outside."""
     work = _workspace(canvas)
     corners = work.corners
-    for face in range(len(quads)):
+    for face in range(len(faces)):
         for i in range(4):
             for k in range(3):
                 corners[i, k] = (
-                    T[k, 0] * quads[face, i, 0] + T[k, 1] * quads[face, i, 1] + T[k, 2] * quads[face, i, 2] + T[k, 3]
+                    T[k, 0] * faces[face, i, 0] + T[k, 1] * faces[face, i, 1] + T[k, 2] * faces[face, i, 2] + T[k, 3]
                 )
-        _draw_polygon(canvas, work, 4, colours[face])
+        _draw_polygon(canvas, work, T, 4, materials[face])
 
 
 @compiled
-def draw_field(canvas: Canvas, T: Array, heights: Array, grid: Array, blocks: Array, colour: Array) -> None:
-    """Draw the triangles of a height field.
+def field_blocks(heights: Array, grid: Array) -> Array:
+    """Return the blocks of a height field for `draw_field`; those without a known height are left out.
 
     Args:
-        canvas: Output buffers.
-        T: (4, 4) T_camera_world.
-        heights: (nx, ny) [m] {world} heights of the cell corners.
+        heights: (nx, ny) [m] {world} heights of the cell corners, NaN where unknown.
         grid: (3,) [m] x and y {world} of the first corner, and the spacing.
-        blocks: (b, 8) row and column of the first cell, lowest and highest corner {world} of the bounding box of each block.
-        colour: (3,) colour of all triangles.
+
+    Returns:
+        (b, 8) row and column of the first cell, lowest and highest corner {world} of the bounding box of each block.
+    """
+    x, y, step = grid[0], grid[1], grid[2]
+    nx, ny = heights.shape
+    blocks = np.empty(((nx // BLOCK + 1) * (ny // BLOCK + 1), 8))
+    n = 0
+    for i in range(0, nx - 1, BLOCK):
+        for j in range(0, ny - 1, BLOCK):
+            last_i, last_j = min(i + BLOCK, nx - 1), min(j + BLOCK, ny - 1)
+            low, high = np.inf, -np.inf
+            for k in range(i, last_i + 1):
+                for m in range(j, last_j + 1):
+                    if heights[k, m] < low:
+                        low = heights[k, m]
+                    if heights[k, m] > high:
+                        high = heights[k, m]
+            if low <= high:
+                blocks[n, 0], blocks[n, 1] = i, j
+                blocks[n, 2], blocks[n, 3], blocks[n, 4] = x + i * step, y + j * step, low
+                blocks[n, 5], blocks[n, 6], blocks[n, 7] = x + last_i * step, y + last_j * step, high
+                n += 1
+    return blocks[:n].copy()
+
+
+@compiled
+def draw_field(canvas: Canvas, T: Array, heights: Array, grid: Array, blocks: Array, material: int) -> None:
+    """Draw the triangles of a height field, except those with an unknown corner.
+
+    The arguments are those and the result of `field_blocks`, and the material of the field.
     """
     work, sides = _workspace(canvas), _pyramid(canvas)
     vertices = np.empty((BLOCK + 1, BLOCK + 1, 5))
@@ -109,17 +157,17 @@ def draw_field(canvas: Canvas, T: Array, heights: Array, grid: Array, blocks: Ar
                 for half in range(2):
                     p, q = _vertex(vertices, i, j), _vertex(vertices, i + 1, j + half)
                     r = _vertex(vertices, i + 1 - half, j + 1)
-                    if min(p[2], q[2], r[2]) >= _NEAR:
-                        _draw_triangle(canvas, p, q, r, colour)
+                    if p[2] >= _NEAR and q[2] >= _NEAR and r[2] >= _NEAR:
+                        _draw_triangle(canvas, T, p, q, r, material)
                         continue
                     for k in range(3):
                         work.corners[0, k], work.corners[1, k], work.corners[2, k] = p[k], q[k], r[k]
-                    _draw_polygon(canvas, work, 3, colour)
+                    _draw_polygon(canvas, work, T, 3, material)  # draws nothing if a corner is NaN
 
 
 @compiled
-def draw_capsules(canvas: Canvas, T: Array, starts: Array, ends: Array, radii: Array, colour: Array) -> None:
-    """Draw capsules from start to end (n, 3) [m] {world}."""
+def draw_capsules(canvas: Canvas, T: Array, starts: Array, ends: Array, radii: Array, materials: NDArray[np.uint16]) -> None:
+    """Draw tapered capsules, the hulls of two spheres at (n, 3) [m] {world} with radii (n, 2) [m]."""
     sides = _pyramid(canvas)
     for side in range(5):
         sides[side] /= np.sqrt(sides[side, 0] ** 2 + sides[side, 1] ** 2 + sides[side, 2] ** 2)
@@ -128,10 +176,10 @@ def draw_capsules(canvas: Canvas, T: Array, starts: Array, ends: Array, radii: A
         seen = True
         for side in range(5):
             inward = (sides[side, 0], sides[side, 1], sides[side, 2])
-            if max(_dot(inward, p), _dot(inward, e)) < -radii[item]:
+            if max(_dot(inward, p), _dot(inward, e)) < -max(radii[item, 0], radii[item, 1]):
                 seen = False
         if seen:
-            _draw_capsule(canvas, p, e, radii[item], colour)
+            _draw_capsule(canvas, T, p, e, radii[item, 0], radii[item, 1], materials[item])
 
 
 # ------------------------------------------------------------------------------------------------------------- shared
@@ -173,46 +221,30 @@ def _inverse_depth_of(lens: _Lens, nx: float, ny: float, nz: float, d: float) ->
 
 
 @compiled
-def _shade(normal_x: float, normal_y: float, normal_z: float, light: _Point) -> float:
-    """Return the brightness of a surface with a normal of any length.
-
-    It is 0.45 ambient and 0.55 directional light.
-    """
-    length = np.sqrt(normal_x * normal_x + normal_y * normal_y + normal_z * normal_z)
-    cosine = (normal_x * light[0] + normal_y * light[1] + normal_z * light[2]) / length
-    return float(0.45 + 0.55 * max(0.0, cosine))
-
-
-@compiled
-def _paint(rgb: NDArray[np.uint8], row: int, column: int, colour: Array, bright: float) -> None:
-    for k in range(3):
-        rgb[row, column, k] = np.uint8(colour[k] * bright)
+def _surface(T: Array, nx: float, ny: float, nz: float, material: int) -> _Surface:
+    """Return a surface whose normal has these components {camera} and any length."""
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    return _Surface(
+        np.float32((T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz) / length),
+        np.float32((T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz) / length),
+        np.float32((T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz) / length),
+        np.uint16(material),
+    )
 
 
-@compiled
-def _chequer(canvas: Canvas, T: Array, colour: Array, bright: float) -> None:
-    """Colour the visible level ground up to a depth of 50 m as a checkerboard."""
-    w = canvas.w
-    fx, fy, cx, cy = canvas.lens
-    for row in range(w.shape[0]):
-        for column in range(w.shape[1]):
-            if w[row, column] > 0.02:
-                z = 1.0 / w[row, column]
-                px = z * (column - cx) / fx - T[0, 3]
-                py = z * (row - cy) / fy - T[1, 3]
-                pz = z - T[2, 3]
-                x = T[0, 0] * px + T[1, 0] * py + T[2, 0] * pz
-                y = T[0, 1] * px + T[1, 1] * py + T[2, 1] * pz
-                odd = (int(np.floor(x * 10.0)) + int(np.floor(y * 10.0))) & 1
-                for k in range(3):
-                    canvas.rgb[row, column, k] = np.uint8(colour[k] * bright * (0.93 if odd else 1.0))
+@written_into
+def _set_surface(canvas: Canvas, row: int, column: int, surface: _Surface) -> None:
+    canvas.normal[row, column, 0] = surface.x
+    canvas.normal[row, column, 1] = surface.y
+    canvas.normal[row, column, 2] = surface.z
+    canvas.material[row, column] = surface.material
 
 
 # ------------------------------------------------------------------------------------------------------------- faces
 
 
 @compiled
-def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -> None:
+def _draw_polygon(canvas: Canvas, work: _Workspace, T: Array, count: int, material: int) -> None:
     """Draw the convex face of the workspace's corners, and cull back faces.
 
     The corners are counterclockwise as seen from outside.
@@ -233,10 +265,13 @@ def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -
     _span_rows(work.edges, canvas.ramp, first, last, widest, work.spans)
     # 3. Fill the pixels.
     a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
-    if canvas.rgb.shape[0] == 0:
+    if len(canvas.material) == 0:
         _fill(canvas, work, first, last, a, b, c)
-    else:
-        _fill_in_colour(canvas, work, first, last, a, b, c, colour, _shade(nx, ny, nz, canvas.light))
+        return
+    surface = _surface(T, nx, ny, nz, material)
+    for k in range(last - first + 1):
+        begin = work.spans[0, k]
+        _fill_row(canvas, first + k, begin, begin + work.spans[1, k] - 1, a, b * (first + k) + c, surface)
 
 
 @compiled
@@ -338,46 +373,19 @@ def _fill(canvas: Canvas, work: _Workspace, first: int, last: int, a: float, b: 
             w[row, begin + n] = nearer[n]
 
 
-@compiled
-def _fill_in_colour(
-    canvas: Canvas,
-    work: _Workspace,
-    first: int,
-    last: int,
-    a: float,
-    b: float,
-    c: float,
-    colour: Array,
-    bright: float,
-) -> None:
-    """Write inverse depth and colour into the spans of rows where the face is nearer."""
-    for k in range(last - first + 1):
-        begin = work.spans[0, k]
-        _fill_row(canvas.w, canvas.rgb, first + k, begin, begin + work.spans[1, k] - 1, a, b * (first + k) + c, colour, bright)
-
-
 @written_into
-def _fill_row(
-    w: NDArray[np.float32],
-    rgb: NDArray[np.uint8],
-    row: int,
-    begin: int,
-    end: int,
-    a: float,
-    start: float,
-    colour: Array,
-    bright: float,
-) -> None:
-    """Write inverse depth and colour into a row where the surface is nearer.
+def _fill_row(canvas: Canvas, row: int, begin: int, end: int, a: float, start: float, surface: _Surface) -> None:
+    """Write a surface into a row where it is nearer.
 
     The inverse depth is a u + start, in the columns begin to end (inclusive).
     """
+    w, noted = canvas.w, len(canvas.material) > 0
     for column in range(begin, end + 1):
         value = np.float32(start + a * column)
         if value > w[row, column]:
             w[row, column] = value
-            if rgb.shape[0] > 0:
-                _paint(rgb, row, column, colour, bright)
+            if noted:
+                _set_surface(canvas, row, column, surface)
 
 
 # ------------------------------------------------------------------------------------------------------------- height fields
@@ -422,7 +430,7 @@ def _vertex(vertices: Array, i: int, j: int) -> _Vertex:
 
 
 @written_into
-def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: Array) -> None:
+def _draw_triangle(canvas: Canvas, T: Array, p: _Vertex, q: _Vertex, r: _Vertex, material: int) -> None:
     """Draw a triangle in front of the near plane.
 
     Its corners are counterclockwise as seen from outside.
@@ -439,7 +447,7 @@ def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: A
     if not d < 0.0:
         return
     a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
-    bright = _shade(nx, ny, nz, canvas.light) if canvas.rgb.shape[0] > 0 else 0.0
+    surface = _surface(T, nx, ny, nz, material) if len(canvas.material) > 0 else _NO_SURFACE
     # Level edges have an infinite slope; `_cut` ignores them.
     pq, qr, rp = (qu - pu) / (qv - pv), (ru - qu) / (rv - qv), (pu - ru) / (pv - rv)
     for row in range(top, bottom + 1):
@@ -447,7 +455,7 @@ def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: A
         left, right = _cut(left, right, rv - qv, qu + (row - qv) * qr)
         left, right = _cut(left, right, pv - rv, ru + (row - rv) * rp)
         if left <= right:
-            _fill_row(canvas.w, canvas.rgb, row, int(np.ceil(left)), int(np.floor(right)), a, b * row + c, colour, bright)
+            _fill_row(canvas, row, int(np.ceil(left)), int(np.floor(right)), a, b * row + c, surface)
 
 
 @compiled
@@ -504,20 +512,27 @@ def _in_camera(T: Array, p: Array) -> _Point:
 
 
 @compiled
-def _ray_barrel(ray: _Point, p: _Point, axis: _Point, length: float, radius: float) -> float:
-    """Return the depth at which a ray enters the side of a cylinder {camera}.
+def _ray_capsule(ray: _Point, p: _Point, e: _Point, axis: _Point, length: float, radius: float, radius_end: float) -> float:
+    """Return the depth at which a ray enters the hull of two spheres {camera}, neither of which contains the other.
 
-    The depth is infinite without intersection. The cylinder starts at p and extends by its length along its axis.
+    The depth is infinite without intersection. A cone touches both spheres. With taper = (r0 - r1) / length, a point at y along
+    the axis and at distance rho from it is on the cone where rho^2 (1 - taper^2) = (r0 - taper y)^2. The cone touches the
+    spheres at y = taper r0 and y = length + taper r1.
     """
+    taper = (radius - radius_end) / length
     p_axial, ray_axial = _dot(p, axis), _dot(ray, axis)
     off, across = _beside(p, p_axial, axis), _beside(ray, ray_axial, axis)
-    a, b = _dot(across, across), _dot(across, off)
-    root = b * b - a * (_dot(off, off) - radius * radius)
-    if length > 0.0 and root >= 0.0 and a > 0.0:
+    m0, m1, slim = radius + taper * p_axial, taper * ray_axial, 1.0 - taper * taper
+    a, b = slim * _dot(across, across) - m1 * m1, slim * _dot(across, off) - m0 * m1
+    if a > 0.0:
+        root = b * b - a * (slim * _dot(off, off) - m0 * m0)
+        if root < 0.0:  # the cone contains the spheres
+            return np.inf
         depth = (b - np.sqrt(root)) / a
-        if depth > 0.0 and 0.0 <= depth * ray_axial - p_axial <= length:
+        along = depth * ray_axial - p_axial
+        if depth > 0.0 and taper * radius <= along <= length + taper * radius_end:
             return float(depth)
-    return np.inf
+    return min(_ray_sphere(ray, p, radius), _ray_sphere(ray, e, radius_end))
 
 
 @compiled
@@ -532,27 +547,44 @@ def _beside(a: _Point, along: float, axis: _Point) -> _Point:
 
 
 @compiled
-def _draw_capsule(canvas: Canvas, p: _Point, e: _Point, radius: float, colour: Array) -> None:
-    """Draw a capsule from p to e [m] {camera}."""
-    w, rgb = canvas.w, canvas.rgb
+def _draw_capsule(canvas: Canvas, T: Array, p: _Point, e: _Point, radius: float, radius_end: float, material: int) -> None:
+    """Draw the hull of two spheres at p and e [m] {camera}."""
+    w = canvas.w
     rows, columns = w.shape
     fx, fy, cx, cy = canvas.lens
     way = (e[0] - p[0], e[1] - p[1], e[2] - p[2])
     length = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-    axis = (way[0] / length, way[1] / length, way[2] / length) if length > 0.0 else (0.0, 0.0, 0.0)
+    if length > abs(radius - radius_end):
+        axis = (way[0] / length, way[1] / length, way[2] / length)
+    else:  # one sphere contains the other
+        axis, length = (0.0, 0.0, 0.0), 0.0
+        if radius_end > radius:
+            p, radius = e, radius_end
+        else:
+            e, radius_end = p, radius
     left0, right0 = _span(p[0], p[2], radius, fx, cx, columns)
-    left1, right1 = _span(e[0], e[2], radius, fx, cx, columns)
+    left1, right1 = _span(e[0], e[2], radius_end, fx, cx, columns)
     top0, bottom0 = _span(p[1], p[2], radius, fy, cy, rows)
-    top1, bottom1 = _span(e[1], e[2], radius, fy, cy, rows)
+    top1, bottom1 = _span(e[1], e[2], radius_end, fy, cy, rows)
+    in_front = min(p[2] - radius, e[2] - radius_end) > _NEAR
     for row in range(min(top0, top1), max(bottom0, bottom1) + 1):
-        dy = (row - cy) / fy
+        dy, met = (row - cy) / fy, False
         for column in range(min(left0, left1), max(right0, right1) + 1):
             ray = ((column - cx) / fx, dy, 1.0)
-            ends = min(_ray_sphere(ray, p, radius), _ray_sphere(ray, e, radius))
-            depth = min(ends, _ray_barrel(ray, p, axis, length, radius))
-            if depth < np.inf and np.float32(1.0 / depth) > w[row, column]:
+            if length > 0.0:
+                depth = _ray_capsule(ray, p, e, axis, length, radius, radius_end)
+            else:
+                depth = _ray_sphere(ray, p, radius)
+            if depth == np.inf:
+                if met and in_front:  # a convex solid covers one span of a row
+                    break
+                continue
+            met = True
+            if np.float32(1.0 / depth) > w[row, column]:
                 w[row, column] = np.float32(1.0 / depth)
-                if rgb.shape[0] > 0:
+                if len(canvas.material) > 0:
                     hit = (depth * ray[0] - p[0], depth * ray[1] - p[1], depth - p[2])
-                    nx, ny, nz = _beside(hit, min(max(_dot(hit, axis), 0.0), length), axis)
-                    _paint(rgb, row, column, colour, _shade(nx, ny, nz, canvas.light))
+                    taper = (radius - radius_end) / length if length > 0.0 else 0.0
+                    centre = (_dot(hit, axis) - taper * radius) / (1.0 - taper * taper)  # of the sphere that touches there
+                    nx, ny, nz = _beside(hit, min(max(centre, 0.0), length), axis)
+                    _set_surface(canvas, row, column, _surface(T, nx, ny, nz, material))
