@@ -1,18 +1,25 @@
 """`sextant up`: the processes of a role, until Ctrl-C."""
 
 import re
-from collections.abc import Sequence
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, open_progress, say
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
     from sextant.deploy.launch.process_table import Choices, Process, Role
     from sextant.deploy.security.router_security import Gate
+    from sextant.deploy.terminal.progress import Monitor
+
+_SHOW_S = 1.0  # interval of the table, and of the services' health messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +84,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     from sextant.deploy.launch import process_table
     from sextant.deploy.launch.host_launcher import HostLauncher
     from sextant.deploy.terminal.interrupts import Interrupts
+    from sextant.deploy.terminal.progress import Terminal
     from sextant.shared.runtime.process_priority import allow_many_files
 
     rows, chosen, extra = asked(launch)
@@ -91,14 +99,23 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     allow_many_files()
     with Interrupts() as interrupts:
         gated = _apart(gate_of(launch, rows, _usual(launch)))
-        with HostLauncher(launch.role, rows, chosen, extra, gated, complain) as half:
+        progress = open_progress(False)
+        drawn = isinstance(progress, Terminal)
+        tell = progress.say if drawn and sys.stderr.isatty() else complain  # output of the processes
+        with HostLauncher(launch.role, rows, chosen, extra, gated, tell) as half:
             say(half.where())
             say(f"starting {', '.join(half.names)}; Ctrl-C stops them")
             if paged:
                 say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
             problem = ""
-            while not problem and not interrupts.asked():
-                problem = half.beat(0.2)
+            shown = time.monotonic()
+            with _monitor(gated, launch.role) if drawn else nullcontext() as monitor:
+                while not problem and not interrupts.asked():
+                    problem = half.beat(0.2)
+                    if monitor is not None and time.monotonic() - shown >= _SHOW_S:
+                        shown = time.monotonic()
+                        progress.update(monitor.view)
+            progress.finish()
             if problem:
                 complain(f"sextant up: {problem}")
             else:
@@ -106,6 +123,25 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         say("the servos keep their torque on or off, as it was; `sextant servos off` turns it off")
     return FAILED if problem else INTERRUPTED
+
+
+@contextmanager
+def _monitor(gated: "Gate", role: "Role") -> "Iterator[Monitor]":
+    """Monitor the services in a thread of this process, while the context is entered."""
+    from sextant.deploy.terminal.progress import Monitor
+    from sextant.shared.runtime.zenoh_runner import run_live
+    from sextant.shared.wire.transport import Endpoints, ZenohLink
+
+    monitor, stop = Monitor(None), threading.Event()
+    with ZenohLink(Endpoints((gated.own,), namespace=gated.namespace)) as link:
+        words = {"role": gated.role(role == "offboard")}
+        running = threading.Thread(target=run_live, args=(monitor, link, stop), kwargs=words, name="monitor")
+        running.start()
+        try:
+            yield monitor
+        finally:
+            stop.set()
+            running.join()
 
 
 def _print_zenoh(gated: "Gate") -> int:

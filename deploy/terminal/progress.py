@@ -123,7 +123,7 @@ class Monitor:
         too_slow = self.lateness.update(self._health.named(), tick.stamp_ns)
         state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
         if state is not None and self._began_ns is None:
-            self._began_ns = state.stamp_ns
+            self._began_ns = tick.stamp_ns  # of this machine, because the robot's clock may differ
         if pose is not None:
             self._follow(pose)
         walked = self._track[-1][1] if self._track else 0.0

@@ -12,6 +12,7 @@ from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import Every, ServiceRunner
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
+from tests.support.screen import Screen
 from tests.support.scripted_service import Scripted
 from tests.support.states import actuator_state
 
@@ -149,33 +150,6 @@ def test_plain_progress_of_an_unsteady_service_is_at_most_a_line_a_second() -> N
     for i in range(400):
         progress.update(View(time_s=i * 0.025, up=True, doing={"planner": ("stepping", "waiting")[i % 2]}))
     assert 8 <= stream.getvalue().count("planner:") <= 11
-
-
-class Screen(io.StringIO):
-    """A terminal."""
-
-    def isatty(self) -> bool:
-        return True
-
-    def lines(self) -> list[str]:
-        """Return what the terminal shows, with the control sequences in use."""
-        rows, y, x = [""], 0, 0
-        for end, command, control, text in re.findall(r"\x1b\[([\d;?]*)([A-Za-z])|([\r\n])|([^\x1b\r\n]+)", self.getvalue()):
-            if command == "A":
-                y -= int(end or 1)
-            elif command == "K":
-                rows[y] = ""
-            elif control == "\r":
-                x = 0
-            elif control == "\n":
-                y, x = y + 1, 0
-                rows += [""] * (y == len(rows))
-            elif text:
-                rows[y] = rows[y][:x].ljust(x) + text
-                x += len(text)
-            else:
-                assert command in "mhl", command  # colours, and whether the cursor is visible
-        return [row.rstrip() for row in rows if row.strip()]
 
 
 def shown(view: View) -> list[str]:
