@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from sextant.deploy.terminal.progress import Lines, Terminal, View
+from sextant.deploy.runs.monitor import View
+from sextant.deploy.terminal.progress import Lines, Terminal
 
 
 @pytest.fixture(scope="module")
