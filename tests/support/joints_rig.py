@@ -55,6 +55,7 @@ class JointsRig:
         self.q = STAND.copy()
         self.port: MemoryPort | None = None
         self.opener = opener or self.plug_in
+        self.jammed: set[int] = set()  # rows of servos that do not move
 
     def plug_in(self, name: int | None = None) -> MemoryPort:
         self.port = MemoryPort(self.bus, lambda: self.now_ns, name=name, start_ns=self.clock())
@@ -83,7 +84,8 @@ class JointsRig:
             self.device.advance(self.now_ns)
             goals = np.array([dxl.angle_from_ticks(ticks) for ticks in self.registers(dxl.GOAL_POSITION)])
             pulls = np.array(self.registers(dxl.TORQUE_ENABLE)) * np.array(self.registers(dxl.TORQUE_LIMIT)) > 0
-            self.q = np.where(pulls, goals, self.q)
+            moves = pulls & ~np.isin(np.arange(18), list(self.jammed))
+            self.q = np.where(moves, goals, self.q)
             self.bank.step(self.q, np.zeros(18), np.zeros(18), PERIOD * 1e-9)
             self.joints.read([])
             if write:

@@ -338,7 +338,9 @@ class Joints:
         self._take_in(found)
         self._bus.between = _nothing
         self.gone = ""
-        self._behind[:] = False
+        # Far goals have become the positions of their joints; a joint on its way to a near one continues slowly.
+        self._behind &= (np.abs(self.q - self.goals) >= _CAUGHT_UP).ravel()
+        self._back_ns[:] = 0
 
     def _take_in(self, tables: list[bytes]) -> None:
         """Adopt the state of each servo; a far goal is replaced by the joint position."""

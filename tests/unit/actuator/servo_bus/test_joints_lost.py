@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.config import Settings
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.services.actuator.servo_bus import servos
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
@@ -39,6 +40,27 @@ def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands
     for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
         at = slice(register.address, register.address + register.size)
         np.testing.assert_array_equal(rig.bank.tables[:, at], left[:, at])
+
+
+def test_a_joint_that_was_catching_up_slowly_continues_slowly_when_the_port_is_back() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    rig.jammed.add(SERVO)  # its joint is still on its way to the goal
+    goals = rig.joints.goals.copy()
+    goals[LEG, JOINT] += np.radians(8.0)
+    rig.joints._leave_behind(np.arange(18) == SERVO, GENTLE)
+    rig.joints.write(goals)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "")
+    rig.until(lambda: rig.joints.gone == "")
+    assert rig.joints.goals[LEG, JOINT] == pytest.approx(goals[LEG, JOINT], abs=TICK)
+    rig.joints.write(rig.joints.goals)
+    assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
+    assert rig.joints.out_of_touch
+    rig.jammed.clear()
+    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    rig.cycle(2, write=True)
+    assert rig.said_speeds == [0] * 18
 
 
 @pytest.mark.parametrize("act", ["write", "let go", "grip", "revive"])
