@@ -20,6 +20,10 @@ from sextant.shared.servo.dynamixel import Register
 
 TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air; a finger can stop it
 MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))
+_NOT_RESTORED = (
+    "its torque was being turned off and its registers restored; turn torque off with `sextant servos off`, "
+    "then switch its power off and on again"
+)
 _READS = 5  # position readings, for their median
 _STILL_TICKS = 3  # largest position change over these readings for a servo at rest
 
@@ -87,7 +91,7 @@ def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> No
     bus.set_torque(False)
     left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
     if left:
-        raise silent(bus, left[0], "its torque and registers were being restored; switch its power off and on again")
+        raise silent(bus, left[0], _NOT_RESTORED)
 
 
 def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:

@@ -198,7 +198,8 @@ def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_na
         desk.bench.unplug([desk.row(1)])
         return ""
 
-    with pytest.raises(ServoNotRespondingError, match=r"servo 1 \(left front coxa\) .* switch its power off and on again"):
+    advice = r"servo 1 \(left front coxa\) .* `sextant servos off`, then switch its power off and on again"
+    with pytest.raises(ServoNotRespondingError, match=advice):
         measured(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
     desk.bench._plugged.add(desk.row(1))  # its power stayed on
     desk.bench._find_listeners()
