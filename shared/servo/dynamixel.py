@@ -123,6 +123,12 @@ class ServoModel:
     name: str
     number: int  # value of the model number register
     overrides: Mapping[str, int]  # register name -> factory value, where it differs from the AX-12A
+    no_load_rpm: float  # [rpm] in joint mode, at the highest voltage of the e-manual
+
+    @property
+    def no_load_speed(self) -> float:
+        """No-load speed [rad/s] in joint mode."""
+        return self.no_load_rpm * 2.0 * math.pi / 60.0
 
     def default(self, register: Register) -> int:
         """Return the factory value of a register."""
@@ -139,11 +145,11 @@ class ServoModel:
         return bytes(table)
 
 
-AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}))
-RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}))
+AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}), 59.0)
+RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}), 64.0)
 # These two models have the AX-12A's control table.
-AX_18A = ServoModel("AX-18A", 18, MappingProxyType({"temperature limit": 75, "max torque": 983}))
-AX_12W = ServoModel("AX-12W", 300, MappingProxyType({}))
+AX_18A = ServoModel("AX-18A", 18, MappingProxyType({"temperature limit": 75, "max torque": 983}), 97.0)
+AX_12W = ServoModel("AX-12W", 300, MappingProxyType({}), 54.0)
 MODELS = (AX_12A, AX_18A, AX_12W, RX_64)
 MODEL_NAMED = {model.name: model for model in MODELS}
 

@@ -160,7 +160,7 @@ class ServoBus:
         self._line = SerialLine(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
-        self._validator = ReadingValidator(n)
+        self._validator = ReadingValidator(n, model.no_load_speed)
 
         self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
         self._next = 0

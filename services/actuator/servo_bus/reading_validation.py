@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sextant.shared.servo import dynamixel as dxl
 
 _SEC = 1e9
-_FASTEST = 8.0  # [rad/s] no-load speeds: AX-12A 59 rpm, RX-64 64 rpm; a pushed leg turns slightly faster
-_FASTEST_TICKS = _FASTEST / dxl.TICK_RAD  # [1/s]
+_PUSHED = 1.3  # largest speed of a servo in a leg that is pushed, as a multiple of its no-load speed
 _LEAP = 10  # [ticks] off the expected range; 3 deg
 _REPEATED = 5  # [ticks] between two readings of one position, and ...
 _MOVED = 20  # [ticks] ... largest motion of the joint between them
@@ -59,13 +58,19 @@ class State(NamedTuple):
 class ReadingValidator:
     """Checks the next readings of n servos against their last accepted ones."""
 
-    def __init__(self, n: int) -> None:
-        """Begin without readings."""
+    def __init__(self, n: int, no_load_speed: float) -> None:
+        """Begin without readings.
+
+        Args:
+            n: Number of servos.
+            no_load_speed: [rad/s] of their model.
+        """
         self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
         self._believed: list[State | None] = [None] * n
         self._rejected: list[tuple[State, Implausibility] | None] = [None] * n
         self._voltage: int | None = None  # of any servo, because they share one supply
         self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
+        self._fastest = _PUSHED * no_load_speed  # [rad/s]
         self._aside = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
 
     def sent(self, goal_ticks: NDArray[np.int64]) -> None:
@@ -85,7 +90,7 @@ class ReadingValidator:
             self.refused[doubt] += 1
             return False
         doubted = self._rejected[index]
-        if doubt is not None and doubted is not None and _same(doubted[0], state):
+        if doubt is not None and doubted is not None and _same(doubted[0], state, self._fastest):
             doubt, doubted = None, None
         if doubted is not None:
             self.refused[doubted[1]] += 1
@@ -116,7 +121,7 @@ class ReadingValidator:
         speed_leap, load_leap = abs(speed - dxl.signed_magnitude(before.speed)), abs(load - dxl.signed_magnitude(before.load))
         if self._leaps(index, before.position, state.position, elapsed):
             return Implausibility.POSITION
-        if speed_leap > _SPEED_LEAP and (noisy or abs(speed) * dxl.SPEED_RAD_S > _FASTEST):
+        if speed_leap > _SPEED_LEAP and (noisy or abs(speed) * dxl.SPEED_RAD_S > self._fastest):
             return Implausibility.SPEED
         if noisy and load_leap > _LOAD_LEAP:
             return Implausibility.LOAD
@@ -137,13 +142,16 @@ class ReadingValidator:
         low, high = self._bound(index, before)
         aside = self._aside[index]
         near = low + min(aside, 0) - _LEAP <= position <= high + max(aside, 0) + _LEAP
-        return not near or abs(position - before) > _FASTEST_TICKS * elapsed + _LEAP
+        return not near or abs(position - before) > self._fastest / dxl.TICK_RAD * elapsed + _LEAP
 
 
-def _same(one: State, other: State) -> bool:
-    """Return whether two readings, shortly after each other, agree."""
+def _same(one: State, other: State, fastest: float) -> bool:
+    """Return whether two readings of a servo, shortly after each other, agree.
+
+    Its speed is at most `fastest` [rad/s].
+    """
     elapsed = abs(other.stamp_ns - one.stamp_ns) / _SEC
-    near = abs(other.position - one.position) <= _REPEATED + min(_FASTEST_TICKS * elapsed, _MOVED)
+    near = abs(other.position - one.position) <= _REPEATED + min(fastest / dxl.TICK_RAD * elapsed, _MOVED)
     speeds = abs(dxl.signed_magnitude(one.speed) - dxl.signed_magnitude(other.speed)) <= _SPEED_LEAP
     loads = abs(dxl.signed_magnitude(one.load) - dxl.signed_magnitude(other.load)) <= _LOAD_LEAP
     volts = abs(other.voltage - one.voltage) * dxl.VOLT_UNIT <= _SAG

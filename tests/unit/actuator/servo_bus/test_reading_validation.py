@@ -24,9 +24,10 @@ class Judge:
     """One servo that has reported its usual values, and a clock."""
 
     noisy: bool = False
+    model: dxl.ServoModel = dxl.AX_12A
 
     def __post_init__(self) -> None:
-        self.of = ReadingValidator(1)
+        self.of = ReadingValidator(1, self.model.no_load_speed)
         self.now_ns = 0
         assert self.of.accepts(0, USUAL, False)
         self.goal(500)
@@ -74,6 +75,19 @@ def test_a_leap_that_is_not_borne_out_is_refused_by_its_reason(said: dict[str, i
     assert not judge.accepts(**said)
     assert judge.accepts(after_ms=1.2)
     assert judge.of.refused == {doubt: 1}
+
+
+@pytest.mark.parametrize("model", dxl.MODELS, ids=lambda model: model.name)
+@pytest.mark.parametrize("after_ms", [20.0, 80.0])
+def test_a_servo_may_move_at_the_no_load_speed_of_its_model_and_no_servo_at_twice_that(
+    model: dxl.ServoModel, after_ms: float
+) -> None:
+    way = model.no_load_speed * after_ms * 1e-3 / dxl.TICK_RAD  # [ticks]
+    for moved, accepted in ((round(way), True), (round(2.0 * way) + 10, False)):
+        judge = Judge(model=model)
+        judge.goal(500 + moved)
+        speed = round(model.no_load_speed / dxl.SPEED_RAD_S)
+        assert judge.accepts(after_ms, position=500 + moved, speed=speed) == accepted
 
 
 @pytest.mark.parametrize("said", IMPOSSIBLE)
@@ -129,7 +143,7 @@ def test_while_answers_break_leaps_of_load_and_speed_are_doubted_too() -> None:
 
 
 def test_the_first_reading_of_a_bus_that_breaks_answers_is_asked_for_twice() -> None:
-    judge = ReadingValidator(1)
+    judge = ReadingValidator(1, dxl.AX_12A.no_load_speed)
     assert not judge.accepts(0, USUAL, True)
     assert not judge.accepts(0, USUAL._replace(position=100), True)
     assert judge.accepts(0, USUAL._replace(position=101), True)
@@ -148,7 +162,7 @@ def test_the_same_again_of_a_joint_that_moves_is_strange_and_of_one_that_stands_
 
 
 def test_all_servos_share_one_supply() -> None:
-    judge = ReadingValidator(2)
+    judge = ReadingValidator(2, dxl.AX_12A.no_load_speed)
     assert judge.accepts(0, USUAL, False)
     assert judge.accepts(1, USUAL, False)
     sagged = USUAL._replace(stamp_ns=80 * MS, voltage=100)
@@ -172,7 +186,7 @@ SAID = st.builds(
 @WILD
 @given(st.lists(st.tuples(SAID, st.integers(1, 200), st.booleans(), st.integers(0, 1023)), max_size=30))
 def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[tuple[State, int, bool, int]]) -> None:
-    judge, now_ns = ReadingValidator(1), 0
+    judge, now_ns = ReadingValidator(1, dxl.AX_12A.no_load_speed), 0
     believed: State | None = None
     unborne: State | None = None  # last reading that is possible but was not accepted
     goals: list[int] = []
