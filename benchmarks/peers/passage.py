@@ -13,21 +13,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers.passage_checker import violations
 from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
+from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
 from benchmarks.peers.timing import Race, Timing, installed, one_core
-from sextant.deploy.evaluation.passage_checker import violations
-from sextant.deploy.evaluation.passage_fields import (
-    BEYOND,
-    GAP,
-    NEAR,
-    START,
-    field_of,
-    heights,
-    random_blocks,
-    stance_at,
-    thesis_blocks,
-)
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance

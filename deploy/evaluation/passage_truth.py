@@ -4,17 +4,21 @@ Only the scorer may use this.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.passage_fields import RESOLUTION, field_of, stance_at
+from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.planner.gap_crossing.exhaustive import passable
 from sextant.services.planner.gap_crossing.params import GapApproachParams, PassageSettings
+from sextant.services.planner.gap_crossing.roadmap import Stance
 from sextant.services.planner.gap_crossing.sections import goal_behind
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
+from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import PillarField, Scenario
 
+RESOLUTION = 0.01  # [m]
 # Half width [m] of a band, tolerance in height [m], and the share [1] of supporting ground below which the gap begins.
 _HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8
 _CYCLES = 30  # cycles of the gait: enough for the whole way in one section
@@ -68,3 +72,16 @@ def strip_from(course: Course, near: float, body_height: float) -> StripMap:
     x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
     return field_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)
+
+
+def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> StripMap:
+    """Return the field that the mapper computes from true heights."""
+    layers = FootholdLayers(elevation.shape, RESOLUTION, Margin(0.01))
+    F = layers.update(elevation, np.zeros_like(elevation), np.zeros(2, dtype=np.int64), body_height, 0.0).evaluation
+    return StripMap(elevation, F, RESOLUTION, np.eye(4))
+
+
+def stance_at(profile: RobotProfile, x: float, body_height: float) -> Stance:
+    """Return the resting stance with the body at x [m] on the strip's centre line."""
+    body: Array = np.array([x, 0.0, body_height])
+    return Stance(body, profile.rest_feet(body_height) + body)

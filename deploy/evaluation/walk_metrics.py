@@ -129,14 +129,6 @@ def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array
     return np.asarray(np.linalg.norm(total, axis=-1)[samples > 0])
 
 
-def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> int:
-    """Return the number of collisions: runs of samples with a collision.
-
-    The arguments are those of `in_the_way`.
-    """
-    return len(runs(np.asarray(in_the_way(height_at, feet, bodies, radius, size).any(axis=1))))
-
-
 def in_the_way(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> Flags:
     """Return the feet, then the body, (n, 7) in collision.
 

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.peers.passage import LENGTH, SHIFT, TWO, Y
-from sextant.deploy.evaluation.passage_fields import GAP, thesis_blocks
+from benchmarks.peers.passage_strips import GAP, thesis_blocks
 from sextant.shared.scenario.scenario import Course, Gap, Pillars, load_scenario
 
 

@@ -5,7 +5,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.peers.passage_peer import NumpyTests
-from sextant.deploy.evaluation.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
+from benchmarks.peers.passage_strips import GAP, NEAR, heights, random_blocks, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of

@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 
-from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
+from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap

@@ -8,18 +8,22 @@ from hypothesis import strategies as st
 from sextant.deploy.evaluation.walk_metrics import (
     angle_between,
     debounced,
+    in_the_way,
     is_foothold,
     rubbing,
     runs,
     slip_per_step,
     stability_margin,
     touchdowns,
-    walked_into,
 )
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Box, Goal, Hole, Plane, Scenario, Slope
+
+
+def walked_into(height_at, feet, bodies, radius, size):
+    return len(runs(in_the_way(height_at, feet, bodies, radius, size).any(axis=1)))
 
 
 def test_collisions_are_counted_and_steps_are_not():

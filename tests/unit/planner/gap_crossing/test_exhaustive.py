@@ -6,18 +6,8 @@ Clear cases have the expected answer, more ground never removes a way, and an un
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.passage_fields import (
-    BEYOND,
-    GAP,
-    NEAR,
-    START,
-    Block,
-    field_of,
-    heights,
-    random_blocks,
-    stance_at,
-    thesis_blocks,
-)
+from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, Block, heights, random_blocks, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.gap_crossing.exhaustive import has_way, passable
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance

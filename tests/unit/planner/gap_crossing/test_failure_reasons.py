@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.passage_fields import field_of, stance_at
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.failure_reasons import (
     TEST_NAMES,

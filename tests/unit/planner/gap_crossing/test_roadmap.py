@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.deploy.evaluation.passage_checker import violations
-from sextant.deploy.evaluation.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from benchmarks.peers.passage_checker import violations
+from benchmarks.peers.passage_strips import BEYOND, NEAR, START, Block, heights, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.gap_crossing import roadmap_search
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import NoSection, Roadmap, SectionPlan, Stance

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.deploy.evaluation.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
+from benchmarks.peers.passage_strips import FAR, GAP, NEAR, heights, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of
 from sextant.services.planner.gap_crossing.sections import goal_behind, without
 from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN

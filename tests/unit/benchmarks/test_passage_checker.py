@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.peers import passage as bench
-from sextant.deploy.evaluation.passage_checker import Demands, violations
-from sextant.deploy.evaluation.passage_fields import (
-    BEYOND,
-    NEAR,
-    START,
-    field_of,
-    heights,
-    random_blocks,
-    stance_at,
-    thesis_blocks,
-)
+from benchmarks.peers.passage_checker import Demands, violations
+from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, random_blocks, thesis_blocks
+from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.gap_crossing.backtracking import StepHistory
 from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.roadmap import PassageStep, Roadmap, SectionPlan, Stance

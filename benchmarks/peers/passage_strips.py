@@ -1,7 +1,4 @@
-"""Strips for tests and benchmarks of the passage planner.
-
-A strip has two platforms, a gap and pillars in it. Its layers are computed as in the mapper.
-"""
+"""Strips for tests and benchmarks of the passage planner: two platforms, a gap, and pillars in it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
-from sextant.services.planner.gap_crossing.roadmap import Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
-from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import RobotProfile
+from sextant.deploy.evaluation.passage_truth import RESOLUTION
 
-RESOLUTION = 0.01  # [m]
 GAP = 0.80  # [m]
 NEAR, FAR, WIDTH = 0.70, 0.80, 1.20  # [m] platforms before and behind the gap, and width of the strip
 FLOOR = -0.30  # [m]
@@ -97,16 +89,3 @@ def heights(blocks: Sequence[Block], gap: float) -> NDArray[np.float32]:
         along, across = np.abs(x - block.x) < block.length / 2, np.abs(y - block.y) < block.width / 2
         h[np.ix_(along & (x > 0) & (x < gap), across)] = block.top
     return h
-
-
-def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> StripMap:
-    """Return the field that the mapper computes from true heights."""
-    layers = FootholdLayers(elevation.shape, RESOLUTION, Margin(0.01))
-    F = layers.update(elevation, np.zeros_like(elevation), np.zeros(2, dtype=np.int64), body_height, 0.0).evaluation
-    return StripMap(elevation, F, RESOLUTION, np.eye(4))
-
-
-def stance_at(profile: RobotProfile, x: float, body_height: float) -> Stance:
-    """Return the resting stance with the body at x [m] on the strip's centre line."""
-    body: Array = np.array([x, 0.0, body_height])
-    return Stance(body, profile.rest_feet(body_height) + body)
