@@ -38,6 +38,7 @@ def test_kitchen_recording_is_complete() -> None:
     assert kitchen.camera.gravity_world is not None
 
 
+@pytest.mark.slow
 def test_kitchen_trajectory_error_is_within_20_mm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["replay", str(recording("kinect_kitchen")), "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
@@ -58,6 +59,7 @@ def test_staircase_images_register_or_are_refused(first: int, second: int, regis
         assert np.array_equal(result.T_world_camera, np.eye(4))
 
 
+@pytest.mark.slow
 def test_stair_treads_are_mapped_at_measured_height() -> None:
     stairs = tum.read_recording(recording("primesense_stairs"))
     intrinsics, sensor = stairs.camera.intrinsics, DepthSensor(depth_scale=stairs.camera.depth_scale)

@@ -6,6 +6,7 @@ No call raises an exception.
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -133,6 +134,7 @@ def test_section_goal_on_any_strip_is_ahead_up_to_target(seed: int) -> None:
     assert bare(field).shape == (len(field.evaluation),)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seeds)
 def test_planner_steps_or_reports_reason_on_any_map_and_strip(seed: int) -> None:

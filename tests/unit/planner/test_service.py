@@ -803,6 +803,7 @@ def partly_unseen_map(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> Terr
     return terrain_of(height, height, half=2.0).map
 
 
+@pytest.mark.slow
 def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig = Rig()
     rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
@@ -864,6 +865,7 @@ def test_other_legs_step_first_after_reversed_step() -> None:
     np.testing.assert_array_equal(rig.plans(10)[-1].swing, first.swing)
 
 
+@pytest.mark.slow
 def test_blind_walking_continues_when_no_other_step_is_possible(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check feet that found ground by touch, where no other step can follow."""
     rig = Rig()

@@ -214,6 +214,7 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
     assert not walker.resting, "feet that come down by themselves go on"
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.lists(st.floats(-0.08, 0.08), min_size=3, max_size=3), st.integers(0, 5), st.floats(0.2, 1.0))
 def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_stand(

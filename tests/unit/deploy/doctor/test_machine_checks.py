@@ -142,6 +142,7 @@ def test_chain_check_reports_cause_if_not_timed() -> None:
     assert (check.level, check.found) == (Level.WARN, "not timed: no mujoco")
 
 
+@pytest.mark.slow
 def test_rehearsal_runs_all_stages_and_ends_on_time() -> None:
     looks = iter(range(100))
     found = {stage.service: stage for stage in rehearsal.rehearse(4.0, lambda: float(next(looks)))}

@@ -117,6 +117,7 @@ def block_scan(
     return mean, count, np.sqrt(np.maximum(square - mean[:, 2] ** 2, 0.0))
 
 
+@pytest.mark.slow
 def test_low_blocks_are_mapped_accurately_with_true_poses() -> None:
     rng = np.random.default_rng(11)
     grid = ElevationGrid(size=256)

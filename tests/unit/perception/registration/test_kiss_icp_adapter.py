@@ -40,6 +40,7 @@ def walk(world, boxes, frames=21):
     return truth, results
 
 
+@pytest.mark.slow
 def test_walk_among_pillars_is_tracked(world, pillars):
     truth, results = walk(world, pillars)
     assert all(r.ok for r in results)

@@ -186,6 +186,7 @@ def test_lost_map_restarts_after_many_failures(world):
     assert all(r.ok for r in results[restarted + 1 :])
 
 
+@pytest.mark.slow
 def test_restarted_map_accepts_rougher_surface(world):
     registration = Registration(world.intrinsics, world.sensor, Acceptance(patience=3))
     rng = np.random.default_rng(4)
@@ -219,6 +220,7 @@ def test_displaced_robot_is_relocalized(world):
     assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objection", ["", "too little overlap"], ids=["frames register", "frames are refused"])
 def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, objection):
     """Check a person who walks by: one place fits now, another half a second later."""
@@ -298,6 +300,7 @@ def test_relocalization_candidate_must_fit_like_regular_frames(world, monkeypatc
     assert isinstance(registration._search(T), Aligned) is taken
 
 
+@pytest.mark.slow
 def test_frame_with_unusual_surface_distance_is_refused(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(4)

@@ -57,6 +57,7 @@ def test_gap_is_passable_only_up_to_some_width() -> None:
     assert (told[0], told[-1]) == (True, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_added_pillars_never_make_gap_impassable(seed: int) -> None:
     blocks = random_pillars(seed, 20)
@@ -65,6 +66,7 @@ def test_added_pillars_never_make_gap_impassable(seed: int) -> None:
     assert known == sorted(known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_result_is_invariant_to_pillar_order_and_mirroring(seed: int) -> None:
     blocks = random_pillars(seed, 9)
@@ -74,6 +76,7 @@ def test_result_is_invariant_to_pillar_order_and_mirroring(seed: int) -> None:
     assert None in told or told[0] == told[1]
 
 
+@pytest.mark.slow
 def test_gap_crossed_by_roadmap_is_never_impassable() -> None:
     roadmap, crossed = Roadmap(PROFILE, SETTINGS), 0
     for seed in range(12):

@@ -175,6 +175,7 @@ def test_nearest_seen_cell_matches_brute_force(seen: int, seed: int) -> None:
     assert (nearest[:3, :3] == -1).all()
 
 
+@pytest.mark.slow
 def test_foot_at_gap_edge_does_not_count_as_on_pillars(roadmap: Roadmap) -> None:
     """Check that a foot on the near side's last rows does not count as on pillars."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)

@@ -159,6 +159,7 @@ def test_stalled_robot_takes_other_path(make_terrain: Maker) -> None:
     assert min(np.abs(passing)) > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge", [0.4, 0.63, 1.2])
 def test_oscillating_walk_is_reported_as_stuck(edge: float, make_terrain: Maker) -> None:
     to = replace(goal((1.4, 0.0)), speed=0.12)
@@ -167,6 +168,7 @@ def test_oscillating_walk_is_reported_as_stuck(edge: float, make_terrain: Maker)
     assert "the robot got stuck before: no " in robot.words[-1]
 
 
+@pytest.mark.slow
 def test_oscillating_turn_is_reported_as_stuck(make_terrain: Maker) -> None:
     def seen(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) < 0.58, 0.0, np.nan)

@@ -6,6 +6,7 @@ A recorder on the servo bus checks it.
 from collections.abc import Iterable
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -219,6 +220,7 @@ ORDERS = st.lists(
 )
 
 
+@pytest.mark.slow
 @WILD
 @given(ORDERS, st.booleans())
 def test_whatever_is_ordered_torque_comes_on_by_an_order_alone_and_goals_never_after_off(
