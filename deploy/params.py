@@ -5,6 +5,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast
 
+from sextant.services.mapper.config import MapperParams
 from sextant.services.planner.config import PlannerParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
@@ -18,6 +19,7 @@ S = TypeVar("S")
 class SystemParams(Params):
     """Parameters of all services."""
 
+    mapper: MapperParams = field(default_factory=MapperParams)
     planner: PlannerParams = field(default_factory=PlannerParams)
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.layers import FootholdLayers, Layers
-from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.params import ScoreParams
 from sextant.shared.wire.messages import UNKNOWN
 from tests.support.recordings import recording
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.data
 
 RESOLUTION = {"demo_map": 0.02, "realStairs_125cm": 0.02, "elevationMap_8_139cm": 0.03, "stepping_stones_65cm": 0.04}  # [m]
 SCALE = 0.3  # of heights: the robot is smaller than the quadruped by this factor
-WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+WEIGHTS = ScoreParams(unknown_clearance=0.02)
 N = 48
 
 

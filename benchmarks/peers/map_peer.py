@@ -11,23 +11,14 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.cell_layers import ESTABLISHED
 from sextant.services.mapper.elevation.fusion import FusionModel
-from sextant.services.mapper.elevation.height_drift import (
-    ALIKE,
-    DRIFTED,
-    FEWEST,
-    KNOWN_WELL,
-    LEVEL_AGAIN,
-    PERSISTS,
-    RATE,
-    SAME_GROUND,
-    TELLS,
-    height_sigma,
-)
-from sextant.services.mapper.elevation.ray_clearing import FELL_AROUND, FOLLOWED, SETTLED, SHORT, SIGHTS_NEEDED, WELL_BELOW
+from sextant.services.mapper.elevation.height_drift import height_sigma
+from sextant.services.mapper.elevation.params import HeightDriftParams, RayClearingParams
 from sextant.shared.geometry import Array
 
 Layer = NDArray[np.float32]
 Cells = NDArray[np.bool_]
+
+_RAYS, _DRIFT = RayClearingParams(), HeightDriftParams()
 
 
 class NumpyGrid:
@@ -96,24 +87,28 @@ class NumpyGrid:
         # 3. Filter the heights without the drift of the pose's height; clear the lines of sight.
         self._follow_drift(cells, out_z, (points[inside] - p_world_camera).mean(axis=0), pose_covariance)
         self._update(cells, out_z - self._drift, out_random + out_systematic, out_systematic)
-        self._look_through(points[self._scans % FOLLOWED :: FOLLOWED], p_world_camera)
+        self._look_through(points[self._scans % _RAYS.every :: _RAYS.every], p_world_camera)
         self._scans += 1
 
     def _follow_drift(self, cells: NDArray[np.int64], z: Array, ray: Array, S: Array) -> None:
         """`sextant.services.mapper.elevation.height_drift.HeightDrift.follow`."""
-        c = cells[::TELLS]
-        off, first = z[::TELLS] - self._drift - self._first[c], self._first[c]
-        tells = (np.abs(off) < SAME_GROUND) & (self._votes[c] == 0) & (self._variance[c] < KNOWN_WELL**2)
-        off = off[tells & (np.abs(self._height[c] - first) < SAME_GROUND)]
-        if len(off) < FEWEST:
+        c = cells[:: _DRIFT.every]
+        off, first = z[:: _DRIFT.every] - self._drift - self._first[c], self._first[c]
+        tells = (np.abs(off) < _DRIFT.same_ground_m) & (self._votes[c] == 0)
+        tells &= self._variance[c] < _DRIFT.max_sigma_m**2
+        off = off[tells & (np.abs(self._height[c] - first) < _DRIFT.same_ground_m)]
+        if len(off) < _DRIFT.min_cells:
             return
         gap = float(np.partition(off, len(off) // 2)[len(off) // 2])
-        compensating = abs(self._lasts) >= PERSISTS
-        if abs(gap) <= (LEVEL_AGAIN if compensating else DRIFTED):
+        compensating = abs(self._lasts) >= _DRIFT.scans
+        if abs(gap) <= (_DRIFT.end_m if compensating else _DRIFT.begin_m):
             self._lasts = 0
             return
         spread = (
-            1.25 * 1.48 * float(np.partition(np.abs(off - gap), len(off) // 2)[len(off) // 2]) / math.sqrt(len(off) / ALIKE)
+            1.25
+            * 1.48
+            * float(np.partition(np.abs(off - gap), len(off) // 2)[len(off) // 2])
+            / math.sqrt(len(off) / _DRIFT.correlated_cells)
         )
         noise = math.hypot(height_sigma(ray, S), spread)
         sign = 1 if gap > 0 else -1
@@ -121,8 +116,8 @@ class NumpyGrid:
             self._lasts = 0
             return
         self._lasts = self._lasts + sign if self._lasts * sign >= 0 else sign
-        if abs(self._lasts) >= PERSISTS:
-            self._drift += max(-RATE, min(RATE, gap))
+        if abs(self._lasts) >= _DRIFT.scans:
+            self._drift += max(-_DRIFT.rate_m, min(_DRIFT.rate_m, gap))
 
     def _look_through(self, ends: Array, camera: Array) -> None:
         """`sextant.services.mapper.elevation.ray_clearing.RayClearing.look`.
@@ -131,7 +126,7 @@ class NumpyGrid:
         """
         n, heights = self._size, self._height
         highest = float(np.fmax.reduce(heights)) if len(ends) else -math.inf
-        if not len(ends) or not highest - WELL_BELOW > float(ends[:, 2].min()) - self._drift:
+        if not len(ends) or not highest - _RAYS.well_below_m > float(ends[:, 2].min()) - self._drift:
             return
         # 1. The steps of the lines in the window, up to where they are above all heights.
         u, v = (ends[:, k] / self._resolution - self._low[k] for k in (0, 1))
@@ -139,13 +134,13 @@ class NumpyGrid:
         z = ends[:, 2] - self._drift
         dz, way = camera[2] - self._drift - z, np.maximum(np.abs(du), np.abs(dv))
         with np.errstate(divide="ignore", invalid="ignore"):
-            over0 = z + 0.75 * dz / way + WELL_BELOW
+            over0 = z + 0.75 * dz / way + _RAYS.well_below_m
             last = np.minimum(way, (highest - over0) / dz * way)
-        kept = (way > SHORT) & (dz > 0.0) & (last >= SHORT)
+        kept = (way > _RAYS.short_cells) & (dz > 0.0) & (last >= _RAYS.short_cells)
         if not kept.any():
             return
         u, v, du, dv, dz, way, over0, last = (a[kept, None] for a in (u, v, du, dv, dz, way, over0, last))
-        steps = np.arange(SHORT, int(last.max()) + 1)
+        steps = np.arange(_RAYS.short_cells, int(last.max()) + 1)
         s = steps / way
         i, j = np.floor(u + s * du), np.floor(v + s * dv)
         over = over0 + s * dz
@@ -163,10 +158,10 @@ class NumpyGrid:
                     height, above = heights[beside], heights[beside] > over
                     fell = ~above & (self._fell[beside] != 0)
                     standing, fallen, low = standing + above, fallen + fell, low + (~above & ~fell & (height == height))
-        seen = np.unique(c[((low == 0) & (standing + fallen >= 6)) | (fallen >= FELL_AROUND)])
+        seen = np.unique(c[((low == 0) & (standing + fallen >= 6)) | (fallen >= _RAYS.cleared_neighbours)])
         # 3. Clear cells after enough observations.
         self._through[seen] += 1
-        gone = seen[self._through[seen] >= SIGHTS_NEEDED]
+        gone = seen[self._through[seen] >= _RAYS.scans_inside]
         for layer in (self._height, self._variance, self._first):
             layer[gone] = np.nan
         for counter in (self._support, self._votes, self._through):
@@ -241,7 +236,7 @@ class NumpyGrid:
         self._support[c] += self._support[c] < 255
         self._votes[c] -= self._votes[c] > 0
         self._through[c] = 0
-        self._fell[c[self._support[c] >= SETTLED]] = 0
+        self._fell[c[self._support[c] >= _RAYS.settled_scans]] = 0
         c = c[self._support[c] == ESTABLISHED]
         self._first[c] = self._height[c]
         # 3. Outside the gate, it votes.
@@ -259,7 +254,7 @@ class NumpyGrid:
         over = votes >= np.minimum(self._model.patience, self._support[c].astype(np.int64) + 1)
         self._votes[c] = np.where(over, 0, votes)
         c, support = c[over], votes[over]
-        self._fell[c] = self._rival[c] < self._height[c] - WELL_BELOW
+        self._fell[c] = self._rival[c] < self._height[c] - _RAYS.well_below_m
         self._height[c], self._variance[c], self._support[c] = self._rival[c], self._rival_variance[c], support
         self._first[c], self._through[c] = np.where(support >= ESTABLISHED, self._height[c], np.nan), 0
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.footholds.foothold_map import FootholdRules, disc
-from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.foothold_map import disc
+from sextant.services.mapper.footholds.params import FootholdMapParams, ScoreParams
 from sextant.shared.wire.messages import UNKNOWN
 
 Layer = NDArray[np.float32]
@@ -37,7 +37,7 @@ class _Chain(ABC):
     It processes a whole map with certain heights.
     """
 
-    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
+    def __init__(self, resolution: float, weights: ScoreParams, rules: FootholdMapParams):
         self._resolution, self._weights = resolution, weights
         self._flattest, self._evenest = math.tan(rules.slope_limit), rules.edge_deviation
         self._bound, self._reach = round(rules.bound / resolution), round(rules.reach / resolution)
@@ -133,7 +133,7 @@ class _Chain(ABC):
 class ScipyChain(_Chain):
     """SciPy's image filters."""
 
-    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
+    def __init__(self, resolution: float, weights: ScoreParams, rules: FootholdMapParams):
         super().__init__(resolution, weights, rules)
         from scipy import ndimage
 
@@ -166,7 +166,7 @@ class ScikitImageChain(ScipyChain):
     For weighted windows and Manhattan distances it has none, so SciPy's are used.
     """
 
-    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
+    def __init__(self, resolution: float, weights: ScoreParams, rules: FootholdMapParams):
         super().__init__(resolution, weights, rules)
         from skimage import filters, morphology
 
@@ -214,7 +214,7 @@ class OpencvChain(_Chain):
         return np.asarray(cv2.distanceTransform(cells.view(np.uint8), cv2.DIST_L1, cv2.DIST_MASK_3))
 
 
-SCORE: Mapping[str, Callable[[float, ScoreWeights, FootholdRules], Scores]] = {
+SCORE: Mapping[str, Callable[[float, ScoreParams, FootholdMapParams], Scores]] = {
     "SciPy": ScipyChain,
     "scikit-image": ScikitImageChain,
     "OpenCV + NumPy": OpencvChain,

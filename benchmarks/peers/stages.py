@@ -23,10 +23,9 @@ from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
-from sextant.services.mapper.footholds.foothold_map import FootholdRules
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
-from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.params import FootholdMapParams, ScoreParams
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.reduction.scan_reduction import ReducedScan, reduce_scan
@@ -46,7 +45,7 @@ _RESOLUTION = 0.01  # [m]
 _WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
 _COMPARED = 10  # interval, in frames, at which results are compared
-_WEIGHTS, _RULES, _MARGIN = ScoreWeights(unknown_clearance=0.02), FootholdRules(), Margin(sigmas=0.0)
+_WEIGHTS, _RULES, _MARGIN = ScoreParams(unknown_clearance=0.02), FootholdMapParams(), Margin(sigmas=0.0)
 _POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
 _SAME_MM, _SAME_SCORE = 2.0, 0.01  # tolerances for equal results
 

@@ -95,9 +95,8 @@ def _perception(choices: Choices) -> dict[str, Value]:
 
 def _mapper(choices: Choices) -> dict[str, Value]:
     chosen = choices.map
-    if chosen == MapOptions():
-        return {}
-    return {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": chosen.resolution}
+    size: dict[str, Value] = {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": chosen.resolution}
+    return {**(size if chosen != MapOptions() else {}), **_tuned(choices.params.mapper)}
 
 
 def _planner(choices: Choices) -> dict[str, Value]:

@@ -381,7 +381,9 @@ def _map_settings(recording: Recording) -> MapperSettings:
     """Return the mapper's settings of a recorded run; old recordings lack them."""
     about, usual = recording.about, MapperSettings()
     try:
-        return MapperSettings(
+        return params.settings(
+            MapperSettings,
+            _params(recording).mapper,
             cells=int(about.get("map.cells", usual.cells)),
             cells_y=int(about.get("map.cells_y", usual.cells_y)),
             resolution=float(about.get("map.resolution", usual.resolution)),

@@ -96,7 +96,7 @@ class LockstepRun:
             "simulator": lambda: simulator,
             "actuator": self._actuator(profile, scenario, simulator, Latch.of_port(stop_port) if stop_port else None),
             "perception": lambda: _perception(profile, looks, scenario, seed),
-            "mapper": lambda: Mapper(profile, _map_settings(scenario)),
+            "mapper": lambda: Mapper(profile, _map_settings(scenario, tuned)),
             "planner": lambda: Planner(profile, _planner_settings(scenario, tuned)),
         }
         if stop_port:
@@ -292,8 +292,9 @@ def _planner_settings(scenario: Scenario, tuned: params.SystemParams) -> Planner
     return params.settings(PlannerSettings, tuned.planner, blind=walk.blind, footholds=walk.footholds)
 
 
-def _map_settings(scenario: Scenario) -> MapperSettings:
-    return MapperSettings(scenario.map.cells, scenario.map.cells_y, scenario.map.resolution)
+def _map_settings(scenario: Scenario, tuned: params.SystemParams) -> MapperSettings:
+    size = scenario.map
+    return params.settings(MapperSettings, tuned.mapper, cells=size.cells, cells_y=size.cells_y, resolution=size.resolution)
 
 
 class _Socket:

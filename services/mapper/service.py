@@ -13,8 +13,7 @@ from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.scan_admission import ScanAdmission
 from sextant.services.mapper.elevation.start_ground import assume_start_ground
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
-from sextant.services.mapper.footholds.layers import FootholdLayers, Margin, body_height_and_sigma
-from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.layers import FootholdLayers, body_height_and_sigma
 from sextant.services.mapper.footholds.terrain_type_mapping import TerrainTypeMapping, without_hazards
 from sextant.services.mapper.passage_map.passage_survey import PassageSurvey, empty_passage_map
 from sextant.shared.geometry import Array
@@ -22,9 +21,6 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, Message, PassageMap, Scan, ScanReceipt, TerrainMap
-
-# An unknown cell may be the edge of a block seen from below, so a foot keeps the same distance from it as from an edge.
-_WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
 _SLACK_NS = 10_000_000  # [ns] jitter allowed between scans
 _NEAR = 1.2  # times the camera's minimum range; a ray without a return carries no information up to there
@@ -46,20 +42,24 @@ class Mapper:
         self.stages = Stages()
         self._settings, self._profile = settings, profile
         shape, resolution, foot_radius_m = settings.shape, settings.resolution, profile.foot.radius
-        self._model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
-        self._grid = ElevationGrid(shape, resolution, self._model)
-        self._layers = FootholdLayers(shape, resolution, Margin(foot_radius_m), _WEIGHTS, keep_terms=profile.camera.color)
+        self._model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx, settings.elevation)
+        self._grid = self._unseen_grid()
+        self._layers = FootholdLayers.of(shape, resolution, foot_radius_m, settings.footholds, profile.camera.color)
         self._admission = ScanAdmission()
         self._feet = FootEvidence(foot_radius_m, resolution)
         self._types = TerrainTypeMapping(settings, foot_radius_m)
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
-        self._survey = PassageSurvey(profile, settings, _WEIGHTS, self.stages)
+        self._survey = PassageSurvey(profile, settings, self.stages)
         self._knows_start = False  # whether the ground at the start has been assumed
         self._restarts = 0  # number of times the map was restarted
         self._scans = 0
         self._refused = ""  # why the newest scan was not mapped
         self._unpublished, self._published_ns = 0, -1  # scans since the newest map, and the stamp of that map
         self._known = 0.0  # share of known cells
+
+    def _unseen_grid(self) -> ElevationGrid:
+        settings = self._settings
+        return ElevationGrid(settings.shape, settings.resolution, self._model, settings.ray_clearing, settings.height_drift)
 
     def doing(self) -> str:
         """Return the status for the operator: scans, share of known cells, drift."""
@@ -123,7 +123,7 @@ class Mapper:
 
     def _reset_map(self, centre: Array) -> None:
         """Reset the map; it is rebuilt from the next scans and the feet."""
-        self._grid = ElevationGrid(self._settings.shape, self._settings.resolution, self._model)
+        self._grid = self._unseen_grid()
         self._grid.move_to(centre[:2])
         self._feet.forget()
         self._types.reset()

@@ -243,7 +243,10 @@ def _words(misfit: Misfit) -> str:
     return f"{misfit.place}: {misfit.expected} expected, found {misfit.found}"
 
 
-def _build_dataclass(table: object, schema: type[Any], where: str, problems: list[str], also: tuple[Check, ...] = ()) -> object:
+def _build_dataclass(
+    table: object, schema: type[Any], where: str, problems: list[str], also: tuple[Check, ...] = (), default: object = None
+) -> object:
+    """Return a dataclass made from a table; fields that it omits are those of `default`, an instance, if given."""
     if not isinstance(table, dict):
         problems.append(f"{where or 'top level'}: a table expected, found {_shown(table)}")
         return _INVALID
@@ -256,7 +259,7 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
     values: dict[str, object] = {}
     for name, field in fields.items():
         if name in table:
-            values[name] = _build_value(table[name], hints[name], _join(where, name), problems)
+            values[name] = _build_value(table[name], hints[name], _join(where, name), problems, _default(field))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING and name not in misspelt:
             problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
     given = dict(values)
@@ -265,18 +268,25 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
     if len(problems) > before:
         return _Partial(values)
     try:
-        return schema(**given)
+        return schema(**given) if default is None else dataclasses.replace(cast(Any, default), **given)
     except ValueError as error:
         problems.append(f"{where or 'top level'}: {error}")
         return _INVALID
 
 
-def _build_value(value: object, hint: Any, where: str, problems: list[str]) -> object:
+def _default(field: dataclasses.Field[Any]) -> object:
+    """Return the default of a field that is a dataclass, else None."""
+    factory = field.default_factory
+    made = None if factory is dataclasses.MISSING else factory()
+    return made if dataclasses.is_dataclass(made) else None
+
+
+def _build_value(value: object, hint: Any, where: str, problems: list[str], default: object = None) -> object:
     origin, args = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return _build_union(value, [a for a in args if a is not type(None)], where, problems)
     if dataclasses.is_dataclass(hint):
-        return _build_dataclass(value, cast(type[Any], hint), where, problems)
+        return _build_dataclass(value, cast(type[Any], hint), where, problems, default=default)
     if origin is tuple:
         return _build_tuple(value, args, where, problems)
     if origin is dict and isinstance(value, dict):

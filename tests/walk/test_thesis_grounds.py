@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.footholds.layers import FootholdLayers
-from sextant.services.mapper.footholds.score import ScoreWeights, WalkabilityScorer, published_score
+from sextant.services.mapper.footholds.params import ScoreParams
+from sextant.services.mapper.footholds.score import WalkabilityScorer, published_score
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
@@ -189,7 +190,7 @@ def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
 def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
     """Apply the thesis's score with its two terms alone to the true ground."""
     xy, z = raster("lotriet_scoring")
-    w = ScoreWeights()
+    w = ScoreParams()
     score = published_score(z, w.slope / (8 * R), w.proximity * 25, kernel=5, sigma=w.proximity_sigma / R)
     for name, pick in PICKS.items():
         away = np.linalg.norm(xy - np.array(pick.xy), axis=2)

@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, CellLayers
 from sextant.services.mapper.elevation.fusion import FusionModel, merge, update_cells
 from sextant.services.mapper.elevation.height_drift import HeightDrift, height_sigma
-from sextant.services.mapper.elevation.ray_clearing import FOLLOWED, SETTLED, WELL_BELOW, RayClearing
+from sextant.services.mapper.elevation.params import HeightDriftParams, RayClearingParams
+from sextant.services.mapper.elevation.ray_clearing import RayClearing
 from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M, ValidatedScan
 from sextant.services.mapper.elevation.vertical_surfaces import limit_surface_updates
 from sextant.shared.runtime.compiled import compiled
@@ -66,13 +67,22 @@ class ElevationGrid:
     Source: Lotriet 2024, section 4.3.
     """
 
-    def __init__(self, size: int | tuple[int, int] = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
+    def __init__(
+        self,
+        size: int | tuple[int, int] = 256,
+        resolution: float = 0.01,
+        model: FusionModel | None = None,
+        clearing: RayClearingParams | None = None,
+        drift: HeightDriftParams | None = None,
+    ) -> None:
         """Create a map with every cell unseen.
 
         Args:
             size: [cells] along x and along y, one number for a square.
             resolution: [m] cell edge.
             model: Error model of the measurements.
+            clearing: Parameters of the ray clearing.
+            drift: Parameters of the compensation of height drift.
 
         Raises:
             ValueError: There are fewer than 8 cells along an axis, or the resolution is out of range.
@@ -89,7 +99,8 @@ class ElevationGrid:
         self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
         self._cells = CellLayers.unseen(shape)
         self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # entry of the scan for each cell, -1 outside fuse()
-        self._drift, self._ray_clearing = HeightDrift(), RayClearing(shape)
+        self._clearing = clearing or RayClearingParams()
+        self._drift, self._ray_clearing = HeightDrift(drift or HeightDriftParams()), RayClearing(shape, self._clearing)
 
     @property
     def low(self) -> NDArray[np.int64]:
@@ -167,11 +178,12 @@ class ElevationGrid:
             cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
             cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
             cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
-            self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
+            self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans,
+            self._clearing.well_below_m,
         )  # fmt: skip
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
-        cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=FOLLOWED)
+        cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=self._clearing.every)
         cleared += self._ray_clearing.clear_along_rays(*at, scan.sights, nearest=scan.nearest)
         self._ray_clearing.end_scan()
         return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
@@ -205,7 +217,8 @@ class ElevationGrid:
                     cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
                     cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
                     cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
-                    self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
+                    self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans,
+            self._clearing.well_below_m,
                 )  # fmt: skip
                 if updated or replaced:
                     changed += 1

@@ -1,13 +1,15 @@
 """Fusion of a scan into map cells: error model, merging and filter."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.mapper.elevation.params import FusionParams
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
+from sextant.shared.files import config
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.runtime.compiled import compiled
@@ -16,7 +18,7 @@ _AT_A_TIME = 256  # points per block
 
 
 @dataclass(frozen=True, slots=True)
-class FusionModel:
+class FusionModel(FusionParams):
     """Error model of a measured height, and when a cell accepts a different height.
 
     A depth error e moves a point along its ray. On ground of slope s seen at a grazing angle g, the height error is
@@ -26,24 +28,12 @@ class FusionModel:
     depth_sigma: float = 1.27e-3  # [m] of one pixel at 1 m; grows with the squared distance and averages out
     quantisation_sigma: float = 0.92e-3  # [m] of a scan's cell at 1 m; grows the same way and is shared by the cell's pixels
     range_sigma: float = 0.0  # [m] noise of one pixel at any distance (scanners)
-    floor_sigma: float = 1.0e-3  # [m] error that repeated measurements do not average out
-    terrain_slope: float = 0.27  # [m/m] steepest ground that is mapped accurately
-    independent_pixels: int = 8  # maximum number of a cell's pixels that count, because their noise is correlated
-    gate: float = 3.0  # [sigma] beyond which a measurement votes for the rival height
-    edge_step: float = 0.01  # [m] points of one scan and cell that are farther apart form an edge, and the upper one is used
-    patience: int = 5  # [scans] of disagreement until a well-established height is replaced
 
     def __post_init__(self) -> None:
-        for name in ("depth_sigma", "quantisation_sigma", "range_sigma", "terrain_slope", "edge_step"):
+        config.verify(self)
+        for name in ("depth_sigma", "quantisation_sigma", "range_sigma"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} of at least 0 expected, found {getattr(self, name)}")
-        for name in ("floor_sigma", "gate"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"positive {name} expected, found {getattr(self, name)}")
-        if self.independent_pixels < 1:
-            raise ValueError(f"independent_pixels of at least 1 expected, found {self.independent_pixels}")
-        if not 1 <= self.patience <= 200:
-            raise ValueError(f"patience of 1 to 200 scans expected, found {self.patience}")
 
     def step_in(self, resolution: float) -> float:
         """Return the height difference [m] in one cell that separates edge from slope.
@@ -53,15 +43,14 @@ class FusionModel:
         return max(self.edge_step, 2.0 * self.terrain_slope * resolution)
 
     @classmethod
-    def of_sensor(cls, sensor: DepthSensor, fx: float) -> Self:
-        """Create the model of a triangulating camera with focal length fx [px].
-
-        The other fields keep their defaults.
-        """
+    def of_sensor(cls, sensor: DepthSensor, fx: float, params: FusionParams | None = None) -> Self:
+        """Create the model of a triangulating camera with focal length fx [px] and parameters."""
         if not 0 < fx < math.inf:
             raise ValueError(f"positive focal length expected, found fx = {fx}")
         per_pixel = 1.0 / (fx * sensor.baseline)
+        params = params or FusionParams()
         return cls(
+            **{field.name: getattr(params, field.name) for field in fields(FusionParams)},
             depth_sigma=sensor.disparity_sigma * per_pixel,
             quantisation_sigma=sensor.disparity_step / math.sqrt(12.0) * per_pixel,
         )

@@ -6,17 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.cell_layers import CellLayers
+from sextant.services.mapper.elevation.params import HeightDriftParams
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
-
-TELLS = 8  # every n-th cell is used
-KNOWN_WELL = 0.004  # [m] largest sigma of a cell that is used; next to an edge it is larger
-SAME_GROUND = 0.03  # [m] largest offset of the same ground
-FEWEST = 50  # minimum number of cells
-ALIKE = 6  # cells that count as one, because neighbours share their errors
-DRIFTED, LEVEL_AGAIN = 0.002, 0.0005  # [m] offset that starts the compensation, and offset that ends it
-PERSISTS = 3  # consecutive scans that must show a drift
-RATE = 0.002  # [m] largest change of the compensation per scan
 
 
 class HeightDrift:
@@ -31,8 +23,9 @@ class HeightDrift:
     and has no dead band. A map that does not move with its robot needs a dead band against its own noise.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, params: HeightDriftParams) -> None:
         """Start without drift."""
+        self._params = params
         self.value = 0.0  # [m]
         self._lasts = 0  # consecutive scans with an offset, negative if downward
 
@@ -46,26 +39,27 @@ class HeightDrift:
             ray: (3,) [m] from the camera to the mean of the points.
             covariance: (6, 6) of the camera's pose: position, then rotation, in world axes.
         """
+        params = self._params
         off = _offsets(
             touched, z, cells.height.ravel(), cells.variance.ravel(), cells.first.ravel(), cells.votes.ravel(),
-            self.value, KNOWN_WELL**2, SAME_GROUND,
+            self.value, params.max_sigma_m**2, params.same_ground_m, params.every,
         )  # fmt: skip
-        if len(off) < FEWEST:
+        if len(off) < params.min_cells:
             return
         gap = _median(off)
-        compensating = abs(self._lasts) >= PERSISTS
-        if abs(gap) <= (LEVEL_AGAIN if compensating else DRIFTED):
+        compensating = abs(self._lasts) >= params.scans
+        if abs(gap) <= (params.end_m if compensating else params.begin_m):
             self._lasts = 0
             return
-        spread = 1.25 * 1.48 * _median(np.abs(off - gap)) / math.sqrt(len(off) / ALIKE)
+        spread = 1.25 * 1.48 * _median(np.abs(off - gap)) / math.sqrt(len(off) / params.correlated_cells)
         noise = math.hypot(height_sigma(ray, covariance), spread)
         if abs(gap) <= (noise if compensating else 3.0 * noise):
             self._lasts = 0
             return
         sign = 1 if gap > 0 else -1
         self._lasts = self._lasts + sign if self._lasts * sign >= 0 else sign
-        if abs(self._lasts) >= PERSISTS:
-            self.value += max(-RATE, min(RATE, gap))
+        if abs(self._lasts) >= params.scans:
+            self.value += max(-params.rate_m, min(params.rate_m, gap))
 
 
 def _median(values: NDArray[np.float64]) -> float:
@@ -91,11 +85,12 @@ def _offsets(
     drift: float,
     most_variance: float,
     same: float,
+    every: int,
 ) -> NDArray[np.float64]:
     """Return offsets (n,) [m] of usable cells from their first height, less drift."""
-    out = np.empty(len(cells) // TELLS + 1)
+    out = np.empty(len(cells) // every + 1)
     n = 0
-    for k in range(0, len(cells), TELLS):
+    for k in range(0, len(cells), every):
         c = np.uint64(cells[k])
         off = z[k] - drift - first[c]
         # Ground that has sunk or risen since, or that seems to after one wrong measurement, is not used.

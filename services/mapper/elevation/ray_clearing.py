@@ -1,32 +1,37 @@
 """Clearing of objects that have gone, by rays that pass through their cells."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.cell_layers import CellLayers
+from sextant.services.mapper.elevation.params import RayClearingParams
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-FOLLOWED = 2  # every n-th point of a scan has its ray traced, different ones in each scan
-SHORT = 3  # [cells] before its end at which a ray stops, because a hit object has a thickness and a position error
-WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a ray must pass below its height
-SIGHTS_NEEDED = 8  # scans through a cell inside an object until it is cleared, if none measures it
-SIGHTS_PER_MEASUREMENT = 4  # scans through a cell outside an object, for each scan that has measured it
-MAX_SIGMA_M = 0.01  # [m] cap of a cell's height sigma, because a larger value is the spread of the object that stood there
-FELL_AROUND = 3  # cleared neighbours from which a cell at the rim of an object may also be cleared
-SETTLED = 16 * SIGHTS_NEEDED  # measuring scans after which a cleared cell counts as normal again
 _REFRESHED = 16  # [scans] between searches for the highest cell
+
+
+class _Thresholds(NamedTuple):
+    """Values of `RayClearingParams` for compiled functions."""
+
+    short_cells: int
+    well_below_m: float
+    scans_inside: int
+    scans_per_measurement: int
+    max_sigma_m: float
+    cleared_neighbours: int
 
 
 class RayClearing:
     """Clearing of map cells by rays."""
 
-    def __init__(self, shape: tuple[int, int]) -> None:
+    def __init__(self, shape: tuple[int, int], params: RayClearingParams) -> None:
         """Create for an unseen map of shape (nx, ny)."""
+        self._thresholds = _Thresholds(**{name: getattr(params, name) for name in _Thresholds._fields})
         self._highest, self._scans = -math.inf, 0
         self._marked = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # marks the cells counted in a scan; -1 between scans
 
@@ -66,13 +71,13 @@ class RayClearing:
         if not len(points):
             return 0
         lowest = float(scan.origin[2]) + scan.unit * float(points[:, 2].min()) - drift
-        if not self._highest - WELL_BELOW > lowest:
+        if not self._highest - self._thresholds.well_below_m > lowest:
             return 0  # no cell is higher than the ray ends, as on level ground
         c = cells
         cleared = _clear_along_sights(
             points, scan.origin, scan.unit, self._scans % every, every, scan.p_world_camera, drift, nearest,
             int(low[0]), int(low[1]), resolution, self._highest,
-            c.height, c.variance, c.support, c.assumed, c.votes, c.first, c.through, c.fell, self._marked,
+            c.height, c.variance, c.support, c.assumed, c.votes, c.first, c.through, c.fell, self._marked, self._thresholds,
         )  # fmt: skip
         return int(cleared)
 
@@ -104,6 +109,7 @@ def _clear_along_sights(
     through: NDArray[np.uint8],
     fell: NDArray[np.uint8],
     slot: NDArray[np.int32],
+    thresholds: _Thresholds,
 ) -> int:
     """Count cells that stand well above a ray once per scan, and clear frequent ones.
 
@@ -126,11 +132,11 @@ def _clear_along_sights(
         du, dv, dz = camera[0] / resolution - low_i - u, camera[1] / resolution - low_j - v, camera[2] - drift - z
         way = max(abs(du), abs(dv))
         length = resolution * math.sqrt(du * du + dv * dv)
-        if way <= SHORT or length <= nearest or dz <= 0.0:
+        if way <= thresholds.short_cells or length <= nearest or dz <= 0.0:
             continue
         rise = 0.75 * dz / way  # from the middle of a cell to the highest point of the ray in it
         # Only the steps within the window: a ray may be far longer.
-        enters, leaves = SHORT / way, 1.0 - nearest / length
+        enters, leaves = thresholds.short_cells / way, 1.0 - nearest / length
         for at, along, end in ((u, du, rows - 1.0), (v, dv, columns - 1.0)):
             if along != 0.0:
                 near, far = (1.0 - at) / along, (end - at) / along
@@ -139,12 +145,16 @@ def _clear_along_sights(
                 leaves = -1.0
         if enters >= leaves:
             continue
-        start = max(SHORT, int(way * enters) - 1)  # rounding may need one more step on either side
+        start = max(thresholds.short_cells, int(way * enters) - 1)  # rounding may need one more step on either side
         # The ray can stop where it is above all cells. The value is a float, because it is infinite for a level ray.
-        above = (highest - z - rise - WELL_BELOW) / dz * way + 2.0
+        above = (highest - z - rise - thresholds.well_below_m) / dz * way + 2.0
         last = int(max(min(way * leaves + 2.0, way * (1.0 - nearest / length), above), 0.0))
         step_x, step_y, step_z = du / way, dv / way, dz / way
-        x, y, over = u + (start - 1) * step_x, v + (start - 1) * step_y, z + (start - 1) * step_z + rise + WELL_BELOW
+        x, y, over = (
+            u + (start - 1) * step_x,
+            v + (start - 1) * step_y,
+            z + (start - 1) * step_z + rise + thresholds.well_below_m,
+        )
         for _ in range(start, last):
             x, y, over = x + step_x, y + step_y, over + step_z
             i, j = int(x), int(y)  # an index that rounding moves out of the window is 0 on the lower side
@@ -155,7 +165,7 @@ def _clear_along_sights(
             c = a * columns + b
             if not heights[np.uint64(c)] > over:
                 continue
-            if not height[a, b] > over + 3.0 * min(math.sqrt(variance[a, b]), MAX_SIGMA_M):
+            if not height[a, b] > over + 3.0 * min(math.sqrt(variance[a, b]), thresholds.max_sigma_m):
                 continue
             if slot[c] >= 0:
                 continue
@@ -173,8 +183,8 @@ def _clear_along_sights(
                         fallen += 1
                     elif height[e, f] == height[e, f]:
                         low += 1
-            within = (low == 0 and standing + fallen >= 6) or fallen >= FELL_AROUND
-            if within or SIGHTS_PER_MEASUREMENT * int(support[a, b]) <= 255:
+            within = (low == 0 and standing + fallen >= 6) or fallen >= thresholds.cleared_neighbours
+            if within or thresholds.scans_per_measurement * int(support[a, b]) <= 255:
                 slot[c] = np.int32(within)
                 marked[m] = c
                 m += 1
@@ -184,8 +194,8 @@ def _clear_along_sights(
         within, slot[c] = slot[c], -1
         a, b = c // columns, c % columns
         through[a, b] = min(through[a, b] + 1, 255)
-        needed = SIGHTS_PER_MEASUREMENT * max(int(support[a, b]), 1)
-        if through[a, b] < (min(needed, SIGHTS_NEEDED) if within else needed):
+        needed = thresholds.scans_per_measurement * max(int(support[a, b]), 1)
+        if through[a, b] < (min(needed, thresholds.scans_inside) if within else needed):
             continue
         height[a, b] = variance[a, b] = first[a, b] = np.nan
         support[a, b] = assumed[a, b] = votes[a, b] = through[a, b] = 0

@@ -26,43 +26,20 @@ Interpretations and deviations:
 """
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.mapper.footholds.params import FootholdMapParams
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.wire.messages import UNKNOWN
-
-
-@dataclass(frozen=True, slots=True)
-class FootholdRules:
-    """Rules for a foothold; the first two and the last three are Masri's."""
-
-    depth_limit: float = 0.25  # [m] below the body's centre
-    slope_limit: float = math.pi / 4  # [rad] of a normal from the vertical, eq. 4.4
-    edge_deviation: float = 1.7e-3  # [m] from the local plane: the effect of a 7 mm step. Masri gives no number for an edge
-    unknown_clearance: float = 0.02  # [m] cells this close to vacant ground are not accessible
-    closing: float = 0.05  # [m] edge of the square
-    bound: float = 0.05  # [m] distance inside accessible ground, beyond which all cells are equal
-    reach: float = 0.15  # [m] distance outside, beyond which all cells are equal; not in the thesis, but needed for one byte
-
-    def __post_init__(self) -> None:
-        for name in ("depth_limit", "edge_deviation", "bound", "reach"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"positive {name} expected, found {getattr(self, name)}")
-        for name in ("unknown_clearance", "closing"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} of at least 0 expected, found {getattr(self, name)}")
-        if not 0 < self.slope_limit < math.pi / 2:
-            raise ValueError(f"slope_limit between 0 and pi/2 expected, found {self.slope_limit}")
 
 
 class EvaluationFunction:
     """Evaluation function of foothold maps; it holds only the rules in cells."""
 
-    def __init__(self, resolution: float, rules: FootholdRules | None = None) -> None:
+    def __init__(self, resolution: float, rules: FootholdMapParams | None = None) -> None:
         """Create the function for a cell edge [m] and rules.
 
         Raises:
@@ -70,7 +47,7 @@ class EvaluationFunction:
         """
         if not 0 < resolution < math.inf:
             raise ValueError(f"positive resolution expected, found {resolution}")
-        self.rules = rules or FootholdRules()
+        self.rules = rules or FootholdMapParams()
         self.bound = max(1, round(self.rules.bound / resolution))  # [cells]
         self.reach = min(max(1, round(self.rules.reach / resolution)), UNKNOWN - 1)  # [cells]
         if self.bound >= UNKNOWN:

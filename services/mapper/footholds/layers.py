@@ -15,18 +15,19 @@ cells whose surroundings within it are all accessible.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.footholds.foothold_map import DISCS, TOO_WIDE, EvaluationFunction, FootholdRules
+from sextant.services.mapper.footholds.foothold_map import DISCS, TOO_WIDE, EvaluationFunction
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
-from sextant.services.mapper.footholds.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
+from sextant.services.mapper.footholds.params import FootholdLayersParams, FootholdMapParams, ScoreParams
+from sextant.services.mapper.footholds.score import Scalar, WalkabilityScorer, reference_height
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.wire.messages import UNKNOWN, BodyPose
 
-_WIDEST = 0.05  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
 _WHOLE = 0.8  # share of the map, above which all of it is recomputed
 _BAND = 65536  # cells scored per pass
 
@@ -39,10 +40,11 @@ class Margin:
 
     foot_radius: float = 0.01  # [m]
     sigmas: float = 2.0  # standard deviations of the position that are kept clear
+    widest: float = 0.05  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
 
     def __post_init__(self) -> None:
-        if not (0 < self.foot_radius < math.inf and 0 <= self.sigmas < math.inf):
-            raise ValueError(f"a positive foot radius and sigmas of at least 0 expected, found {self}")
+        if not (0 < self.foot_radius < math.inf and 0 <= self.sigmas < math.inf and 0 <= self.widest < math.inf):
+            raise ValueError(f"a positive foot radius, sigmas and widest of at least 0 expected, found {self}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +64,8 @@ class FootholdLayers:
         shape: tuple[int, int],
         resolution: float,
         margin: Margin | None = None,
-        weights: ScoreWeights | None = None,
-        rules: FootholdRules | None = None,
+        weights: ScoreParams | None = None,
+        rules: FootholdMapParams | None = None,
         keep_terms: bool = False,
     ) -> None:
         """Create the layers of a map.
@@ -84,7 +86,7 @@ class FootholdLayers:
         self._margin = margin or Margin()
         self._scorer = WalkabilityScorer(shape, resolution, weights)
         self._evaluator = EvaluationFunction(resolution, rules)
-        self._most = min(max(1, math.ceil(_WIDEST / resolution)), TOO_WIDE - 1)  # [cells] largest added margin
+        self._most = min(max(1, math.ceil(self._margin.widest / resolution)), TOO_WIDE - 1)  # [cells] largest added margin
         self._halo = self._scorer.halo + 1  # a filled hole shows its neighbours' heights
         self._first: NDArray[np.int64] | None = None  # world cell at (0, 0)
         self._reference = math.nan
@@ -95,6 +97,19 @@ class FootholdLayers:
         self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible except for its depth, 2 refused
         self._ground = np.full(shape, 0, dtype=np.uint8)  # input of the evaluation function
         self._evaluation = np.full(shape, 0, dtype=np.int8)
+
+    @classmethod
+    def of(
+        cls,
+        shape: tuple[int, int],
+        resolution: float,
+        foot_radius: float,
+        params: FootholdLayersParams,
+        keep_terms: bool = False,
+    ) -> Self:
+        """Create the layers of a map for a foot radius [m]; the other arguments are those of the constructor."""
+        margin = Margin(foot_radius, params.margin_sigmas, params.max_margin_m)
+        return cls(shape, resolution, margin, params.score, params.foothold_map, keep_terms)
 
     def update(
         self,

@@ -23,37 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.foothold_map import disc
+from sextant.services.mapper.footholds.params import ScoreParams
 from sextant.shared.runtime.compiled import compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 _REFERENCE_STEP = 0.0625  # [m]
-
-
-@dataclass(frozen=True, slots=True)
-class ScoreWeights:
-    """Weights and limits of the score.
-
-    The defaults suit a spherical foot of 1 cm radius on a map of 1 cm cells. They refuse a cell within 2 cm of a 1 cm step and
-    a slope of 35 degrees. They accept 15 degrees and steps of 5 mm. The slope alone reaches the limit at 31 degrees.
-    """
-
-    slope: float = 1.0 / 0.6  # per unit gradient
-    proximity: float = 100.0  # [1/m]
-    roughness: float = 580.0  # [1/m]
-    limit: float = 1.0  # highest acceptable score
-    proximity_sigma: float = 0.015  # [m] standard deviation of the Gaussian kernel
-    flat_radius: float = 0.02  # [m] half width of the kernel and of the plane fit: ground that a foot needs around it
-    noise_sigma: float = 0.0015  # [m] noise of the map in the plane deviation, subtracted in squares
-    unknown_clearance: float = 0.01  # [m] cells this close to an unknown one get no score (at least one cell)
-
-    def __post_init__(self) -> None:
-        for name in ("slope", "proximity", "roughness", "noise_sigma", "unknown_clearance"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} of at least 0 expected, found {getattr(self, name)}")
-        for name in ("limit", "proximity_sigma", "flat_radius"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"positive {name} expected, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +57,13 @@ class WalkabilityScorer:
     The scratch layers are reused; results of `score` are new arrays.
     """
 
-    def __init__(self, shape: tuple[int, int], resolution: float, weights: ScoreWeights | None = None) -> None:
+    def __init__(self, shape: tuple[int, int], resolution: float, weights: ScoreParams | None = None) -> None:
         """Create a scorer for maps of a shape (nx, ny) and a resolution [m].
 
         Raises:
             ValueError: The map is smaller than 3x3, or flat_radius exceeds 25 cells; less than one counts as one.
         """
-        self.weights = weights or ScoreWeights()
+        self.weights = weights or ScoreParams()
         if len(shape) != 2 or min(shape) < 3:
             raise ValueError(f"map of at least 3x3 cells expected, found {shape}")
         if not 0 < resolution < math.inf:

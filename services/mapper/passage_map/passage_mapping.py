@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
 from sextant.services.mapper.elevation.start_ground import feet_plane
-from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
-from sextant.services.mapper.footholds.score import Scalar, ScoreWeights
+from sextant.services.mapper.footholds.layers import FootholdLayers
+from sextant.services.mapper.footholds.params import FootholdLayersParams
+from sextant.services.mapper.footholds.score import Scalar
 from sextant.services.mapper.passage_map.next_best_view import (
     View,
     best_view,
@@ -55,7 +56,7 @@ class PassageMapping:
         strip: Strip,
         known: ElevationSnapshot,
         reach: float,
-        weights: ScoreWeights | None = None,
+        params: FootholdLayersParams | None = None,
     ):
         """Start the mapping of a strip.
 
@@ -64,13 +65,13 @@ class PassageMapping:
             strip: Strip with a whole number of cells of the elevation map's resolution.
             known: Elevation map.
             reach: [m] maximum horizontal distance of scan points from the camera.
-            weights: Parameters of the score.
+            params: Parameters of the foothold layers.
 
         Raises:
             ValueError: Length or width of the strip is not a whole number of cells.
         """
         self._centres, self._resolution = cell_centres(strip, known.resolution), known.resolution
-        self._profile, self._reach, self._weights = profile, reach, weights
+        self._profile, self._reach, self._params = profile, reach, params or FootholdLayersParams()
         self._radius = max(_NEIGHBOURS, _NEIGHBOURS_CELLS * known.resolution)  # [m]
         self._cloud = VoxelCloud(strip, known.resolution, margin=2.0 * self._radius)
         self._layers = self._fresh_layers(known.resolution)
@@ -168,7 +169,7 @@ class PassageMapping:
         return np.array(self._looked_from)
 
     def _fresh_layers(self, resolution: float) -> FootholdLayers:
-        return FootholdLayers(cells_of(self.strip, resolution), resolution, Margin(self._profile.foot.radius), self._weights)
+        return FootholdLayers.of(cells_of(self.strip, resolution), resolution, self._profile.foot.radius, self._params)
 
     def _take_over(self, known: ElevationSnapshot) -> None:
         """Copy measured heights of the elevation map into the cloud's empty columns."""

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.footholds.layers import body_height_and_sigma
-from sextant.services.mapper.footholds.score import ScoreWeights
 from sextant.services.mapper.footholds.terrain_type_mapping import without_hazards
 from sextant.services.mapper.passage_map.passage_grid import PassageGrid, cell_centres, cells_of
 from sextant.services.mapper.passage_map.passage_mapping import PassageMapping, ViewProposal
@@ -25,16 +24,15 @@ _BOX = 10  # largest ratio of the cells in the box around an oblique passage to 
 class PassageSurvey:
     """Maps the requested passage, next to the elevation map."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings, weights: ScoreWeights, stages: Stages):
+    def __init__(self, profile: RobotProfile, settings: Settings, stages: Stages):
         """Start without a passage.
 
         Args:
             profile: The robot.
             settings: Settings of the mapper.
-            weights: Parameters of the score.
             stages: Durations of the mapper's work.
         """
-        self._profile, self._settings, self._weights, self._stages = profile, settings, weights, stages
+        self._profile, self._settings, self._stages = profile, settings, stages
         self._mapping: PassageMapping | None = None
         self._scans = 0  # scans since the mapping of this strip began
 
@@ -60,7 +58,8 @@ class PassageSurvey:
             return f"invalid map request: {error}"
         with self._stages("merge"):
             if self._mapping is None:
-                self._mapping = PassageMapping(self._profile, strip, grid.snapshot(), self._settings.scan_range, self._weights)
+                reach, footholds = self._settings.scan_range, self._settings.footholds
+                self._mapping = PassageMapping(self._profile, strip, grid.snapshot(), reach, footholds)
                 self._scans = 1
             elif self._mapping.strip != strip:
                 self._mapping.move_to(strip, grid.snapshot())

@@ -11,13 +11,12 @@ from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
-from sextant.services.mapper.footholds.foothold_map import FootholdRules
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
-from sextant.services.mapper.footholds.score import ScoreWeights
+from sextant.services.mapper.footholds.params import FootholdMapParams, ScoreParams
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
 
-WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+WEIGHTS = ScoreParams(unknown_clearance=0.02)
 MODEL = FusionModel()
 
 
@@ -103,10 +102,10 @@ def test_other_libraries_give_same_foothold_layers(name: str) -> None:
     elevation = (0.2 * x + 0.05 * (y > 0.3) + 0.001 * rng.standard_normal(x.shape)).astype(np.float32)
     elevation[20:30, 15:40] = np.nan
     elevation[rng.random(x.shape) < 0.005] = np.nan
-    made = FootholdLayers(elevation.shape, 0.01, Margin(sigmas=0.0), WEIGHTS, FootholdRules()).update(
+    made = FootholdLayers(elevation.shape, 0.01, Margin(sigmas=0.0), WEIGHTS, FootholdMapParams()).update(
         fill_small_holes(elevation), np.zeros_like(elevation), np.zeros(2, dtype=np.int64)
     )
-    score, evaluation = score_peers.SCORE[name](0.01, WEIGHTS, FootholdRules()).layers(fill_small_holes(elevation))
+    score, evaluation = score_peers.SCORE[name](0.01, WEIGHTS, FootholdMapParams()).layers(fill_small_holes(elevation))
     assert np.isfinite(made.score).mean() > 0.5
     np.testing.assert_array_equal(np.isfinite(made.score), np.isfinite(score))
     np.testing.assert_allclose(score, made.score, atol=1e-3, rtol=1e-3)

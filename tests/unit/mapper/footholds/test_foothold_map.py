@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.foothold_map import (
     EvaluationFunction,
-    FootholdRules,
+    FootholdMapParams,
     closed,
     disc,
     holes,
@@ -127,7 +127,7 @@ def test_closing_bridges_gaps_below_5_cm(gap: int, bridged: bool) -> None:
 # ---- evaluation function
 
 
-def evaluate(accessible: Mask, refused: Mask | None = None, known: Mask | None = None, rules: FootholdRules | None = None):
+def evaluate(accessible: Mask, refused: Mask | None = None, known: Mask | None = None, rules: FootholdMapParams | None = None):
     nothing = np.zeros_like(accessible)
     all_known = np.ones_like(accessible)
     return EvaluationFunction(0.01, rules).evaluate(
@@ -146,7 +146,7 @@ def test_unknown_and_refused_cells_are_not_footholds(a: Mask, b: Mask) -> None:
 
 
 def test_evaluation_matches_thesis_without_refused_or_vacant_cells() -> None:
-    rules = FootholdRules(unknown_clearance=0.0)
+    rules = FootholdMapParams(unknown_clearance=0.0)
     mask = np.zeros((40, 40), dtype=np.uint8)
     mask[5:20, 5:30] = 1
     mask[12, 9:13] = 0  # a hole, which is closed
@@ -224,7 +224,7 @@ def test_thesis_parameters_scale_with_resolution() -> None:
 @given(masks(), st.integers(1, 3))
 @settings(deadline=None, max_examples=30)
 def test_margin_requires_disc_of_ground_around_each_foothold(mask: Mask, cells: int) -> None:
-    rules = FootholdRules(unknown_clearance=0.0, closing=0.0)
+    rules = FootholdMapParams(unknown_clearance=0.0, closing=0.0)
     level = np.full(mask.shape, cells, dtype=np.uint8)
     known = np.ones_like(mask)
     F = EvaluationFunction(0.01, rules).evaluate(mask, 1 - mask, known, level)
@@ -239,11 +239,11 @@ def offsets(radius: int) -> list[tuple[int, int]]:
 
 def test_invalid_rules_are_refused() -> None:
     with pytest.raises(ValueError, match="bound"):
-        FootholdRules(bound=0.0)
+        FootholdMapParams(bound=0.0)
     with pytest.raises(ValueError, match="slope_limit"):
-        FootholdRules(slope_limit=2.0)
+        FootholdMapParams(slope_limit=2.0)
     with pytest.raises(ValueError, match="closing"):
-        FootholdRules(closing=-0.01)
+        FootholdMapParams(closing=-0.01)
     with pytest.raises(ValueError, match="resolution"):
         EvaluationFunction(0.0)
     with pytest.raises(ValueError, match="126 cells"):

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.layers import FootholdLayers, Layers, Margin
-from sextant.services.mapper.footholds.score import ScoreWeights, published_score
+from sextant.services.mapper.footholds.params import ScoreParams
+from sextant.services.mapper.footholds.score import published_score
 from sextant.shared.wire.messages import UNKNOWN
 
 Heights = NDArray[np.float32]
 
 N = 48
-WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+WEIGHTS = ScoreParams(unknown_clearance=0.02)
 ORIGIN = np.zeros(2, dtype=np.int64)
 
 
@@ -234,7 +235,7 @@ def test_score_without_roughness_matches_published_score() -> None:
     """
     rng = np.random.default_rng(2)
     z = np.kron(rng.choice([0.0, 0.02, 0.05], (6, 6)), np.ones((8, 8))).astype(np.float32)
-    weights = ScoreWeights(roughness=0.0)
+    weights = ScoreParams(roughness=0.0)
     ours = FootholdLayers((N, N), 0.01, None, weights).update(z, np.zeros_like(z), ORIGIN).score
     n = 5
     theirs = published_score(z, weights.slope / (8 * 0.01), weights.proximity * n**2, n, 1.5)

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sextant.services.mapper.footholds.score import ScoreTerms, ScoreWeights, Walkability, WalkabilityScorer
+from sextant.services.mapper.footholds.params import ScoreParams
+from sextant.services.mapper.footholds.score import ScoreTerms, Walkability, WalkabilityScorer
 
 RESOLUTION = 0.01
 
@@ -44,7 +45,7 @@ class Scored(NamedTuple):
         return self.terms.roughness
 
 
-def score(elevation: NDArray[np.floating], weights: ScoreWeights | None = None) -> Scored:
+def score(elevation: NDArray[np.floating], weights: ScoreParams | None = None) -> Scored:
     scorer = WalkabilityScorer((elevation.shape[0], elevation.shape[1]), RESOLUTION, weights)
     return Scored(scorer.score(elevation.astype(np.float32)), scorer.terms())
 
@@ -104,7 +105,7 @@ def test_hole_and_block_have_equal_score() -> None:
 
 
 def test_score_is_weighted_sum_and_limit_sets_acceptability() -> None:
-    w = ScoreWeights(slope=0.7, proximity=33.0, roughness=210.0, limit=0.4)
+    w = ScoreParams(slope=0.7, proximity=33.0, roughness=210.0, limit=0.4)
     s = score(terrain(3), w)
     np.testing.assert_allclose(s.score, 0.7 * s.slope + 33.0 * s.proximity + 210.0 * s.roughness, rtol=1e-5)
     with np.errstate(invalid="ignore"):
@@ -256,7 +257,7 @@ def test_unknown_cells_cause_no_false_edges() -> None:
 def test_unknown_clearance_setting_is_applied() -> None:
     z = np.zeros((40, 40))
     z[20, 20] = np.nan
-    s = score(z, ScoreWeights(unknown_clearance=0.03))
+    s = score(z, ScoreParams(unknown_clearance=0.03))
     i, j = np.mgrid[:40, :40]
     distance = np.hypot(i - 20, j - 20)
     inside = (np.minimum(i, j) >= 3) & (np.maximum(i, j) < 37)
@@ -303,6 +304,6 @@ def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="infinite"):
         score(np.where(np.eye(20) > 0, [[np.inf]], -np.inf))
     with pytest.raises(ValueError, match="limit"):
-        ScoreWeights(limit=0.0)
+        ScoreParams(limit=0.0)
     with pytest.raises(ValueError, match="noise_sigma"):
-        ScoreWeights(noise_sigma=math.nan)
+        ScoreParams(noise_sigma=math.nan)
