@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast
 
 from sextant.services.mapper.config import MapperParams
+from sextant.services.perception.config import PerceptionParams
 from sextant.services.planner.config import PlannerParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
@@ -20,6 +21,7 @@ class SystemParams(Params):
     """Parameters of all services."""
 
     mapper: MapperParams = field(default_factory=MapperParams)
+    perception: PerceptionParams = field(default_factory=PerceptionParams)
     planner: PlannerParams = field(default_factory=PlannerParams)
 
 

@@ -90,7 +90,7 @@ def _camera(choices: Choices) -> dict[str, Value]:
 def _perception(choices: Choices) -> dict[str, Value]:
     fine: dict[str, Value] = {"scan_resolution": choices.map.scan_resolution} if choices.map != MapOptions() else {}
     erring: dict[str, Value] = {} if choices.pose_error == "none" else {"pose_error": choices.pose_error, "seed": choices.seed}
-    return {"method": choices.registration, **fine, **erring}
+    return {"method": choices.registration, **fine, **erring, **_tuned(choices.params.perception)}
 
 
 def _mapper(choices: Choices) -> dict[str, Value]:

@@ -82,7 +82,12 @@ class LockstepRun:
         tuned = params.of_scenario(scenario)
         self._lockstep: Lockstep | None = None
         self._socket: _Socket | None = None
-        looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
+        looks = params.settings(
+            PerceptionSettings,
+            tuned.perception,
+            method=scenario.variation.registration,
+            scan_resolution=scenario.map.scan_resolution,
+        )
         frames_per_picture = 1
         # Colour needs every frame, and the effect of a fault depends on the frame that it hits.
         if not (every_frame or guests or scenario.faults or profile.camera.color):

@@ -1,7 +1,8 @@
 """Limits within which a registered pose is accepted."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,40 +11,30 @@ from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.error_twist import error_twist
 from sextant.services.perception.registration.keyframes import Match
 from sextant.services.perception.registration.observability import AXES
+from sextant.services.perception.registration.params import AcceptanceParams
 
 
 @dataclass(frozen=True, slots=True)
-class Acceptance:
-    """Limits for refusing a pose, searching for a better one and restarting the map."""
+class Acceptance(AcceptanceParams):
+    """Limits for refusing a pose, and whether there is a motion prior."""
 
-    min_measured: float = 0.02  # share of the image's blocks with a depth
-    min_overlap: float = 0.3  # share of points with a matching plane
-    min_agreement: float = 0.5  # share of points facing a plane that lie on it
-    max_rmse: float = 0.010  # [m] point-to-plane, absolute limit
-    rmse_factor: float = 3.0  # times the average rmse, plus rmse_margin: relative limit
-    rmse_margin: float = 0.001  # [m]
-    # Departure from the prior that is allowed in addition to four sigma. A floor constrains height, roll and pitch reliably,
-    # and a foot that slips off an edge tilts the robot by several degrees at once. Along the floor, a frame may have been
-    # matched with the wrong block.
-    jump_distance: float = 0.02  # [m] in x and y
-    jump_angle: float = 0.02  # [rad] in yaw
-    jump_height: float = 0.05  # [m] in z
-    jump_tilt: float = 0.15  # [rad] in roll and pitch
-    lever: float = 0.3  # [m] maximum camera height over the ground: a tilt about the feet also moves the camera in x and y
-    max_misfit: float = 0.015  # share of points outside the known height range of their cells, above which the pose is in doubt
-    doubt: int = 3  # consecutive doubtful or failed frames that start a search around the prior
-    search_every: int = 8  # [frames] between searches while the doubt lasts
-    patience: int = 60  # consecutive failed frames after which a new map starts at the prior
-    rest_step: float = 0.001  # [m] and [rad] change of the prior between two frames, up to which the camera counts as at rest
-    body_radius: float = 0.45  # [m] radius of a single body that may move in front of a camera at rest
     # For a camera without legs, which has no odometry. Where its velocity is unknown, poses around the prior are tried. A frame
     # that contradicts the map is refused. A lost frame is searched for around all keyframes.
     legless: bool = False
-    max_worsening: float = 2.5  # times the recent misfit, above which a frame with little overlap is refused
-    max_contradiction: float = 0.05  # share of points outside the known height range of their cells that refuses a frame
+
+    @classmethod
+    def of(cls, params: AcceptanceParams, legs: bool) -> Self:
+        """Return the limits of a camera on legs, or of a hand-held one.
+
+        A hand-held camera is in doubt at once, searches more often, is lost later, and moves more at rest.
+        """
+        common = {field.name: getattr(params, field.name) for field in fields(AcceptanceParams)}
+        if not legs:
+            common |= {"doubt": 1, "search_every": 4, "patience": 300, "rest_step": 0.003}
+        return cls(**common, legless=not legs)
 
 
-HAND_HELD = Acceptance(doubt=1, search_every=4, patience=300, legless=True, rest_step=0.003)
+HAND_HELD = Acceptance.of(AcceptanceParams(), legs=False)
 
 
 def check_measured_share(frame: BlockFrame, acceptance: Acceptance) -> str:

@@ -8,17 +8,10 @@ from numpy.typing import NDArray
 from sextant.services.perception.registration.constraint_weights import constraint_weights
 from sextant.services.perception.registration.error_twist import ALONG_FLOOR, apply_twist, error_twist
 from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.services.perception.registration.params import AlignmentParams
 from sextant.shared.geometry import orthonormal
 
 TRUSTING = 2  # iterations from a distant start in which distant matches keep full weight
-EXPLAINED = 0.85  # ratio of misfits below which another pose fits better
-_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the largest point-to-plane distance of a match
-_SLIP = 0.01  # [m] and [rad] added to the prior's spread for the first expected step
-_MAX_ITERATIONS = 10
-_MATCHED = 3200  # points of a full image that are matched with one keyframe
-_CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
-_UNKNOWN_SIGMA = 0.03  # [m] and [rad] along the ground; with a larger prior sigma, nearby start poses are tried
-_LESS_OVERLAP = 0.1  # by which another start may overlap less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,10 +27,11 @@ class Aligned:
 class Aligner:
     """Aligns the loaded frame of its keyframes."""
 
-    def __init__(self, keyframes: Keyframes, blocks: int):
+    def __init__(self, keyframes: Keyframes, blocks: int, params: AlignmentParams):
         """Initialize for frames with a number of blocks."""
+        self._params = params
         self._keyframes = keyframes
-        self._stride = max(1, round(blocks / _MATCHED))
+        self._stride = max(1, round(blocks / params.matched_points))
 
     def align(
         self,
@@ -57,20 +51,20 @@ class Aligner:
             trusting: Number of iterations in which all matches have full weight.
             T_start: (4, 4) pose at which the iteration starts, by default the prior.
         """
-        chosen = self._keyframes.select(T_prior)
+        params, chosen = self._params, self._keyframes.select(T_prior)
         T_start = T_prior if T_start is None else T_start
         T: NDArray[np.float64] = T_start
         # The first step may have to cover the prior's uncertainty and a slip.
-        step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
-        for iteration in range(_MAX_ITERATIONS):
-            gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
+        step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + params.slip
+        for iteration in range(params.max_iterations):
+            gate = min(max(params.gate_near, 2.0 * float(np.abs(step[:3]).max())), params.gate_far)
             match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
-            if T is T_start or gate == _GATE_NEAR:
+            if T is T_start or gate == params.gate_near:
                 believed, degenerate = constraint_weights(match)
             H, g = believed @ match.H, believed @ match.g
             step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
             T = apply_twist(T, step)
-            if iteration >= trusting and float(np.abs(step).max()) < _CONVERGED:
+            if iteration >= trusting and float(np.abs(step).max()) < params.converged:
                 break
         covariance = np.linalg.inv(H + information)
         return Aligned(orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match)
@@ -81,14 +75,14 @@ class Aligner:
         """Return the best alignment, with several starts if the prior is uncertain along the ground."""
         found = self.align(T_prior, information)
         sigma = np.sqrt(np.diag(covariance))
-        if sigma[ALONG_FLOOR].max() < _UNKNOWN_SIGMA:
+        if sigma[ALONG_FLOOR].max() < self._params.unknown_sigma:
             return found
         for axis in ALONG_FLOOR:
             for sign in (-1.0, 1.0):
                 start = apply_twist(T_prior, sign * sigma[axis] * np.eye(6)[axis])
                 other = self.align(T_prior, information, TRUSTING, start)
-                better = other.match.misfit < EXPLAINED * found.match.misfit
-                if better and other.match.overlap >= found.match.overlap - _LESS_OVERLAP:
+                better = other.match.misfit < self._params.explained * found.match.misfit
+                if better and other.match.overlap >= found.match.overlap - self._params.less_overlap:
                     found = other
         return found
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception.config import Settings
-from sextant.services.perception.registration.acceptance import HAND_HELD
+from sextant.services.perception.registration.acceptance import Acceptance
 from sextant.services.perception.registration.error_twist import covariance_at
 from sextant.services.perception.registration.motion_prior import Motion
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
@@ -108,7 +108,9 @@ def _make_method(profile: RobotProfile, settings: Settings) -> RegistrationMetho
     return Registration(
         camera.intrinsics,
         camera.sensor,
-        None if settings.legs else HAND_HELD,
+        Acceptance.of(settings.acceptance, settings.legs),
+        alignment=settings.alignment,
+        keyframes=settings.keyframes,
         max_range=settings.registration_range,
         blocks_across=settings.blocks_across,
     )

@@ -16,12 +16,13 @@ from sextant.services.perception.registration.acceptance import (
     check_measured_share,
     rejection_reason,
 )
-from sextant.services.perception.registration.alignment import EXPLAINED, TRUSTING, Aligned, Aligner, prior_information
+from sextant.services.perception.registration.alignment import TRUSTING, Aligned, Aligner, prior_information
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.error_twist import ALONG_FLOOR, error_twist
 from sextant.services.perception.registration.fit_history import FitHistory
 from sextant.services.perception.registration.keyframes import Keyframes, Match
 from sextant.services.perception.registration.moving_body import is_one_body, is_within_body
+from sextant.services.perception.registration.params import AlignmentParams, KeyframeParams
 from sextant.services.perception.registration.pose_doubt import PoseDoubt
 from sextant.services.perception.registration.registration_result import RegistrationResult, first_result, refused_result
 from sextant.services.perception.registration.relocalization_map import MapContradiction, RelocalizationMap, surface_points
@@ -51,10 +52,8 @@ class Registration:
         sensor: DepthSensor,
         acceptance: Acceptance | None = None,
         *,
-        active_keyframes: int = 4,
-        stored_keyframes: int = 32,
-        keyframe_distance: float = 0.12,
-        keyframe_angle: float = 0.12,
+        alignment: AlignmentParams | None = None,
+        keyframes: KeyframeParams | None = None,
         max_range: float = 2.5,
         blocks_across: int = 160,
     ) -> None:
@@ -64,10 +63,8 @@ class Registration:
             intrinsics: Of the camera.
             sensor: Range and noise of the camera.
             acceptance: Limits for accepting a pose.
-            active_keyframes: Number of keyframes that a frame is matched with.
-            stored_keyframes: Number of keyframes kept.
-            keyframe_distance: [m] from the nearest keyframe at which a new one is stored.
-            keyframe_angle: [rad] the same for the rotation.
+            alignment: Parameters of the alignment.
+            keyframes: Parameters of the keyframes.
             max_range: [m] depth at which surfaces are cropped (Masri 2016, section 4.2), because a triangulating camera
                 distorts distant ones.
             blocks_across: Blocks per image row. 160 are enough for ground; cluttered scenes show their planes to more blocks.
@@ -76,8 +73,9 @@ class Registration:
         sensor = replace(sensor, max_range=min(sensor.max_range, max_range))
         self._frame = BlockFrame(intrinsics, sensor, blocks_across)
         rows, columns = self._frame.shape
-        self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
-        self._aligner = Aligner(self._keyframes, rows * columns)
+        kept, self._alignment = keyframes or KeyframeParams(), alignment or AlignmentParams()
+        self._keyframes = Keyframes(self._frame, kept.stored, kept.active, kept.distance, kept.angle)
+        self._aligner = Aligner(self._keyframes, rows * columns, self._alignment)
         self._relocalization_map = RelocalizationMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         limits = self._acceptance
         self._fit = FitHistory(limits)
@@ -156,7 +154,7 @@ class Registration:
         if self._may_have_slipped(found, T_prior, covariance):
             wide = covariance + np.diag(_SLIPPED**2)
             slipped = self._aligner.align(T_prior, prior_information(T_prior, wide), TRUSTING)
-            fits = slipped.match.misfit < EXPLAINED * found.match.misfit
+            fits = slipped.match.misfit < self._alignment.explained * found.match.misfit
             if fits and not rejection_reason(slipped.match, self._acceptance) and _is_apart(slipped.T, found.T, covariance):
                 found, believable = slipped, wide
         held = self._held(found, T_prior, covariance)

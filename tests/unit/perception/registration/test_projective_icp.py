@@ -9,6 +9,7 @@ import pytest
 from sextant.services.perception.registration.acceptance import Acceptance
 from sextant.services.perception.registration.alignment import Aligned
 from sextant.services.perception.registration.error_twist import apply_twist, error_twist
+from sextant.services.perception.registration.params import KeyframeParams
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.perception.registration.relocalization_map import (
     MapContradiction,
@@ -382,6 +383,6 @@ def test_invalid_arguments_are_refused(world):
     with pytest.raises(ValueError, match="finite"):
         registration.update(depth, 0, np.full((4, 4), np.nan), WIDE)
     with pytest.raises(ValueError, match="active"):
-        Registration(world.intrinsics, world.sensor, active_keyframes=0)
+        KeyframeParams(active=5, stored=4)
     with pytest.raises(ValueError, match="8x8"):
         Registration(Intrinsics(4, 4, 5.0, 5.0, 2.0, 2.0), world.sensor)
