@@ -5,6 +5,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast
 
+from sextant.services.actuator.config import ActuatorParams
 from sextant.services.mapper.config import MapperParams
 from sextant.services.perception.config import PerceptionParams
 from sextant.services.planner.config import PlannerParams
@@ -20,6 +21,7 @@ S = TypeVar("S")
 class SystemParams(Params):
     """Parameters of all services."""
 
+    actuator: ActuatorParams = field(default_factory=ActuatorParams)
     mapper: MapperParams = field(default_factory=MapperParams)
     perception: PerceptionParams = field(default_factory=PerceptionParams)
     planner: PlannerParams = field(default_factory=PlannerParams)

@@ -123,7 +123,7 @@ def _servo_port(choices: Choices) -> dict[str, Value]:
 def _actuator(choices: Choices) -> dict[str, Value]:
     arc: dict[str, Value] = {} if choices.arc == "flow" else {"arc": choices.arc}
     bridge: dict[str, Value] = {"bridge": True} if choices.bridge else {}
-    return {**_servo_port(choices), **arc, **bridge}
+    return {**_servo_port(choices), **arc, **bridge, **_tuned(choices.params.actuator)}
 
 
 # A crash of the simulator loses the world, so the run fails; all other processes recover their state from received messages.

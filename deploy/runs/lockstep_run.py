@@ -132,7 +132,9 @@ class LockstepRun:
     def _actuator(
         self, profile: RobotProfile, scenario: Scenario, simulator: Simulator, latch: Latch | None
     ) -> Callable[[], Actuator]:
-        settings, authorization = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge), WalkAuthorization()
+        tuned = params.of_scenario(scenario).actuator
+        settings = params.settings(ActuatorSettings, tuned, arc=scenario.walk.arc, bridge=scenario.bridge)
+        authorization = WalkAuthorization()
 
         def make() -> Actuator:
             self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)

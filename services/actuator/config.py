@@ -1,42 +1,53 @@
 """Settings of the actuator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from sextant.services.actuator.estimation.params import ContactParams, TouchdownParams
+from sextant.services.actuator.locomotion.params import PostureParams
+from sextant.shared.files import config
+from sextant.shared.files.config import ranged
+from sextant.shared.params import Params
 
 SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Servo port and leg motion; the defaults walk."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActuatorParams(Params):
+    """Parameters of the motion of the legs; the guard's limits are constants."""
+
+    unload_s: float = ranged(0.05, 0.005, 0.25)  # [s] before a swing in which its legs are unloaded
+    load_s: float = ranged(0.10, 0.005, 0.25)  # [s] at the end of a step in which landed legs are loaded
+    brake_s: float = ranged(0.10, 0.01, 2.0)  # [s] time constant in which the body stops when no plan follows
+    stand_s: float = ranged(2.5, 0.5, 30.0)  # [s] for standing up
+    touchdown: TouchdownParams = field(default_factory=TouchdownParams)
+    contact: ContactParams = field(default_factory=ContactParams)
+    posture: PostureParams = field(default_factory=PostureParams)
+
+    checks = (
+        config.together(
+            "unload_s load_s",
+            lambda *shares: sum(shares) < SHORTEST_STEP_S,
+            f"less than the shortest step, {SHORTEST_STEP_S} s, in all",
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings(ActuatorParams):
+    """Settings of the actuator: its parameters, its port and its cycle; the defaults walk."""
 
     port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port; several possible names separated by commas
     bridge: bool = False  # a microcontroller on the port drives the servo bus, see docs/bridge.md
     echo: bool = False  # the adapter returns every byte sent, as some single-wire adapters do
-    rate_hz: float = 50.0  # of the control cycle
+    rate_hz: float = ranged(50.0, 20.0, 200.0)  # of the control cycle
     read_budget_ms: float = 9.0  # [ms] of each cycle for reading servos: over USB six, up to three of them urgent
-    unload_s: float = 0.05  # [s] before a swing in which its legs are unloaded
-    load_s: float = 0.10  # [s] at the end of a step in which landed legs are loaded
-    level_gain: float = 6.0  # [1/s] of the integrator that holds height, roll and pitch
-    brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
-    stand_s: float = 2.5  # [s] for standing up
     arc: Literal["flow", "sixth_order"] = "flow"  # path of swinging feet: Lotriet's flow, or Erasmus' polynomial for reference
-    plan_age_s: float = 0.6  # [s] older plans are refused
+    plan_age_s: float = ranged(0.6, 0.01, 10.0)  # [s] older plans are refused
 
     def __post_init__(self) -> None:
-        if not 20.0 <= self.rate_hz <= 200.0:
-            raise ValueError(f"rate_hz of 20 to 200 expected, found {self.rate_hz}")
+        config.verify(self)
         if not 0 < self.read_budget_ms < 1e3 / self.rate_hz:
             raise ValueError(
                 f"read_budget_ms within a cycle of {1e3 / self.rate_hz:.1f} ms expected, found {self.read_budget_ms}"
-            )
-        if not (self.unload_s > 0 and self.load_s > 0 and self.unload_s + self.load_s < SHORTEST_STEP_S):
-            raise ValueError(
-                f"unload_s and load_s above 0, together below the shortest step of {SHORTEST_STEP_S} s expected, "
-                f"found {self.unload_s} and {self.load_s}"
-            )
-        if min(self.brake_s, self.stand_s, self.plan_age_s) <= 0 or self.level_gain < 0:
-            raise ValueError(
-                f"brake_s, stand_s and plan_age_s above 0 and level_gain of 0 or more expected, "
-                f"found {self.brake_s}, {self.stand_s}, {self.plan_age_s} and {self.level_gain}"
             )

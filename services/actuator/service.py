@@ -84,7 +84,7 @@ class Actuator:
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._authorization.order)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
-        self._estimator = StateEstimator(profile)
+        self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius)
         self._bus_was_away = False  # whether the servo states were unknown in the last cycle

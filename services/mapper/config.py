@@ -11,15 +11,15 @@ from sextant.shared.params import Params
 from sextant.shared.wire import topics
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MapperParams(Params):
     """Parameters of the mapper."""
 
     publish_every: int = ranged(2, 1, 1000)  # scans per published map
     # The camera sees nothing within half a metre. The ground there is assumed to be the feet's plane, and marked as assumed.
-    assumed_ahead: float = ranged(0.70, 0.0, 3.0)  # [m] from the body's centre
-    assumed_behind: float = ranged(0.45, 0.0, 3.0)  # [m]
-    assumed_aside: float = ranged(0.42, 0.0, 3.0)  # [m]
+    assumed_ahead: float = ranged(0.70, 0.0, 3.0)  # [m] assumed ground ahead of the body's centre
+    assumed_behind: float = ranged(0.45, 0.0, 3.0)  # [m] assumed ground behind it
+    assumed_aside: float = ranged(0.42, 0.0, 3.0)  # [m] assumed ground to either side of it
     passage_every: int = ranged(8, 1, 1000)  # scans per passage map, while one is requested
     elevation: FusionParams = field(default_factory=FusionParams)
     ray_clearing: RayClearingParams = field(default_factory=RayClearingParams)
@@ -27,7 +27,7 @@ class MapperParams(Params):
     footholds: FootholdLayersParams = field(default_factory=FootholdLayersParams)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Settings(MapperParams):
     """Settings of the mapper: its parameters, the size of the map, and limits that follow from messages."""
 

@@ -9,7 +9,7 @@ from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PerceptionParams(Params):
     """Parameters of perception; the groups are those of the projective registration."""
 
@@ -34,7 +34,7 @@ class PerceptionParams(Params):
     acceptance: AcceptanceParams = field(default_factory=AcceptanceParams)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Settings(PerceptionParams):
     """Settings of perception: its parameters, the method, and the scans that the mapper expects."""
 

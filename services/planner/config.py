@@ -9,7 +9,7 @@ from sextant.services.planner.navigation.params import CostmapParams, PathFollow
 from sextant.shared.params import Params
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlannerParams(Params):
     """Parameters of the planner."""
 
@@ -25,7 +25,7 @@ class PlannerParams(Params):
     gap_crossing: GapCrossingParams = field(default_factory=GapCrossingParams)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Settings(PlannerParams):
     """Settings of the planner: its parameters, and what a run chooses."""
 

@@ -6,16 +6,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.actuator.estimation.params import ContactParams
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_jacobian
 from sextant.shared.robot.profile import RobotProfile
 
-_TOUCH_N = 1.5  # [N] contact begins
-_LIFT_N = 0.8  # [N] contact ends
-_FIRM_N = 3.0  # [N] certain contact: above what friction and link weight cause in legs that hardly move
-_SMOOTHING_S = 0.08  # [s] time constant
 _MIN_LEGS = 3
-_LIFTED = 0.006  # [m] over the plane of the supporting feet from which a foot without firm contact is in the air
 _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 1
 _THREES = np.array(list(combinations(range(6), 3)))
 _ASIDE = 0.05  # share of the body weight by which its middle may lie outside of three feet
@@ -28,9 +24,9 @@ class ContactEstimate:
     The hysteresis suppresses the effect of servo friction.
     """
 
-    def __init__(self, profile: RobotProfile):
+    def __init__(self, profile: RobotProfile, params: ContactParams | None = None):
         """Begin with no contact."""
-        self._profile = profile
+        self._profile, self._params = profile, params or ContactParams()
         self._force = np.zeros(6)
         self.legs: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # (6,) in contact
 
@@ -42,8 +38,8 @@ class ContactEstimate:
         # The motors balance the ground force f with tau = -J^T f. Damping, because a stretched leg senses little force.
         Jt = np.swapaxes(leg_jacobian(q, self._profile.links), -1, -2)
         force = -np.linalg.solve(Jt + 1e-5 * np.eye(3), torque[..., None])[:, 2, 0]
-        self._force += (1.0 - math.exp(-dt / _SMOOTHING_S)) * (force - self._force)
-        self.legs = np.where(self.legs, self._force > _LIFT_N, self._force > _TOUCH_N)
+        self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
+        self.legs = np.where(self.legs, self._force > self._params.lift_n, self._force > self._params.touch_n)
         return self.legs
 
     @property
@@ -52,7 +48,7 @@ class ContactEstimate:
 
         It is valid while they move slowly or stand.
         """
-        return np.asarray(self._force > _FIRM_N)
+        return np.asarray(self._force > self._params.firm_n)
 
     def lifted(self, feet: Array) -> Array:
         """Return heights (6,) [m] of feet (6, 3) [m] {body} in the air, else 0.
@@ -71,8 +67,10 @@ class ContactEstimate:
         if not around.any():
             carrying = self.legs if self.legs.sum() >= _MIN_LEGS else np.ones(6, dtype=np.bool_)
             over = feet[:, 2] - feet[carrying, 2].mean()
-            return np.where((over < _LIFTED) | carrying, 0.0, over)
+            return np.where((over < self._params.lifted_m) | carrying, 0.0, over)
         over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
         below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
-        bearing = np.argmin(np.where(around, below - _LIFTED * shares.min(axis=1), np.inf))  # ties: the widest one
-        return np.where((over[bearing] < _LIFTED) | self.firm, 0.0, over[bearing])
+        bearing = np.argmin(
+            np.where(around, below - self._params.lifted_m * shares.min(axis=1), np.inf)
+        )  # ties: the widest one
+        return np.where((over[bearing] < self._params.lifted_m) | self.firm, 0.0, over[bearing])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.estimation.contact import ContactEstimate
 from sextant.services.actuator.estimation.gravity_alignment import GravityAlignment
 from sextant.services.actuator.estimation.leg_odometry import LegOdometry
+from sextant.services.actuator.estimation.params import ContactParams, TouchdownParams
 from sextant.services.actuator.estimation.touchdown_detector import FootContact, TouchdownDetector
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_forward
@@ -24,10 +25,10 @@ class StateEstimator:
 
     odometry: LegOdometry
 
-    def __init__(self, profile: RobotProfile):
+    def __init__(self, profile: RobotProfile, contact: ContactParams | None = None, touchdown: TouchdownParams | None = None):
         """Begin without a measurement."""
-        self.contact = ContactEstimate(profile)
-        self.touchdown = TouchdownDetector(profile)
+        self.contact = ContactEstimate(profile, contact)
+        self.touchdown = TouchdownDetector(profile, touchdown)
         self.gravity = GravityAlignment()
         self._profile = profile
 

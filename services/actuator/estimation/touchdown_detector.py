@@ -6,28 +6,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.actuator.estimation.params import TouchdownParams
 from sextant.services.actuator.locomotion.feedforward import link_torques
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
-# Limits for a robot of 2.5 kg; they scale with the mass of the robot.
-_OF_KG = 2.5  # [kg]
-_TOUCH_N = 2.0  # [N] touch limit of two readings in a row; one alone may be noise or a hopping foot
-_HARD_N = 4.5  # [N] touch limit of a single reading
-_BEARS_N = 1.0  # [N] least push of a standing foot in two readings in a row, or
-_BEARS_HARD_N = 3.0  # [N] in a single one
+_OF_KG = 2.5  # [kg] mass of the robot that the limits of the parameters refer to
 _NEAR_NS = 50_000_000  # [ns] longest time between two readings that determine the acceleration of the leg
 _SINCE_NS = 8_000_000  # [ns] after goals were sent at which the torque balance of a leg holds
 _STEP_NS = 20_000_000  # [ns] between goals
 _HEARD_NS = 5_000_000  # [ns] after goals were sent in which a servo may not have received them yet
 _TELLS = 0.1  # [N m] torque change by which this is detected; ticks and compliance margin cause half of it
-_FRICTION = 2.5  # multiple of the dry friction: goals come in steps, so the leg always decelerates at a reading
-_DOUBT = 0.4  # relative uncertainty of the acceleration torque, because the armature is not known better, and of a goal's jerk
 _LATE_NS = 30_000_000  # [ns] after a reading at which the next one is missed
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo after which the contact of its leg is unknown
-_FREE = 0.75  # share of the no-load speed: a faster femur has met nothing, in spite of its remaining torque
-_NEAREST_ARM = 0.06  # [m] least horizontal distance of a foot from its femur axis; nearer, a push is not above noise
 _NONE = np.zeros(6, dtype=np.bool_)
 _ALL = np.ones(6, dtype=np.bool_)
 
@@ -69,9 +61,9 @@ class TouchdownDetector:
     armatures known to within a factor of 1.6.
     """
 
-    def __init__(self, profile: RobotProfile):
+    def __init__(self, profile: RobotProfile, params: TouchdownParams | None = None):
         """Begin without a reading."""
-        self._profile = profile
+        self._profile, self._params = profile, params or TouchdownParams()
         self._inertia = _leg_inertia(profile)
         self._heavier = profile.body.total_mass / _OF_KG
         self._speed = np.zeros(6)
@@ -86,7 +78,7 @@ class TouchdownDetector:
         """Update joint angles and goals (6, 3) [rad], once per cycle, before its readings."""
         self._links = link_torques(self._profile, q)
         links, shank = self._profile.links, q[:, 1] + q[:, 2]
-        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(shank), _NEAREST_ARM)
+        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(shank), self._params.min_arm_m)
         told = q_goal[:, FEMUR] - self._goal
         self._jerk, self._told, self._goal = np.abs(told - self._told), told, q_goal[:, FEMUR].copy()
 
@@ -101,10 +93,10 @@ class TouchdownDetector:
             return
         servo = self._profile.servo
         speeding_up = self._inertia * gathered / (since_ns * 1e-9)
-        turning = servo.damping * speed + _FRICTION * servo.friction * np.sign(speed) + speeding_up
-        doubt = _DOUBT * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
+        turning = servo.damping * speed + self._params.friction_ratio * servo.friction * np.sign(speed) + speeding_up
+        doubt = self._params.doubt_share * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
         push = (turning + self._links[leg, FEMUR] - self._load_at_one_moment(leg, femur)) / self._arm[leg]
-        free = abs(speed) > _FREE * servo.no_load_speed
+        free = abs(speed) > self._params.free_speed_share * servo.no_load_speed
         self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
 
     def _load_at_one_moment(self, leg: int, femur: FemurReading) -> float:
@@ -133,17 +125,17 @@ class TouchdownDetector:
     @property
     def touches(self) -> NDArray[np.bool_]:
         """(6,) feet that have met something while they moved."""
-        return self._above(_TOUCH_N, _HARD_N)
+        return self._above(self._params.touch_n, self._params.hard_touch_n)
 
     @property
     def bears(self) -> NDArray[np.bool_]:
         """(6,) feet that stand; with six standing feet the load of one may be small."""
-        return self._above(_BEARS_N, _BEARS_HARD_N)
+        return self._above(self._params.bears_n, self._params.hard_bears_n)
 
     @property
     def leans(self) -> NDArray[np.bool_]:
         """(6,) feet that stand by their newest reading; the next one has to confirm."""
-        return np.asarray(self._push[0] / self._heavier > _BEARS_N)
+        return np.asarray(self._push[0] / self._heavier > self._params.bears_n)
 
     def _above(self, twice: float, once: float) -> NDArray[np.bool_]:
         """Return feet (6,) whose push exceeds `twice` [N] twice or `once` [N] once."""

@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.actuator.locomotion.params import PostureParams
 from sextant.shared.geometry import Array
 
-_PRESSED_LIMIT_M = 0.025
-_RELEASE_S = 0.1  # [s] time constant in which the offset of an unloaded foot decays
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -17,9 +16,9 @@ class PostureControl:
     and be overloaded or hang.
     """
 
-    def __init__(self, gain: float):
-        """Begin without an offset; `gain` [1/s] is that of the integrator."""
-        self._gain = gain
+    def __init__(self, params: PostureParams):
+        """Begin without an offset."""
+        self._params = params
         self._pressed = np.zeros(6)  # [m] by which each foot is commanded lower
 
     def update(self, dt: float, error: Array, feet: Array, share: Array) -> None:
@@ -32,8 +31,9 @@ class PostureControl:
             share: (6,) share of its load that each leg may carry, 0 to 1.
         """
         low = error[2] + error[3] * feet[:, 1] - error[4] * feet[:, 0]
-        self._pressed += dt * (share * self._gain * low - (1.0 - share) / _RELEASE_S * self._pressed)
-        self._pressed = np.minimum(np.maximum(self._pressed, -_PRESSED_LIMIT_M), _PRESSED_LIMIT_M)
+        params = self._params
+        self._pressed += dt * (share * params.gain * low - (1.0 - share) / params.release_s * self._pressed)
+        self._pressed = np.minimum(np.maximum(self._pressed, -params.limit_m), params.limit_m)
 
     def lowered(self, feet: Array) -> Array:
         """Return feet (6, 3) [m] {cmd}, lower by their offsets."""

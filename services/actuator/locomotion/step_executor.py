@@ -71,7 +71,7 @@ class StepExecutor:
         self.trouble = ""  # problem of the last step; empty when it went as planned
         self._settings = settings
         self._body = BodyTrajectory(T_odom_body)
-        self._posture = PostureControl(settings.level_gain)
+        self._posture = PostureControl(settings.posture)
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
         self._contacts = GroundContacts(self._feet, self._feet[:, 2] if ground is None else ground)
         self._held = HeldFeet()

@@ -14,7 +14,7 @@ class AlignmentParams(Params):
     gate_near: float = ranged(0.02, 0.001, 0.5)  # [m] smallest limit of the point-to-plane distance of a match
     gate_far: float = ranged(0.06, 0.001, 0.5)  # [m] largest limit, for distant starts
     slip: float = ranged(0.01, 0.0, 0.5)  # [m] and [rad] added to the prior's spread for the first expected step
-    max_iterations: int = ranged(10, 1, 200)
+    max_iterations: int = ranged(10, 1, 200)  # maximum number of Gauss-Newton steps
     matched_points: int = ranged(3200, 100, 1_000_000)  # points of a full image that are matched with one keyframe
     converged: float = ranged(1e-4, 1e-8, 0.1)  # [m] and [rad] step that ends the iteration
     unknown_sigma: float = ranged(0.03, 0.0, 1.0)  # [m] and [rad] along the ground; a larger prior sigma tries nearby starts
@@ -43,7 +43,7 @@ class AcceptanceParams(Params):
     min_agreement: float = ranged(0.5, 0.0, 1.0)  # [1] share of points facing a plane that lie on it
     max_rmse: float = ranged(0.010, 1e-4, 1.0)  # [m] point-to-plane, absolute limit
     rmse_factor: float = ranged(3.0, 0.0, 100.0)  # [1] times the average rmse, plus rmse_margin: relative limit
-    rmse_margin: float = ranged(0.001, 0.0, 1.0)  # [m]
+    rmse_margin: float = ranged(0.001, 0.0, 1.0)  # [m] added to the relative limit
     # Departure from the prior that is allowed in addition to four sigma. A floor constrains height, roll and pitch reliably,
     # and a foot that slips off an edge tilts the robot by several degrees at once. Along the floor, a frame may have been
     # matched with the wrong block.

@@ -398,7 +398,7 @@ def test_ground_far_below_the_body_is_not_accessible() -> None:
 
 @pytest.mark.parametrize(("cells", "cells_y", "resolution"), [(100, 300, 0.02), (512, 0, 0.01), (300, 200, 0.005)])
 def test_map_of_any_size_and_resolution_is_scored(cells: int, cells_y: int, resolution: float) -> None:
-    rig = Rig(Settings(cells, cells_y, resolution, publish_every=1))
+    rig = Rig(Settings(cells=cells, cells_y=cells_y, resolution=resolution, publish_every=1))
     rig.stand(at())
     maps = [m for _ in range(4) for m in rig.scan(0.01)]
     assert maps[-1].elevation.shape == (cells, cells_y or cells)

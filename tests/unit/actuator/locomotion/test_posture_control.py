@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sextant.services.actuator.locomotion.params import PostureParams
 from sextant.services.actuator.locomotion.posture_control import PostureControl
 from sextant.shared.robot.profiles import load_profile
 
@@ -14,7 +15,7 @@ LOW, ROLLED, PITCHED = np.eye(6)[2:5] * 0.005
 
 @pytest.mark.parametrize("error", [LOW, ROLLED, PITCHED])
 def test_feet_are_lowered_where_the_body_is_too_low(error: np.ndarray) -> None:
-    control = PostureControl(GAIN)
+    control = PostureControl(PostureParams(gain=GAIN))
     control.update(DT, error, REST, ALL)
     down = REST[:, 2] - control.lowered(REST)[:, 2]
     low = error[2] + error[3] * REST[:, 1] - error[4] * REST[:, 0]
@@ -22,7 +23,7 @@ def test_feet_are_lowered_where_the_body_is_too_low(error: np.ndarray) -> None:
 
 
 def test_offsets_are_bounded() -> None:
-    control = PostureControl(GAIN)
+    control = PostureControl(PostureParams(gain=GAIN))
     for _ in range(1000):
         control.update(DT, LOW, REST, ALL)
     assert np.ptp(control.lowered(REST)[:, 2]) == 0.0
@@ -30,7 +31,7 @@ def test_offsets_are_bounded() -> None:
 
 
 def test_the_offset_of_an_unloaded_foot_decays_and_that_of_a_loaded_one_stays() -> None:
-    control, share = PostureControl(GAIN), ALL.copy()
+    control, share = PostureControl(PostureParams(gain=GAIN)), ALL.copy()
     for _ in range(50):
         control.update(DT, LOW, REST, ALL)
     before = (REST - control.lowered(REST))[:, 2]
@@ -43,7 +44,7 @@ def test_the_offset_of_an_unloaded_foot_decays_and_that_of_a_loaded_one_stays() 
 
 
 def test_reset_discards_the_offset_of_some_legs() -> None:
-    control = PostureControl(GAIN)
+    control = PostureControl(PostureParams(gain=GAIN))
     control.update(DT, LOW, REST, ALL)
     control.reset(np.arange(6) == 2)
     down = (REST - control.lowered(REST))[:, 2]
