@@ -1,4 +1,4 @@
-"""Commands of `sextant`, one file per group.
+"""Commands of `sextant`: typed functions, with their options, arguments and help.
 
-`sextant.deploy.cli` declares their arguments.
+`options` has what several of them share. Each imports what takes long when it runs.
 """

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+
 from sextant.deploy.commands.common import InputError
 from sextant.deploy.terminal.arguments import Choice, flag, number, option, options_of, whole
 
@@ -170,6 +172,13 @@ variant = options_of(
     ),
     params,
 )
+
+
+def scenarios(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Return the names of scenarios that a shell can complete a word to."""
+    from sextant.shared.scenario.scenario import scenario_names
+
+    return [name for name in scenario_names() if name.startswith(incomplete)]
 
 
 def checked_robot(robot: str) -> str:

@@ -12,7 +12,9 @@ _GROUPS = ("all", "passages", "troubles")
 
 
 @command()
-@argument("scenario", "scenario name or TOML file; or a group: all, passages, troubles", "SCENARIO")
+@argument(
+    "scenario", "scenario name or TOML file; or a group: all, passages, troubles", "SCENARIO", shell_complete=options.scenarios
+)
 @options.variant
 @option(
     "--seeds",

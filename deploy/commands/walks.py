@@ -26,7 +26,12 @@ if TYPE_CHECKING:
 
 
 @command()
-@argument("scenario", "name of a scenario that comes with sextant, or path of a TOML file", "SCENARIO")
+@argument(
+    "scenario",
+    "name of a scenario that comes with sextant, or path of a TOML file",
+    "SCENARIO",
+    shell_complete=options.scenarios,
+)
 @options.variant
 @flag("--lockstep", "run in one process on simulated time, as fast as the machine allows")
 @flag("--bridge", "simulate a microcontroller on the servo bus, see docs/bridge.md")

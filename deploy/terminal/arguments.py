@@ -7,13 +7,12 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import click
 
 from sextant.shared.spelling import hint, nearest
 
-_T = TypeVar("_T")
 _Function = Callable[..., Any]
 _LARGEST = 2**53  # largest integer that every JSON reader represents exactly
 _WIDTH = 120  # [characters] of the widest help

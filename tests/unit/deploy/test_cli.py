@@ -529,7 +529,12 @@ def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_shell_completes_commands_options_and_choices(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for words, expected in (("sextant pl", "plot"), ("sextant run --lock", "--lockstep"), ("sextant run --gait wa", "wave")):
+    for words, expected in (
+        ("sextant pl", "plot"),
+        ("sextant run --lock", "--lockstep"),
+        ("sextant run --gait wa", "wave"),
+        ("sextant run cob", "cobbles"),
+    ):
         monkeypatch.setenv("_SEXTANT_COMPLETE", "bash_complete")
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
