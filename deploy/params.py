@@ -11,6 +11,7 @@ from sextant.services.perception.config import PerceptionParams
 from sextant.services.planner.config import PlannerParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
+from sextant.shared.runtime.process import toml_value
 from sextant.shared.scenario.scenario import Scenario
 
 Table = dict[str, Any]
@@ -91,6 +92,11 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Table:
     for key, value in table.items():
         found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return found
+
+
+def words(table: Mapping[str, Any]) -> str:
+    """Return the parameters of a table as text, as `--set` takes them."""
+    return ", ".join(f"{key}={toml_value(value)}" for key, value in flat(table).items())
 
 
 def settings(schema: type[S], params: Params, **chosen: Any) -> S:

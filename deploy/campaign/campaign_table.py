@@ -109,9 +109,9 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     found, older = results_store.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
     places = {name: place for place, name in enumerate([*WALKED, *PASSAGES, *TROUBLED])}
-    pairs: dict[tuple[int, str, str, str], list[Trials]] = {}
+    pairs: dict[tuple[int, str, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
-        pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait), []).append(t)
+        pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait, t.params), []).append(t)
     left_out = (f"{older} runs of an earlier program or scenario",) if older else ()
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
 
@@ -158,10 +158,11 @@ def _walked(campaign: Campaign) -> list[Trials]:
 
 
 def _name(campaign: Campaign, t: Trials) -> str:
-    """Return a row's name: the terrain, with robot and gait where they vary."""
+    """Return a row's name: the terrain, with robot and gait where they vary, and changed parameters."""
     robots = {entry.seeing.robot for entry in campaign.entries}
     gaits = {entry.seeing.gait for entry in campaign.entries}
     words = [t.robot] * (len(robots) > 1) + [t.gait] * (len(gaits) > 1) + ["blind"] * t.blind
+    words += [t.params] if t.params else []
     return ", ".join([t.scenario, *words])
 
 

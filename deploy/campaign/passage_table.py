@@ -61,7 +61,7 @@ def markdown(runs: Iterable[Run]) -> str:
 
 def _trials_of(runs: Iterable[Run]) -> dict[str, list[Run]]:
     """Return the first sighted trials by seed of each scenario, newest program only."""
-    found, _ = results_store.newest(run for run in runs if run.scenario in THESIS and not run.blind)
+    found, _ = results_store.newest(run for run in runs if run.scenario in THESIS and not run.blind and not run.params)
     return {batch[0].scenario: batch[:TRIALS] for batch in found}
 
 

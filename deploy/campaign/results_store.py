@@ -26,7 +26,7 @@ class ResultsError(SextantError, ValueError):
 
 
 _MAX_FILE_BYTES = 1 << 30
-_MARKS = ("fingerprint", "commit", "time", "machine")
+_MARKS = ("fingerprint", "commit", "time", "machine", "params")
 _BEGINS = b'{"fingerprint":'  # every line of runs begins like this
 
 
@@ -75,12 +75,13 @@ class Run:
     real_time_factor: float
     passage: Passage = _NO_PASSAGE  # left out of the line of a run without a gap
     machine: str = ""  # that made it, if the line records it
+    params: str = ""  # that differ from their defaults, as text
 
     @classmethod
-    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "") -> Self:
+    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "", params: str = "") -> Self:
         """Create a run from a report as a table."""
         values = {name: _at(report, _PLACES.get(name, name)) for name in _NAMES if name not in _MARKS}
-        marks = dict(zip(_MARKS, (fingerprint, commit, time, machine), strict=True))
+        marks = dict(zip(_MARKS, (fingerprint, commit, time, machine, params), strict=True))
         return cls._numbered(marks | values)
 
     @classmethod
@@ -91,6 +92,8 @@ class Run:
             ValueError: A field is missing or has another type.
         """
         report = entry.get("report")
+        if isinstance(report, dict):
+            report = {"params": {}} | report  # older reports do not have them
         entry = _LEFT_OUT | entry
         problems = reports.check(entry, cls) if report is None else reports.check(report)
         if problems:
@@ -110,7 +113,7 @@ class Run:
         return {name: value for name, value in table.items() if name not in _LEFT_OUT or value != _LEFT_OUT[name]}
 
 
-_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": ""}
+_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": "", "params": ""}
 _NAMES = tuple(field.name for field in fields(Run))
 _PLACES = {  # path in a report, where it differs from the field's name
     "tilt_p95_deg": "tilt_deg.p95",
@@ -189,12 +192,13 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
 def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:
     """Return batches of runs, and how many runs were left out.
 
-    A batch has one scenario, robot and gait, is sighted or blind, and has one fingerprint, that of its last run. Runs of an
-    earlier program or an earlier form of the scenario are left out. A seed that is on file twice counts once.
+    A batch has one scenario, robot and gait, one set of parameters, is sighted or blind, and has one fingerprint, that of its
+    last run. Runs of an earlier program or an earlier form of the scenario are left out. A seed that is on file twice counts
+    once.
     """
-    batches: dict[tuple[str, str, str, bool], list[Run]] = {}
+    batches: dict[tuple[str, str, str, bool, str], list[Run]] = {}
     for run in runs:
-        batches.setdefault((run.scenario, run.robot, run.gait, run.blind), []).append(run)
+        batches.setdefault((run.scenario, run.robot, run.gait, run.blind, run.params), []).append(run)
     found, older = [], 0
     for batch in batches.values():
         last = max(batch, key=lambda run: run.time).fingerprint

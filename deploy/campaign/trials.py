@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy import provenance
+from sextant.deploy import params, provenance
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
 from sextant.deploy.campaign.statistics import Difference, Rate, difference, wilson
@@ -100,6 +100,7 @@ class Trials:
     failures: dict[str, int]  # reason without its numbers -> runs, most frequent first
     failed_seeds: tuple[int, ...]
     made: Made
+    params: str = ""  # that differ from their defaults, as text
     passages: Passages | None = None  # None if no run stepped on pillars or planned for them
 
 
@@ -147,6 +148,8 @@ def run_trials(
     tasks = [(scenario, seed) for seed in left]
     for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
         marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
+        if scenario.params:
+            marks["params"] = params.words(scenario.params)
         entry = marks | {"report": reports.as_table(report)}
         done[report.seed] = Run.read(entry)
         with whole_files.reported(say):
@@ -166,7 +169,7 @@ def compare(seeing: Trials, blind: Trials) -> Difference:
 def summarise(runs: Sequence[Run]) -> Trials:
     """Summarise at least one run.
 
-    All runs have the same scenario, robot and gait, and are all sighted or all blind.
+    All runs have the same scenario, robot, gait and parameters, and are all sighted or all blind.
     """
     good = [run for run in runs if run.success]
     failures = Counter(_without_figures(run.reason) for run in runs if not run.success)
@@ -203,6 +206,7 @@ def summarise(runs: Sequence[Run]) -> Trials:
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         failed_seeds=tuple(run.seed for run in runs if not run.success),
         made=Made.of([(run.commit, run.time) for run in runs]),
+        params=first.params,
         passages=_passages(runs),
     )
 
@@ -381,7 +385,7 @@ def _line(report: Report, done: int, wanted: int, successes: int) -> str:
 
 def _rate_words(trials: Trials) -> str:
     r = trials.success
-    what = f"{trials.scenario}, blind" if trials.blind else trials.scenario
+    what = ", ".join([trials.scenario, *(["blind"] * trials.blind), *([trials.params] if trials.params else [])])
     interval = f"95 %: {100 * r.low:.0f} to {100 * r.high:.0f} %"
     did = "rightly refused" if trials.refusals else "reached the goal"
     return f"{what}: {r.successes} of {r.n} {did}, {100 * r.rate:.0f} % ({interval})"

@@ -35,6 +35,7 @@ from sextant.services.simulator.config import Settings as SimulatorSettings
 from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.shared.files import whole_files
+from sextant.shared.files.config import ConfigError
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.foxglove.translation import Foxglove
 from sextant.shared.recording.writer import Recorder
@@ -104,6 +105,7 @@ class LockstepRun:
             "mapper": lambda: Mapper(profile, _map_settings(scenario, tuned)),
             "planner": lambda: Planner(profile, _planner_settings(scenario, tuned)),
         }
+        makers = {name: _explained(name, make) for name, make in makers.items()}
         if stop_port:
             makers["stop"] = lambda: EmergencyStop(profile, StopSettings(stop_port))
         for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
@@ -287,6 +289,18 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
             return str(error)
         progress.update(run.attendance.monitor.view)
     return ""
+
+
+def _explained(name: str, make: Callable[[], Service]) -> Callable[[], Service]:
+    """Return a maker of a service that reports settings which do not fit each other or the robot."""
+
+    def maker() -> Service:
+        try:
+            return make()
+        except ValueError as error:
+            raise ConfigError(f"settings of the {name}", [str(error)]) from error
+
+    return maker
 
 
 def _perception(profile: RobotProfile, settings: PerceptionSettings, scenario: Scenario, seed: int) -> Service:

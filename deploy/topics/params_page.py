@@ -37,6 +37,15 @@ max_step_m = 0.05
 Trials with different parameters are different batches. `sextant up` and a service's process take the same names, such as
 `--set planner.costmap.max_step_m=0.05`, next to the settings of a process, such as `--set actuator.port=/dev/ttyUSB1`.
 
+To measure the effect, run the same seeds with and without it. The tables of trials name the parameters that were changed:
+
+```sh
+sextant trials cobbles --seeds 1000:1010 --jobs 2                                       # the success rate as it is
+sextant trials cobbles --seeds 1000:1010 --jobs 2 --set planner.step.path_margin_m=0.03 # with feet 3 cm over the ground
+```
+
+Values that do not fit each other or the robot are refused when the services start, with the reason.
+
 In code each algorithm takes its dataclass: `LocalGroundMap(CostmapParams(max_step_m=0.05))`.
 """
 _WORDS = re.compile(r"(?:\[(?P<unit>[^\]]+)\] ?)?(?P<what>.*)", re.DOTALL)

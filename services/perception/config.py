@@ -13,8 +13,8 @@ from sextant.shared.params import Params
 class PerceptionParams(Params):
     """Parameters of perception; the groups are those of the projective registration."""
 
-    blocks_across: int = ranged(160, 8, 1280)  # blocks per image row for registration; cluttered scenes need more
-    registration_range: float = ranged(2.5, 0.1, 30.0)  # [m] maximum depth for registration: a camera distorts distant surfaces
+    blocks_across: int = ranged(160, 16, 1280)  # blocks per image row for registration; cluttered scenes need more
+    registration_range: float = ranged(2.5, 0.6, 30.0)  # [m] maximum depth for registration: a camera distorts distant surfaces
     scan_rate_hz: float = ranged(15.0, 0.1, 1000.0)  # [Hz] maximum rate of frames that are registered and published as scans
     scan_ceiling: float = ranged(0.5, 0.0, 30.0)  # [m] above the camera; higher points are not ground
     # One sigma of leg odometry between two frames. Large values do no harm: directions that the scene does not constrain follow

@@ -60,7 +60,7 @@ class RevisionParams(Params):
 class BlindWalkingParams(Params):
     """Walking by touch alone: the ground is assumed to be the plane of the feet."""
 
-    step_s: float = ranged(1.6, 0.8, 4.0)  # [s] duration of a step
+    step_s: float = ranged(1.6, 0.8, 2.0)  # [s] duration of a step
     stride_m: float = ranged(0.05, 0.005, 0.2)  # [m] maximum body travel of a step
     width_ratio: float = ranged(1.2, 0.5, 2.0)  # [1] factor of the distance from coxa to foot: folded legs sense poorly
     lift_m: float = ranged(0.07, 0.01, 0.2)  # [m] minimum clearance of a step

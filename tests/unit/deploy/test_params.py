@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from sextant.deploy import cli, params
-from sextant.deploy.campaign.trials import fingerprint
-from sextant.deploy.evaluation.report import check
+from sextant.deploy.campaign import results_store
+from sextant.deploy.campaign.campaign_table import of_runs
+from sextant.deploy.campaign.trials import fingerprint, run_trials
+from sextant.deploy.evaluation.report import Report, check
 from sextant.deploy.launch import process_table
 from sextant.deploy.params import SystemParams
 from sextant.deploy.replay.walk import _params
@@ -24,10 +26,14 @@ from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.process import load_settings
 from sextant.shared.runtime.service import Service
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.scenario import MapOptions, Scenario, load_scenario
 from sextant.shared.wire.transport import Endpoints
 
 FLAT = load_scenario("flat")
+REPORT = Report(
+    "", 0, "phantomx_mk2", "tripod", blind=False, success=True, reason="goal reached", distance_m=2.5, duration_s=25.0,
+    speed_mps=0.1, falls=0, shutdowns=0, steps=24,
+)  # fmt: skip
 PAGE = Path(__file__).parents[3] / "docs" / "parameters.md"
 STEP = "planner.costmap.max_step_m=0.07"
 
@@ -127,6 +133,25 @@ def test_only_changed_parameters_are_kept() -> None:
 def test_trials_with_and_without_parameters_do_not_mix() -> None:
     tuned = params.assigned(FLAT, [STEP])
     assert fingerprint(tuned) != fingerprint(FLAT) == fingerprint(params.assigned(FLAT, ["planner.costmap.max_step_m=0.065"]))
+
+
+def test_tables_of_trials_name_changed_parameters(tmp_path: Path) -> None:
+    def run(scenario: Scenario, seed: int) -> Report:
+        return replace(REPORT, scenario=scenario.name, seed=seed)
+
+    tuned = params.assigned(FLAT, [STEP])
+    for scenario in (FLAT, tuned):
+        batch = run_trials(scenario, [0, 1], 1, tmp_path, run=run, keep_in=tmp_path / "campaign.jsonl")
+        assert batch.params == ("" if scenario is FLAT else STEP)
+    entries = of_runs(results_store.read(tmp_path / "campaign.jsonl")).entries
+    assert [(entry.seeing.params, entry.seeing.success.n) for entry in entries] == [("", 2), (STEP, 2)]
+
+
+def test_settings_that_do_not_fit_each_other_are_refused() -> None:
+    scenario = replace(FLAT, map=MapOptions(64, resolution=0.005))
+    scenario = params.assigned(scenario, ["mapper.footholds.score.flat_radius=0.2"])
+    with pytest.raises(ConfigError, match="settings of the mapper: flat_radius of at most 25 cells expected"):
+        assemble(scenario, 0, load_profile(scenario.robot))
 
 
 def test_process_receives_the_parameters_of_lockstep() -> None:
