@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, CellLayers
-from sextant.services.mapper.elevation.fusion import FusionModel, merge, update_cells
+from sextant.services.mapper.elevation.fusion import FilterCells, FilterRules, FusionModel, Measurements, merge, update_cells
 from sextant.services.mapper.elevation.height_drift import HeightDrift, height_sigma
 from sextant.services.mapper.elevation.params import HeightDriftParams, RayClearingParams
 from sextant.services.mapper.elevation.ray_clearing import RayClearing
@@ -98,8 +98,12 @@ class ElevationGrid:
         self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
         self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
         self._cells = CellLayers.unseen(shape)
+        self._filter_cells = FilterCells.of(self._cells)
         self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # entry of the scan for each cell, -1 outside fuse()
         self._clearing = clearing or RayClearingParams()
+        self._filter_rules = FilterRules(
+            self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans, self._clearing.well_below_m
+        )
         self._drift, self._ray_clearing = HeightDrift(drift or HeightDriftParams()), RayClearing(shape, self._clearing)
 
     @property
@@ -173,14 +177,8 @@ class ElevationGrid:
             silent = len(touched) - merged
             touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         # 3. Update the filters.
-        updated, disputed, replaced = update_cells(
-            touched, z, random, systematic,
-            cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
-            cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
-            cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
-            self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans,
-            self._clearing.well_below_m,
-        )  # fmt: skip
+        measured = Measurements(touched, z, random, systematic)
+        updated, disputed, replaced = update_cells(measured, self._filter_cells, self._filter_rules)
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
         cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=self._clearing.every)
@@ -209,17 +207,11 @@ class ElevationGrid:
         inside = _cell_indices(sole, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         known = np.unique(inside[inside >= 0])
         z, noise, none = np.array([p[2] - self._drift.value]), np.array([sigma**2]), np.zeros(1)
-        cells, changed = self._cells, 0
+        changed = 0
         for cell in known.reshape(-1, 1):
             for _ in range(self.model.patience + 1):
-                updated, _, replaced = update_cells(
-                    cell, z, none, noise,
-                    cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
-                    cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
-                    cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
-                    self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans,
-            self._clearing.well_below_m,
-                )  # fmt: skip
+                measured = Measurements(cell, z, none, noise)
+                updated, _, replaced = update_cells(measured, self._filter_cells, self._filter_rules)
                 if updated or replaced:
                     changed += 1
                     break

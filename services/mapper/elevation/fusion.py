@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.mapper.elevation.cell_layers import CellLayers
 from sextant.services.mapper.elevation.params import FusionParams
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.files import config
@@ -15,6 +16,64 @@ from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.runtime.compiled import compiled
 
 _AT_A_TIME = 256  # points per block
+
+
+class ScanArrays(NamedTuple):
+    """A scan for `_measure`, see `ValidatedScan`."""
+
+    points: NDArray[Any]  # (n, 3) [unit] from the origin
+    origin: Array  # (3,) [m] {world}
+    unit: float  # [m]
+    counts: NDArray[Any]  # (n,) pixels of each point
+    spread: NDArray[Any]  # (n,) [unit] height range of these pixels
+
+
+class MapWindow(NamedTuple):
+    """The heights of a map for `_measure`."""
+
+    height: NDArray[np.float32]  # (nx, ny) [m] circular buffer, NaN where unseen
+    resolution: float  # [m]
+    low_i: int  # world index, along x, of the lowest cell
+    low_j: int  # world index, along y, of the lowest cell
+
+
+class Measurements(NamedTuple):
+    """Measured heights of cells, each cell once."""
+
+    cells: NDArray[np.int64]  # (m,) flat buffer index
+    z: Array  # (m,) [m] {world}
+    random: Array  # (m,) [m^2] variance that averages out
+    systematic: Array  # (m,) [m^2] variance that does not average out
+
+
+class FilterCells(NamedTuple):
+    """Flat layers of the map that `update_cells` changes, see `CellLayers`."""
+
+    height: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    support: NDArray[np.uint8]
+    assumed: NDArray[np.uint8]
+    rival: NDArray[np.float32]
+    rival_variance: NDArray[np.float32]
+    votes: NDArray[np.uint8]
+    first: NDArray[np.float32]
+    through: NDArray[np.uint8]
+    fell: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, cells: CellLayers) -> Self:
+        """Return flat views of the layers."""
+        return cls(*(getattr(cells, name).ravel() for name in cls._fields))
+
+
+class FilterRules(NamedTuple):
+    """Limits of the filter in a cell."""
+
+    gate: float  # [sigma] beyond which a measurement votes for the rival height
+    patience: int  # [scans] of disagreement until a well-established height is replaced
+    established: int  # [scans] after which a height counts as the first seen height
+    settled: int  # [scans] after which a cleared cell counts as any other
+    well_below: float  # [m] below the previous height, from which a new height shows that an object is gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +176,12 @@ class FusionModel(FusionParams):
             ray: (3,) [m] from the camera to the mean of those points.
         """
         return _measure(
-            scan.points, scan.origin, scan.unit, scan.count, scan.spread, scan.p_world_camera, scan.pose_covariance,
-            self._noise, height, resolution, low_i, low_j,
-        )  # fmt: skip
+            ScanArrays(scan.points, scan.origin, scan.unit, scan.count, scan.spread),
+            scan.p_world_camera,
+            scan.pose_covariance,
+            self._noise,
+            MapWindow(height, resolution, low_i, low_j),
+        )
 
     @property
     def _noise(self) -> tuple[float, float, float, float, float, float]:
@@ -185,20 +247,11 @@ def _variances(
 
 @compiled
 def _measure(
-    points: NDArray[Any],
-    origin: Array,
-    unit: float,
-    count: NDArray[Any],
-    spread: NDArray[Any],
-    camera: Array,
-    S: Array,
-    noise: tuple[float, float, float, float, float, float],
-    height: NDArray[np.float32],
-    resolution: float,
-    low_i: int,
-    low_j: int,
+    scan: ScanArrays, camera: Array, S: Array, noise: tuple[float, float, float, float, float, float], window: MapWindow
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
     """Implement `FusionModel.measure` in blocks of points that fit into the cache."""
+    points, origin, unit, count, spread = scan
+    height, resolution, low_i, low_j = window
     n = len(points)
     cells, z, random, systematic = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n), np.empty(n)
     xs, ys, zs = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
@@ -309,31 +362,14 @@ def merge(
 
 
 @compiled
-def update_cells(
-    cells: NDArray[np.int64],
-    z: NDArray[np.float64],
-    random: NDArray[np.float64],
-    systematic: NDArray[np.float64],
-    height: NDArray[np.float32],
-    variance: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    assumed: NDArray[np.uint8],
-    rival: NDArray[np.float32],
-    rival_variance: NDArray[np.float32],
-    votes: NDArray[np.uint8],
-    first: NDArray[np.float32],
-    through: NDArray[np.uint8],
-    fell: NDArray[np.uint8],
-    gate: float,
-    patience: int,
-    established: int,
-    settled: int,
-    well_below: float,
-) -> tuple[int, int, int]:
+def update_cells(measured: Measurements, layers: FilterCells, rules: FilterRules) -> tuple[int, int, int]:
     """Filter one measurement into each cell and count the results.
 
     Returns the numbers of updated, disputed and replaced cells.
     """
+    cells, z, random, systematic = measured
+    height, variance, support, assumed, rival, rival_variance, votes, first, through, fell = layers
+    gate, patience, established, settled, well_below = rules
     updated = disputed = replaced = 0
     for k in range(len(cells)):
         c = np.uint64(cells[k])  # unsigned, so that no index counts from the end

@@ -7,6 +7,8 @@ seen. This may take several scans, because the rows of a coarse camera are cells
 height needs no such protection, and keeps its measured width.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,26 @@ RIM = 0.02  # [m] between a measurement and the map, beyond which they are diffe
 RIM_VARIANCE = (RIM / 3.0) ** 2  # [m^2] variance for which RIM is at a gate of three sigma
 REACH = 8  # [cells] searched to a side of a face; the nearest measured cell represents that side
 _ALL_SIDES = 0xFF
+
+
+class _Surface(NamedTuple):
+    """Layers of the map that hold vertical surfaces, see `CellLayers`; flat but for the grid."""
+
+    grid: NDArray[np.float32]  # (nx, ny) the heights
+    height: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    assumed: NDArray[np.uint8]
+    face: NDArray[np.uint8]
+    below: NDArray[np.uint8]
+
+
+class _Measured(NamedTuple):
+    """Measurements of a scan, see `limit_surface_updates`."""
+
+    touched: NDArray[np.int64]
+    z: Array
+    random: Array
+    systematic: Array
 
 
 def limit_surface_updates(
@@ -57,29 +79,22 @@ def limit_surface_updates(
     """
     rows, columns = cells.height.shape
     wrap = int(low[0] % rows), int(low[1] % columns)
-    left = _limit_updates(
-        touched, z, random, systematic, TALL**2 + 9.0 * sigma**2, cells.height, cells.height.ravel(), cells.variance.ravel(),
-        cells.assumed.ravel(), cells.face.ravel(), cells.below.ravel(), slot, wrap,
-    )  # fmt: skip
-    return int(left)
+    surface = _Surface(
+        cells.height,
+        cells.height.ravel(),
+        cells.variance.ravel(),
+        cells.assumed.ravel(),
+        cells.face.ravel(),
+        cells.below.ravel(),
+    )
+    measured = _Measured(touched, z, random, systematic)
+    return int(_limit_updates(measured, TALL**2 + 9.0 * sigma**2, surface, slot, wrap))
 
 
 @compiled
-def _limit_updates(
-    touched: NDArray[np.int64],
-    z: Array,
-    random: Array,
-    systematic: Array,
-    tall: float,
-    grid: NDArray[np.float32],
-    height: NDArray[np.float32],
-    variance: NDArray[np.float32],
-    assumed: NDArray[np.uint8],
-    face: NDArray[np.uint8],
-    below: NDArray[np.uint8],
-    slot: NDArray[np.int32],
-    wrap: tuple[int, int],
-) -> int:
+def _limit_updates(measured: _Measured, tall: float, surface: _Surface, slot: NDArray[np.int32], wrap: tuple[int, int]) -> int:
+    touched, z, random, systematic = measured
+    grid, height, variance, assumed, face, below = surface
     n = len(touched)
     known = np.flatnonzero(face)
     if not len(known) and not (systematic > tall).any():

@@ -23,7 +23,7 @@ are the same evidence from scan to scan. They are filtered (the colour by a runn
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -271,12 +271,12 @@ class TerrainType:
         share, base_mean, base_sigma = self._known_colors()
         p, doubt = np.empty_like(self._touch), np.empty(self._pictures.shape, dtype=np.float32)
         confidence = np.empty_like(self._pictures)
-        _posterior(
-            self._color, self._pictures, self._touch, slope, roughness, (self.palette.mean, share, base_mean, base_sigma),
-            np.array(m.same_sigma), m.new_share, self._prior(),
-            (m.water_slope, m.water_roughness, m.ground_slope, m.ground_roughness, m.flat_share),
-            self._bin_of, p, doubt, confidence,
-        )  # fmt: skip
+        evidence = _Evidence(self._color, self._pictures, self._touch, slope, roughness)
+        colors = _ColorModel(
+            self.palette.mean, share, base_mean, base_sigma, np.array(m.same_sigma), m.new_share, self._prior()
+        )
+        shape = (m.water_slope, m.water_roughness, m.ground_slope, m.ground_roughness, m.flat_share)
+        _posterior(evidence, colors, shape, self._bin_of, p, doubt, confidence)
         return self._judged(p, doubt, confidence)
 
     def rgb(self) -> NDArray[np.uint8]:
@@ -390,17 +390,32 @@ def _take_in(
         pictures[i, j] = seen
 
 
+class _Evidence(NamedTuple):
+    """Evidence of each cell of the map."""
+
+    color: Layer  # (nx, ny, 3) Y, Co, Cg
+    pictures: NDArray[np.uint8]  # (nx, ny) number of colours in the mean
+    touch: Layer  # (nx, ny, types) log-likelihoods by touch
+    slope: Layer  # (nx, ny) [m/m]
+    roughness: Layer  # (nx, ny) [m]
+
+
+class _ColorModel(NamedTuple):
+    """Colours of each type of ground."""
+
+    mean: Array  # (types, k, 3) of known colours
+    share: Array  # (types, k) of known colours
+    base_mean: Array  # (types, 3) of colours not met yet
+    base_sigma: Array  # (types, 3) of colours not met yet
+    sigma: Array  # (3,) of a known colour
+    new_share: float  # [1] share of colours not met yet
+    prior: Array  # (types,) probability
+
+
 @compiled
 def _posterior(
-    color: Layer,
-    pictures: NDArray[np.uint8],
-    touch: Layer,
-    slope: Layer,
-    roughness: Layer,
-    palette: tuple[Array, Array, Array, Array],
-    sigma: Array,
-    new_share: float,
-    prior: Array,
+    evidence: _Evidence,
+    model: _ColorModel,
     shape: tuple[float, float, float, float, float],
     bin_of: NDArray[np.int32],
     out: Layer,
@@ -409,11 +424,11 @@ def _posterior(
 ) -> None:
     """Compute the type probabilities (nx, ny, types) of each cell.
 
-    doubt is the probability of not being firm, confidence [%] the highest probability of a known cell. palette: mean (types,
-    k, 3) and shares (types, k) of known colours, mean and sigma (types, 3) of those not met yet. Colours are evaluated once
-    per bin; bin_of is -1 everywhere, before and after.
+    doubt is the probability of not being firm, confidence [%] the highest probability of a known cell. Colours are evaluated
+    once per bin; bin_of is -1 everywhere, before and after.
     """
-    mean, share, base_mean, base_sigma = palette
+    color, pictures, touch, slope, roughness = evidence
+    mean, share, base_mean, base_sigma, sigma, new_share, prior = model
     types, colors = share.shape
     narrow = 1.0 / (sigma[0] * sigma[1] * sigma[2])
     slope_water, rough_water, slope_ground, rough_ground, flat_share = shape

@@ -6,6 +6,7 @@ replaced by their centroid (sections 4 and 4.3). The strip limits the memory: po
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,6 +95,28 @@ class CloudSnapshot:
     shape: tuple[int, int]  # columns in x and y
 
 
+class _Columns(NamedTuple):
+    """Voxels in lists by column; see `VoxelCloud`."""
+
+    low: NDArray[np.int64]  # (2,) world index of column (0, 0)
+    head: NDArray[np.int32]  # (nx, ny) slot of the first voxel
+    next_: NDArray[np.int32]  # (n,) slot of the following voxel of the column, or of the next free slot
+    level: NDArray[np.int64]  # (n,) [voxels] height index
+    centroid: Array  # (n, 3) [m] {world}
+    weight: Array  # (n,) number of pixels
+    missed: NDArray[np.uint8]  # (n,) consecutive scans that saw through the voxel
+    judged: NDArray[np.int64]  # (n,) newest scan that hit the voxel or saw through it
+    used: NDArray[np.int64]  # (3,) slots ever used, first free slot among them, voxels
+
+
+class _MergeRules(NamedTuple):
+    """Limits of the merging, see `VoxelCloud`."""
+
+    resolution: float  # [m]
+    see_through: float  # [m]
+    patience: int  # [scans]
+
+
 class VoxelCloud:
     """Voxels aligned with the world, stored as a short list per column of the strip.
 
@@ -179,10 +202,11 @@ class VoxelCloud:
             [*strip.origin, math.cos(strip.heading), math.sin(strip.heading), strip.length, strip.width / 2, self.margin]
         )
         self._scans += 1
-        merged, added, removed, outside, refused = _merge(
-            p, w, frame, self.resolution, self._low, self._head, self._next, self._level, self._centroid, self._weight,
-            self._missed, self._judged, self._scans, self._used, self._see_through, self._patience,
-        )  # fmt: skip
+        columns = _Columns(
+            self._low, self._head, self._next, self._level, self._centroid, self._weight, self._missed, self._judged, self._used
+        )
+        rules = _MergeRules(self.resolution, self._see_through, self._patience)
+        merged, added, removed, outside, refused = _merge(p, w, frame, columns, self._scans, rules)
         return MergeCount(merged, added, removed, outside, refused)
 
     def holds(self, p_world_xy: Array) -> NDArray[np.bool_]:
@@ -212,27 +236,14 @@ class VoxelCloud:
 
 @compiled
 def _merge(
-    points: Array,
-    count: Array,
-    frame: Array,
-    resolution: float,
-    low: NDArray[np.int64],
-    head: NDArray[np.int32],
-    next_: NDArray[np.int32],
-    level: NDArray[np.int64],
-    centroid: Array,
-    weight: Array,
-    missed: NDArray[np.uint8],
-    judged: NDArray[np.int64],
-    scan: int,
-    used: NDArray[np.int64],
-    see_through: float,
-    patience: int,
+    points: Array, count: Array, frame: Array, columns: _Columns, scan: int, rules: _MergeRules
 ) -> tuple[int, int, int, int, int]:
     """Merge points into their columns.
 
     Returns the numbers of points merged and added, voxels removed, points outside and refused.
     """
+    low, head, next_, level, centroid, weight, missed, judged, used = columns
+    resolution, see_through, patience = rules
     x0, y0, c, s, length, half, margin = frame
     merged = added = removed = outside = refused = 0
     for k in range(len(points)):

@@ -6,7 +6,7 @@ Masri 2016, section 4.1.1, crops a box from the point cloud; here the cloud is n
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,24 +86,16 @@ def reduce_scan(
     half = math.ceil(max_range / resolution) + 2
     cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
     cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
-    bounds = sensor.raw_bounds
     noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] depth noise over squared depth
-    n = _bin(
-        depth_raw,
-        bounds,
-        1.0 / sensor.depth_scale,
-        noise,
+    rays = _Rays(
         (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx,
         (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy,
-        T,
-        resolution,
-        max_range,
-        ceiling,
-        0.25 * resolution * intrinsics.fx,
-        half,
-        cell_of,
-        cells,
+        sensor.raw_bounds,
+        1.0 / sensor.depth_scale,
+        noise,
     )
+    region = _Region(resolution, max_range, ceiling, 0.25 * resolution * intrinsics.fx, half)
+    n = _bin(depth_raw, rays, T, region, cell_of, cells)
     chosen = _row_by_row(cell_of, n)
     if n > max_points:
         squares = _squares(cells[:n])
@@ -115,23 +107,28 @@ def reduce_scan(
     return ReducedScan(origin, points, count, spread)
 
 
+class _Rays(NamedTuple):
+    """Rays of the pixels and properties of their depths."""
+
+    x: Array  # (columns,) per depth
+    y: Array  # (rows,) per depth
+    bounds: tuple[int, int]  # smallest and largest valid raw depth
+    unit: float  # [m] of raw depth
+    noise: float  # [1/m] depth noise over squared depth
+
+
+class _Region(NamedTuple):
+    """Region that is reduced, around the camera."""
+
+    resolution: float  # [m] cell edge
+    max_range: float  # [m] horizontal distance
+    ceiling: float  # [m] above the camera
+    dense: float  # [m] depth, see `_bin`
+    half: int  # [cells] half edge of the grid
+
+
 @compiled
-def _bin(
-    raw: Array,
-    bounds: tuple[int, int],
-    unit: float,
-    noise: float,
-    x: Array,
-    y: Array,
-    T: Array,
-    resolution: float,
-    max_range: float,
-    ceiling: float,
-    dense: float,
-    half: int,
-    cell_of: Array,
-    cells: Array,
-) -> int:
+def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, cell_of: Array, cells: Array) -> int:
     """Sum the pixels of each cell's upper and lower surface; return the cell count.
 
     cells (n, 16): pixels and sums of x, y, z of the upper surface and of the lower one, highest, lowest, pixels of any
@@ -141,6 +138,8 @@ def _bin(
 
     Per-pixel values are computed in loops over a row without branches, which the compiler can vectorise.
     """
+    x, y, bounds, unit, noise = rays
+    resolution, max_range, ceiling, dense, half = region
     rows, columns = raw.shape
     side = 2 * half
     per_cell, scale = np.float32(1.0 / resolution), np.float32(unit)
