@@ -13,6 +13,7 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, Outcome, Wait
 from sextant.services.planner.gap_crossing.params import PassageSettings
+from sextant.services.planner.gap_crossing.refusal_memory import RefusalMemory
 from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, same_goal
@@ -35,11 +36,8 @@ class GapCrossingController:
         self._approach: PathFollower | None = None
         self._crossing_line: tuple[Array, Array] | None = None  # (2,) [m] {world} start and target of the crossing
         self._still_ns = self._turning_ns = -1
-        self._refused = ""
-        self._refused_at: Array | None = None  # (2,) [m] {world}
-        self._refused_ns, self._lapses_ns = 0, round(settings.gap_approach.refusal_s * 1e9)
+        self._refusals = RefusalMemory(settings.gap_approach)
         self._crossed = False
-        self._nothing_at: Array | None = None  # (2,) [m] {world} place of a look that found nothing to cross
         self._yielded: list[Array] = []  # (3,) [m] {world} places where ground gave way under feet; kept for all goals
         self._reports: list[PassagePlan] = []  # not published yet
 
@@ -70,7 +68,8 @@ class GapCrossingController:
     def abandon(self) -> None:
         """Discard the state; the next crossing starts with six feet on the ground."""
         self._goal = self._gap_crossing = self._approach = self._crossing_line = None
-        self._refused, self._refused_at, self._crossed, self._nothing_at = "", None, False, None
+        self._crossed = False
+        self._refusals.forget()
 
     def lead(
         self, goal: Goal, state: ActuatorState, standing: WorldStance, T_world_body: Array, terrain: Terrain | None,
@@ -91,12 +90,10 @@ class GapCrossingController:
             self.abandon()
             self._goal = goal
         xy = standing.body[:2, 3]
-        lately = state.stamp_ns - self._refused_ns < self._lapses_ns
-        if self._refused and lately and self._is_where_refused(xy):
-            return CannotCross(self._refused)
-        self._refused = ""
-        nothing_at = None if self.is_active(goal) else self._nothing_at
-        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < self._params.retry_distance_m:
+        refusal = self._refusals.reason_at(xy, state.stamp_ns)
+        if refusal:
+            return CannotCross(refusal)
+        if not self.is_active(goal) and self._refusals.found_nothing_at(xy):
             return CannotCross("no gap to cross was found from here")
         if self._gap_crossing is None:
             assert terrain is not None
@@ -113,21 +110,12 @@ class GapCrossingController:
         """Record an outcome that is final, and return it."""
         if isinstance(outcome, Completed):
             nothing = self._gap_crossing is not None and not self._gap_crossing.walked
-            self._gap_crossing, self._crossing_line, self._crossed, self._nothing_at = (
-                None,
-                None,
-                True,
-                xy.copy() if nothing else None,
-            )
+            self._gap_crossing, self._crossing_line, self._crossed = None, None, True
+            self._refusals.complete(xy if nothing else None)
         elif isinstance(outcome, CannotCross):
             self._gap_crossing, self._crossing_line = None, None
-            self._lapses_ns = 2 * self._lapses_ns if self._is_where_refused(xy) else round(self._params.refusal_s * 1e9)
-            self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
+            self._refusals.refuse(outcome.reason, xy, now_ns)
         return outcome
-
-    def _is_where_refused(self, xy: Array) -> bool:
-        """Return whether a place (2,) [m] {world} is near the last refusal."""
-        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < self._params.retry_distance_m
 
     def _approach_gap(
         self, goal: Goal, state: ActuatorState, standing: WorldStance, T_world_body: Array, terrain: Terrain
