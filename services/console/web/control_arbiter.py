@@ -11,17 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sextant.services.console.web.command_repeater import CommandRepeater
 from sextant.services.console.web.requests import CancelGoal, Command, Drive, GoTo, Heartbeat, Name, Release, Request, TakeOver
-from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
+from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
 SEATS = 8  # maximum number of pages that may drive; further pages may only stop
 DEAD_MAN_NS = 300_000_000  # [ns] silence of a page with a held pad after which the press ends
 _NO_SEAT = f"this page can only view and stop: {SEATS} other pages may control the robot; close one, and reload this page"
 _OVERVIEW = "the overview of all robots can only view and stop; open the robot's own page to control it"
 _AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is hidden, frozen or disconnected
-_REPEAT_NS = 500_000_000  # [ns] period of a command, which keeps the lease
-_URGENT_NS = 100_000_000  # [ns] period of a torque-off command until torque is off
-_HEARD_NS = 2_000_000_000  # [ns] age at which a command was received or is too old to be executed
 _VELOCITY_NS = 40_000_000  # [ns] minimum period of velocity commands; a page repeats a held pad every 66 ms
 _ZERO_NS = 300_000_000  # [ns] duration of zero velocity commands after a press
 _GOAL_NS = 200_000_000  # [ns] period of a goal
@@ -33,6 +31,7 @@ _LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can walk
 class _Page:
     """State of one page."""
 
+    number: int
     seat: int  # 0 for a page that may only stop
     barred: str  # why it may only stop, "" if it has a seat
     name: str
@@ -40,8 +39,6 @@ class _Page:
     heard_ns: int  # time of its newest request
     lapsed: int = -1  # number of the newest press that has ended
     told: int = -1  # number of the newest ended press of which the page was notified
-    order: ModeCommand | None = None  # newest command that is still repeated
-    said_ns: int = 0  # time when the command was last published
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +87,7 @@ class ControlArbiter:
         self._zero: VelocityCommand | None = None  # zero velocity that is published after a press
         self._zero_until_ns = 0
         self._velocity_ns = 0  # time of the last velocity command
-        self._sequence = 0
-        self._off_ns = -1  # last time at which torque was off
-        self._new: list[Message] = []  # messages for the next `beat`
+        self._commands = CommandRepeater()
         self._words: list[str] = []  # entries for the event log
 
     # ------------------------------------------------------------------------------------------------- pages come and go
@@ -106,7 +101,7 @@ class ControlArbiter:
         seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
         name, holder = (f"page {seat}", f"console {seat}") if seat else ("viewer", "console")
         barred = "" if seat else _NO_SEAT if leads else _OVERVIEW
-        self._pages[page] = _Page(seat, barred, name, f"{holder} at {self._place}", now_ns)
+        self._pages[page] = _Page(page, seat, barred, name, f"{holder} at {self._place}", now_ns)
         return seat
 
     def leave(self, page: int, now_ns: int) -> None:
@@ -115,6 +110,7 @@ class ControlArbiter:
         if found is None:
             return
         self._end_leading(page, found, now_ns, f"{found.name} was closed")
+        self._commands.end(page)
         del self._pages[page]
 
     @property
@@ -243,12 +239,10 @@ class ControlArbiter:
         for page, sitting in self._pages.items():
             if now_ns - sitting.heard_ns > _AWAY_NS:
                 self._end_leading(page, sitting, now_ns, f"no message from {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
-                sitting.order = None  # the lease expires
+                self._commands.end(page)
         self._watch_press(now_ns)
         self._watch_errand(now_ns, status)
-        self._repeat_orders(now_ns)
-        out, self._new = self._new, []
-        return [*out, *self._velocity(now_ns), *self._goal(now_ns)]
+        return [*self._commands.drain(now_ns, state), *self._velocity(now_ns), *self._goal(now_ns)]
 
     def _watch_press(self, now_ns: int) -> None:
         press = self._press
@@ -274,33 +268,6 @@ class ControlArbiter:
         elif status is not None and status.state == "arrived" and status.stamp_ns > errand.begun_ns:
             self._words.append(f"arrived: {status.reason}")
             self._end_errand(now_ns, "")
-
-    def _repeat_orders(self, now_ns: int) -> None:
-        for sitting in self._pages.values():
-            if sitting.order is not None and self._is_over(sitting.order, now_ns):
-                sitting.order = None
-            order = sitting.order
-            if order is None:
-                continue
-            pending = order.mode == "off" and (self._state is None or self._state.mode is not Mode.OFF)
-            if now_ns - sitting.said_ns >= (_URGENT_NS if pending else _REPEAT_NS):
-                self._say(sitting, order, now_ns)
-
-    def _is_over(self, order: ModeCommand, now_ns: int) -> bool:
-        """Return whether a command needs no more repetition.
-
-        Repetition ends 2 s after the command if torque is off. It also ends for a torque-off command when another client has
-        turned torque on again, and for a stop command after 2 s if another client holds the lease.
-        """
-        state, heard = self._state, now_ns - order.sequence > _HEARD_NS
-        if state is None or state.stamp_ns < order.sequence:
-            return False
-        if state.mode is Mode.OFF:
-            self._off_ns = state.stamp_ns
-            return heard
-        if order.mode == "off" and self._off_ns >= order.sequence:  # another client has turned torque on again
-            return True
-        return order.mode == "stop" and heard and state.lease != order.holder
 
     def _velocity(self, now_ns: int) -> list[Message]:
         if now_ns - self._velocity_ns < _VELOCITY_NS:
@@ -371,12 +338,4 @@ class ControlArbiter:
         self._order(sitting, mode, now_ns, take)
 
     def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
-        ahead = self._sequence - now_ns > _HEARD_NS  # the clock was set back, e.g. by a restart of simulated time
-        self._sequence = now_ns if ahead else max(self._sequence + 1, now_ns)
-        order = ModeCommand(now_ns, mode, self._sequence, sitting.holder, take)  # type: ignore[arg-type]
-        sitting.order = order
-        self._say(sitting, order, now_ns)
-
-    def _say(self, sitting: _Page, order: ModeCommand, now_ns: int) -> None:
-        sitting.said_ns = now_ns
-        self._new.append(replace(order, stamp_ns=now_ns))
+        self._commands.order(sitting.number, sitting.holder, mode, now_ns, take)
