@@ -28,7 +28,15 @@ class Chosen:
 
 
 class _Described(click.Command):
-    """A command or a group of commands as the help shows it."""
+    """A command or a group of commands, as its help and its errors show it."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; an error names this command."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx
+            raise
 
     def get_short_help_str(self, limit: int = 45) -> str:
         """Return the first line of the help, which the list of commands wraps."""
@@ -44,14 +52,6 @@ class _Described(click.Command):
 
 class Command(_Described):
     """A command; to invoke it is to choose it, so that parsing ends before it runs."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; an error names this command."""
-        try:
-            return super().parse_args(ctx, args)
-        except click.UsageError as error:
-            error.ctx = error.ctx or ctx
-            raise
 
     def invoke(self, ctx: click.Context) -> Chosen:
         """Return the parsed command."""
@@ -142,7 +142,7 @@ def parse(program: click.Command, name: str, words: Sequence[str]) -> Chosen:
 def in_one_line(error: click.UsageError) -> str:
     """Return a usage error as one line: the command, what is wrong, and where the help is."""
     path = error.ctx.command_path if error.ctx else ""
-    return f"{path}: {_problem(error)}; see `{path} --help`"
+    return f"{path}: {' '.join(_problem(error).split())}; see `{path} --help`"
 
 
 def _problem(error: click.UsageError) -> str:
@@ -152,16 +152,14 @@ def _problem(error: click.UsageError) -> str:
             known = [name for name, one in command.commands.items() if not one.hidden]
             return f"unknown command {error.command_name!r}; {hint(error.command_name, known)}"
         case click.NoSuchOption():
-            known = (
-                [word for one in command.params if not getattr(one, "hidden", False) for word in one.opts] if command else []
-            )
-            near = nearest(error.option_name, known)
+            offered = [] if command is None else [one for one in command.params if not getattr(one, "hidden", False)]
+            near = nearest(error.option_name, [word for one in offered for word in one.opts])
             return f"unknown option {error.option_name!r}" + (f"; did you mean {near!r}?" if near else "")
         case click.MissingParameter():
             return f"{_name(error.param)} expected, found none"
         case click.BadParameter():
             return f"{_name(error.param)}: {error.message}"
-        case click.UsageError() if isinstance(command, click.Group):
+        case click.UsageError() if type(error) is click.UsageError and isinstance(command, click.Group):
             return "a command expected, found none"
     return error.message[:1].lower() + error.message[1:].removesuffix(".")
 

@@ -1,11 +1,12 @@
 import contextlib
 import importlib.util
+import inspect
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -497,13 +498,26 @@ def test_bench_command_redirects_to_benchmarks_module(
     assert "in a checkout of Sextant" in capfd.readouterr().err
 
 
-def commands(group: click.Group, *path: str) -> Iterator[tuple[str, ...]]:
-    """Yield the words of each command that the help lists."""
+def commands(group: click.Group, *path: str) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """Yield the words of each command that the help lists, and the command."""
     for name, one in group.commands.items():
         if not one.hidden:
-            yield *path, name
+            yield (*path, name), one
             if isinstance(one, click.Group):
                 yield from commands(one, *path, name)
+
+
+@pytest.mark.parametrize("group", [cli.sextant, benchmarks], ids=["sextant", "benchmarks"])
+def test_function_of_each_command_takes_exactly_its_options_and_arguments(group: click.Group) -> None:
+    for words, one in commands(group):
+        if isinstance(one, click.Group):
+            continue
+        assert one.callback is not None
+        taken: list[str] = []
+        for parameter in inspect.signature(one.callback).parameters.values():
+            kind = parameter.annotation
+            taken += [field.name for field in fields(kind)] if is_dataclass(kind) else [parameter.name]
+        assert sorted(taken) == sorted(option.name for option in one.params), words
 
 
 @pytest.mark.parametrize("group", [cli.sextant, benchmarks], ids=["sextant", "benchmarks"])
@@ -513,7 +527,7 @@ def test_help_of_each_command_fits_80_columns_and_60_lines(
     monkeypatch.setenv("COLUMNS", "80")
     assert group is not cli.sextant or sum(not one.hidden for one in group.commands.values()) <= 16
     hidden = (("trials", "table"),) if group is cli.sextant else ()
-    for words in ((), *commands(group), *hidden):
+    for words in ((), *(words for words, _ in commands(group)), *hidden):
         assert run_command(group, "program", [*words, "--help"]) == 0
         lines = capsys.readouterr().out.splitlines()
         assert len(lines) <= 60, words

@@ -76,6 +76,7 @@ MISTAKES = [
     ("rnu flat", "unknown command 'rnu'; did you mean 'run'?"),
     ("Run flat", "unknown command 'Run'; did you mean 'run'?"),
     ("trial flat --seeds 0:2", "did you mean 'trials'?"),
+    ("--version=3", "option '--version' does not take a value"),
     ("topics lst", "unknown command 'lst'; did you mean 'list'?"),
     ("servos calibarte", "unknown command 'calibarte'; did you mean 'calibrate'?"),
     ("keys shwo here", "did you mean 'show'?"),
