@@ -67,7 +67,7 @@ def test_a_gap_of_a_fifth_of_a_second_is_nothing() -> None:
     assert_right_to_the_end(found)
 
 
-@pytest.mark.parametrize("imu", [False, True])
+@pytest.mark.parametrize("imu", [True, pytest.param(False, marks=pytest.mark.campaign)])
 def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen(imu: bool) -> None:
     blocks = tuple(Box((0.75 + 0.13 * i, y), (0.09, 0.12), 0.02 + 0.01 * (i % 3)) for i in range(2) for y in (-0.2, 0.2))
     course = Scenario(
