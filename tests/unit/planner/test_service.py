@@ -809,7 +809,7 @@ def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
     by_touch, legs_seen = 0, 0
     for _ in range(40):
-        plan = rig.plans(40)[-1]
+        plan = rig.plans(15)[-1]
         feels = (plan.touchdown[plan.swing, 2] < PROFILE.foot.radius - 0.01).all()
         assert plan.stop == feels
         on_seen = (plan.touchdown[plan.swing, 0] > 0.5).all()
