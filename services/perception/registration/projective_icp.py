@@ -33,7 +33,7 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 _DRAWN = 2.0  # [sigma]
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] possible slip of the legs between two frames
 _TRIES = 3  # alignments from a place found by the search
-_UNOBSERVED_SHIFT = 0.02  # [m, rad] largest shift by a search along a direction that the frame does not observe
+_UNOBSERVED_SHIFT = 0.02  # [m, rad] largest shift by a search or a slip along a direction that no frame observes
 _STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes that start a search for a lost frame
 _LOST_SIGMA = 0.03  # [m] and [rad] uncertainty of a place found by the search
 
@@ -82,6 +82,7 @@ class Registration:
         self._doubt = PoseDoubt(limits.doubt, limits.search_every)
         self._rest = RestPose(limits.rest_step, follows_prior=not limits.legless)
         self._failures = 0  # consecutive
+        self._unobserved: NDArray[np.float64] = np.zeros((0, 6))  # (k, 6) degenerate twists of the last frame without doubt
 
     @property
     def keyframe_poses(self) -> NDArray[np.float64]:
@@ -133,6 +134,7 @@ class Registration:
         self._failures = 0
         if not checked.doubted:  # good frames with new content extend the map
             self._fit.add(match)
+            self._unobserved = found.degenerate
             if self._keyframes.is_new_view(found.T, match.overlap):
                 self._remember(found.T)
         self._rest.end_frame(found.T)
@@ -143,7 +145,8 @@ class Registration:
     ) -> tuple[Aligned, NDArray[np.float64]]:
         """Align the frame from the prior; return the pose and the covariance (6, 6) within which it is believable.
 
-        If the fit is poor, try again with a prior that allows slip. If only one body moves in front of a camera at rest, keep
+        If the fit is poor, try again with a prior that allows slip, except in directions that the ground did not show in the
+        last frame without doubt: what shows them now is a person. If only one body moves in front of a camera at rest, keep
         the rest pose.
         """
         if self._acceptance.legless:
@@ -155,7 +158,12 @@ class Registration:
             wide = covariance + np.diag(_SLIPPED**2)
             slipped = self._aligner.align(T_prior, prior_information(T_prior, wide), TRUSTING)
             fits = slipped.match.misfit < self._alignment.explained * found.match.misfit
-            if fits and not rejection_reason(slipped.match, self._acceptance) and _is_apart(slipped.T, found.T, covariance):
+            fits = fits and not rejection_reason(slipped.match, self._acceptance)
+            if (
+                fits
+                and _is_apart(slipped.T, found.T, covariance)
+                and not self._is_unobserved(self._unobserved, slipped.T, T_prior)
+            ):
                 found, believable = slipped, wide
         held = self._held(found, T_prior, covariance)
         return (found, believable) if held is None else (held, covariance)
@@ -258,14 +266,18 @@ class Registration:
         return _Nowhere(words, is_elsewhere=True)
 
     def _unobserved_shift(self, better: Aligned, T_expected: NDArray[np.float64]) -> str:
-        """Return why a pose found by a search is rejected for a shift that the frame does not observe, or an empty string.
-
-        With legs, their odometry is better evidence in these directions than the search.
-        """
-        shift = np.abs(better.degenerate @ error_twist(better.T, T_expected))
-        if self._acceptance.legless or not (shift > _UNOBSERVED_SHIFT).any():
+        """Return why a pose found by a search is rejected for a shift that the frame does not observe, or an empty string."""
+        if not self._is_unobserved(better.degenerate, better.T, T_expected):
             return ""
         return "the best-fitting pose is shifted in a direction that the frame does not observe"
+
+    def _is_unobserved(self, directions: NDArray[np.float64], T: NDArray[np.float64], T_expected: NDArray[np.float64]) -> bool:
+        """Return whether a pose is far from the expected one along unobserved directions (k, 6).
+
+        With legs, their odometry is better evidence in these directions than registration.
+        """
+        shift = np.abs(directions @ error_twist(T, T_expected))
+        return not self._acceptance.legless and bool((shift > _UNOBSERVED_SHIFT).any())
 
     def _remember(self, T: NDArray[np.float64]) -> None:
         """Store the loaded frame as a keyframe and add it to the map."""

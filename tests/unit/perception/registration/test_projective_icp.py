@@ -268,6 +268,22 @@ def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch,
     assert is_taken is (doubtful == 0)
 
 
+@pytest.mark.parametrize("shown", [True, False])
+def test_slip_is_not_assumed_in_directions_that_the_ground_did_not_show(world, monkeypatch, shown):
+    """Check a camera that the frame shows 4 cm from its prior, where the frame before showed x, y and yaw or not."""
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.55)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    monkeypatch.setattr(registration, "_unobserved", np.eye(6)[[] if shown else [0, 1, 5]])
+    slipped = apply_twist(T, np.array([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    found = registration.update(world.depth_image(slipped, world.scenes["pillars"], rng), 9, T, TIGHT)
+    is_taken = bool(np.abs(error_twist(found.T_world_camera, slipped)).max() < 0.005)
+    assert is_taken is shown
+
+
 def test_search_does_not_shift_unobservable_directions(world):
     """Check flat ground in front of the camera: nothing shows whether a pose further ahead is right."""
     registration = Registration(world.intrinsics, world.sensor)
