@@ -5,13 +5,12 @@ It contains depth.txt, camera.toml and, with colour, rgb.txt.
 
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from sextant.services.perception import tum
 from sextant.services.perception.cameras.camera import (
+    Camera,
     CameraError,
     Frame,
     RecordingOverError,
@@ -23,7 +22,7 @@ from sextant.shared.robot.profile import Camera as CameraProfile
 _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --lockstep --record-depth` writes it"
 
 
-class FolderCamera:
+class FolderCamera(Camera):
     """Camera that replays a recording in real time; unreadable images are skipped."""
 
     recorded = True
@@ -53,12 +52,6 @@ class FolderCamera:
         self._folder, self._unreadable = folder, 0
         self._next = 0
         self._round_ns: int | None = None  # time at which the first image of this round is due
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Do nothing, because no file stays open."""

@@ -8,13 +8,12 @@ import os
 import sysconfig
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.cameras.camera import CameraError, DeviceClock, Frame, check_intrinsics
+from sextant.services.perception.cameras.camera import Camera, CameraError, DeviceClock, Frame, check_intrinsics
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
@@ -24,7 +23,7 @@ _NOMINAL = 0.04  # [1] OpenNI2 reports the nominal field of view, not that of th
 _PAIRED_US = 20_000  # [us] largest difference between the stamps of a depth and a colour image that belong together
 
 
-class OpenNI:
+class OpenNI(Camera):
     """First OpenNI2 device found.
 
     If the profile has colour, the device aligns depth to its colour lens.
@@ -59,12 +58,6 @@ class OpenNI:
         except CameraError:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the streams and close the device.

@@ -1,12 +1,18 @@
 """Intel RealSense D400 cameras through pyrealsense2 (librealsense 2.5x)."""
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from sextant.services.perception.cameras.camera import CameraError, DeviceClock, Frame, check_depth_scale, check_intrinsics
+from sextant.services.perception.cameras.camera import (
+    Camera,
+    CameraError,
+    DeviceClock,
+    Frame,
+    check_depth_scale,
+    check_intrinsics,
+)
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
@@ -14,7 +20,7 @@ _NAME = "Intel RealSense"
 _PLUG = "plug it into a USB 3 port with its own cable, and check that `rs-enumerate-devices` or `lsusb` lists it"
 
 
-class RealSense:
+class RealSense(Camera):
     """First RealSense device found, with depth as measured and colour aligned to it."""
 
     recorded = False
@@ -50,12 +56,6 @@ class RealSense:
         except CameraError:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the streams."""
