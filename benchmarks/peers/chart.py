@@ -28,7 +28,6 @@ def draw(
         parts: Times [ms] that make up a total, drawn as one bar below.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     jobs: dict[tuple[str, str], list[Timing]] = {}
@@ -41,7 +40,6 @@ def draw(
     height = _HEAD + tall + 0.7 + below + 0.25 * len(missing)
     with rc_context({"font.size": _FONT, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, facecolor="white")
-        FigureCanvasAgg(figure)
         figure.text(0.02, 1 - 0.35 / height, title, size=16, weight="bold", va="center")
         words = f"{machine_in_words()}; bars: median of the time relative to Sextant, lines: 10th to 90th percentile"
         figure.text(0.02, 1 - 0.75 / height, words, size=_FONT, color="#444444", va="center")

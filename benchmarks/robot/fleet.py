@@ -238,13 +238,11 @@ def in_words(loads: Sequence[Load]) -> str:
 def draw(path: Path, loads: Sequence[Load]) -> None:
     """Plot processor time and delays of scans and plans over the number of robots."""
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     robots = [load.robots for load in loads]
     with rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(11.0, 4.6), dpi=100, facecolor="white", layout="constrained")
-        FigureCanvasAgg(figure)
         work, late = figure.subplots(1, 2)
         base = [0.0] * len(loads)
         parts = {part: [load.cores[part] for load in loads] for part in loads[0].cores}

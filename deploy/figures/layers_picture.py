@@ -49,7 +49,6 @@ def figure_of(terrain: TerrainMap, T_world_way: Array | None = None, footholds: 
     if part is None:
         return None
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.figure import Figure
 
@@ -66,7 +65,6 @@ def figure_of(terrain: TerrainMap, T_world_way: Array | None = None, footholds: 
     tall = float(np.clip(_WIDTH / 3 * share, 2.5, 9.0)) + 1.2
     with rc_context({"font.size": 12}):
         figure = Figure(figsize=(_WIDTH, tall), dpi=_DPI, facecolor="white", layout="constrained")
-        FigureCanvasAgg(figure)
         panels: list[tuple[str, NDArray[np.floating], Any, dict[str, Any]]] = [
             ("height [cm]", height, ground_colors(), {"vmin": middle - half, "vmax": middle + half}),
             ("score: a foothold up to 1", np.minimum(score, _WORST), "BrBG_r", {"norm": TwoSlopeNorm(1.0, 0.0, _WORST)}),

@@ -56,12 +56,10 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
 def figure_of(report: Report, trace: Trace) -> Any:
     """Return the picture as a figure."""
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with rc_context({"font.size": _FONT, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
-        FigureCanvasAgg(figure)
         title(figure, verdict(report, trace, None, most=1))
         planned, walked, aside = (
             figure.add_axes((0.070, bottom, 0.860, height))
@@ -246,7 +244,7 @@ def _frame(axes: Any, trace: Trace) -> tuple[Array, Array]:
 
 def _bar(figure: Any, axes: Any, image: Any) -> None:
     axes.set_xlim(axes.get_xlim())
-    figure.canvas.draw()  # the map keeps its proportions, so its position is known only now
+    figure.draw_without_rendering()  # the map keeps its proportions, so its position is known only now
     box = axes.get_position()
     bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
     bar.set_label("evaluation [cells]:\na foothold below 0", size=11)

@@ -255,30 +255,10 @@ def _footholds(runs: Runs) -> Any:
             summary.draw_course(axes, trace)
         summary.draw_footholds(axes, trace)
         summary.draw_paths(axes, trace, run.report)
-    figure.legend(handles=_marks(), loc="lower center", ncols=7, frameon=False, fontsize=10, columnspacing=1.2)
+    paths, legs, rest = summary.legend_handles()
+    handles = paths + [handle for pair in zip(legs, rest, strict=True) for handle in pair]  # two rows of seven columns
+    figure.legend(handles=handles, loc="lower center", ncols=7, frameon=False, fontsize=10, columnspacing=1.2)
     return figure
-
-
-def _marks() -> list[Any]:
-    """Return the legend of such a figure, for two rows of seven columns."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    def dot(label: str, **look: Any) -> Line2D:
-        chosen: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7, "mec": "white"} | look
-        return Line2D([], [], label=label, **chosen)
-
-    legs = [dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
-    rest = [
-        dot("foothold moved", mfc="none", mec="#111111", ms=10),
-        dot("misstep", marker="x", mec=_LIMIT, mew=2.2),
-        Patch(facecolor="none", edgecolor="#222222", label="true blocks"),
-        Patch(facecolor=(0.70, 0.10, 0.08, 0.5), label="no foothold by the map"),
-        Patch(facecolor="#c3d9c3", hatch="///", lw=0, label="assumed, not seen"),
-        Patch(facecolor=layers_picture.UNSEEN, label="never seen"),
-    ]
-    paths = [dot("true path", ls="-", marker="", color="#111111"), dot("estimated path", ls="--", marker="", color="#d01c8b")]
-    return paths + [handle for pair in zip(legs, rest, strict=True) for handle in pair]
 
 
 def _corners(run: RecordedRun) -> tuple[Array, Array]:
@@ -381,11 +361,9 @@ def _sheet(height: float) -> tuple[Any, Any]:
 def _sheets(
     rows: int, height: float, ratios: Sequence[float] | None = None, layout: Literal["constrained"] | None = "constrained"
 ) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
     axes: NDArray[Any] = np.atleast_1d(figure.subplots(rows, 1, height_ratios=ratios))
     return figure, axes.tolist()
 

@@ -61,7 +61,6 @@ def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
     Without ground truth it shows neither the goal nor whether it was reached.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     look: Any = {
@@ -87,7 +86,6 @@ def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
     tall = above + 0.25 + map_height + 0.5 + _LEGEND + 0.25 + history + 0.6
     with rc_context(look):
         figure = Figure(figsize=(_WIDTH, tall), dpi=_DPI, facecolor="white")
-        FigureCanvasAgg(figure)
         title(figure, lines)
         bottom = 1 - (above + 0.25 + map_height) / tall
         ground = figure.add_axes((_LEFT, bottom, room, map_height / tall))
@@ -301,7 +299,7 @@ def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64]
     image = draw_cells(axes, mosaic, low, high)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    figure.canvas.draw()  # the map keeps its proportions, so its position is known only now
+    figure.draw_without_rendering()  # the map keeps its proportions, so its position is known only now
     box = axes.get_position()
     bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
     bar.set_label("mapped height [cm]" + (", where no colour is seen" if mosaic.color is not None else ""), size=11)
@@ -522,33 +520,44 @@ def draw_paths(axes: Any, trace: Trace, report: Report) -> None:
 
 
 def _legend(report: Report, trace: Trace) -> list[Any]:
-    from matplotlib.lines import Line2D
+    paths, legs, rest = legend_handles(f"misstep ({report.missteps})")
+    if trace.routes:
+        paths.append(_line("planned paths", color=_ROUTE, lw=1.1))
+    if (missed_by(trace) > MISSED).any():
+        rest.insert(2, _dot("missed the chosen foothold", marker="D", mfc="none", mec=_BAD, mew=1.4))
+    if len(trace.no_ground.t):
+        rest.insert(2, _dot("found no ground", marker="v", mfc="none", mec=_BAD, mew=1.6))
+    return [*paths, *legs, *rest]
+
+
+def legend_handles(misstep: str = "misstep") -> tuple[list[Any], list[Any], list[Any]]:
+    """Return the legend's handles of a walk on the map: of the paths, of the legs, and the others."""
     from matplotlib.patches import Patch
 
-    def dot(label: str, **look: Any) -> Line2D:
-        chosen: dict[str, Any] = {"marker": "o", "ms": 7, "mec": "white"} | look
-        return Line2D([], [], ls="", label=label, **chosen)
-
-    legs = [dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
+    paths = [
+        _line("true path", color=TRUE, lw=2),
+        _line("estimated path", color=ESTIMATE, lw=1.6, ls=(0, (4, 2))),
+    ]
+    legs = [_dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
     rest = [
-        dot("foothold moved", mfc="none", mec=TRUE, ms=10, mew=1.3),
-        dot(f"misstep ({report.missteps})", marker="x", mec=_BAD, mew=2.2),
+        _dot("foothold moved", mfc="none", mec=TRUE, ms=10, mew=1.3),
+        _dot(misstep, marker="x", mec=_BAD, mew=2.2),
         Patch(facecolor="none", edgecolor="#222222", label="true blocks"),
         Patch(facecolor=_NO_FOOTHOLD, label="no foothold by the map"),
         Patch(facecolor="#c3d9c3", hatch="///", lw=0, label="assumed, not seen"),
         Patch(facecolor=UNSEEN, label="never seen"),
     ]
-    paths = [
-        Line2D([], [], color=TRUE, lw=2, label="true path"),
-        Line2D([], [], color=ESTIMATE, lw=1.6, ls=(0, (4, 2)), label="estimated path"),
-    ]
-    if trace.routes:
-        paths.append(Line2D([], [], color=_ROUTE, lw=1.1, label="planned paths"))
-    if (missed_by(trace) > MISSED).any():
-        rest.insert(2, dot("missed the chosen foothold", marker="D", mfc="none", mec=_BAD, mew=1.4))
-    if len(trace.no_ground.t):
-        rest.insert(2, dot("found no ground", marker="v", mfc="none", mec=_BAD, mew=1.6))
-    return [*paths, *legs, *rest]
+    return paths, legs, rest
+
+
+def _dot(label: str, **look: Any) -> Any:
+    return _line(label, **{"ls": "", "marker": "o", "ms": 7, "mec": "white"} | look)
+
+
+def _line(label: str, **look: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **look)
 
 
 # -- numbers

@@ -38,7 +38,6 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
     if not trace.walking.any():
         return False
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with rc_context({"font.size": 13, "axes.spines.top": False, "axes.spines.right": False}):
@@ -46,7 +45,6 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
         size = _SIZE if published is None else (_SIZE[0], _SIZE[1] + _TABLE)
         ratios = (1.0, 1.0, 0.9, 1.5, 0.9) if published is None else (1.0, 1.0, 0.9, 1.5, 0.9, 0.9)
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
-        FigureCanvasAgg(figure)
         height, tilt, foot, above, aside, *below = figure.subplots(len(ratios), 1, height_ratios=ratios).tolist()
         walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.gait}" + (", blind" if report.blind else "")
         figure.suptitle(f"{walk}: {report.reason}", size=15)
