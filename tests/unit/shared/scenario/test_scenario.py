@@ -3,6 +3,7 @@
 A rejection states its reason.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -201,3 +202,11 @@ def test_times_of_faults_are_drawn_by_the_seed_within_their_spread() -> None:
     assert 3 <= min(times) < 3.5 < 6.5 < max(times) <= 7
     assert {faults[1].at_s for faults in drawn} == {1.0}
     assert drawn == [scenario.faults_at(seed) for seed in range(50)]
+
+
+def test_equal_scenarios_have_equal_hashes_with_and_without_params() -> None:
+    scenario = load_scenario("steps")
+    tuned = replace(scenario, params={"planner": {"costmap": {"max_step_m": 0.05}}})
+    assert hash(tuned) == hash(replace(tuned))
+    assert tuned != scenario
+    assert {scenario: 1, tuned: 2}[replace(scenario)] == 1
