@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
+from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.servos import Outlet, Servos, connect
+from sextant.services.actuator.servo_bus.torque_check import TorqueCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -24,14 +26,8 @@ _AGAIN_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
 _STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
 _BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
 _TRIES = 3  # requests to one servo of a reopened bus
-_VERIFIED = 3  # doubtful servos per cycle whose Torque Enable is read
-_DOUBTED_EVERY = 5  # cycles after which one more servo becomes doubtful: all of them within 1.8 s
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: goals may not arrive; the state of the robot is unknown
 _WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers is used
-_PATIENT_S = 1.0  # [s] of waiting for silent servos after the others have answered again
-_CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
-_STILL = np.radians(10.0)  # [rad/s] ... so it has also arrived if it is slower than this ...
-_MOVED_NS = 100_000_000  # [ns] ... this long after its first new reading
 
 
 class Joints:
@@ -69,13 +65,9 @@ class Joints:
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus
-        self._rejected = np.zeros(18, dtype=np.bool_)  # servos that may have lost torque since it was last confirmed
-        self._cycle = 0
+        self._torque_check = TorqueCheck()
         self._excused = int(settings.bridge)  # tolerated unanswered requests: readings from a bridge may be a cycle old
-        self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they move slowly until they have caught up
-        self._catch_up: Array = np.full(18, GENTLE)  # [rad/s] speed limit of those
-        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those first answered again, 0 before
-        self.out_of_touch = False  # whether all servos missed goals and have not yet answered and caught up
+        self._catching_up = CatchingUp()
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; goals as stored in the servos
         self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
@@ -96,6 +88,11 @@ class Joints:
         return self.gone or self._bus.trouble
 
     @property
+    def out_of_touch(self) -> bool:
+        """Whether all servos missed goals and have not yet answered and caught up."""
+        return self._catching_up.out_of_touch
+
+    @property
     def not_responding(self) -> bool:
         """Whether goals should stay as they are, because servos may not receive them."""
         return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
@@ -111,7 +108,7 @@ class Joints:
             temperature=self.temperature,
             errors=self._bus.errors,
             torque_disabled=~self.torque,
-            behind=self._behind & (self._back_ns > 0),
+            behind=self._catching_up.answering,
             strength=self.strength,
             loss=self._bus.loss if self._watched else 0.0,
             trouble=self.trouble,
@@ -135,7 +132,7 @@ class Joints:
     @property
     def unsure(self) -> NDArray[np.bool_]:
         """(6, 3) joints without torque, or not yet at their goal after a silence."""
-        return np.asarray(self.torque_disabled | self._behind.reshape(6, 3))
+        return np.asarray(self.torque_disabled | self._catching_up.behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 
@@ -151,7 +148,6 @@ class Joints:
             readings = self._bus.poll(self._budget_ns, urgent)
             for reading in readings:
                 self._note(reading)
-                self._check_caught_up(reading)
             self._find_torque_disabled(readings)
             self._check_touch()
         except BusDisconnectedError as error:
@@ -165,15 +161,14 @@ class Joints:
         Servos that have missed goals get a low speed, because their position is unknown when they respond again.
         """
         self.goals = q_goal
-        self._leave_behind(self._bus.missed >= SILENT, LOWERED)
-        speeds = np.where(self._behind, [dxl.moving_speed_from(top) for top in self._catch_up.tolist()], 0)
-        self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
+        self._catching_up.leave_behind(self._bus.missed >= SILENT, LOWERED)
+        ticks, speeds = _ticks(self._profile.servo_angles(q_goal).ravel()), self._catching_up.speed_ticks
+        self._tell(lambda: self._bus.sync_write_goals(ticks, speeds))
 
     def mark_stale(self) -> None:
         """Treat all joint positions as unknown; recent goals may not have arrived."""
-        self.out_of_touch = True
-        self._rejected[:] = True
-        self._leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
+        self._torque_check.doubt_all()
+        self._catching_up.leave_all_behind()
 
     def torque_off(self) -> None:
         """Turn all torque off; without a bus, as soon as it is back, before anything else."""
@@ -190,7 +185,7 @@ class Joints:
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
         anew = (~self.torque | weak).reshape(6, 3)
         within = self._within(self.q)
-        self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
+        self._catching_up.leave_behind((anew & (within != self.q)).ravel(), GENTLE)
         self.write(np.where(anew, within, self.goals))
         if self._latched():  # torque was ordered off while this process was late
             self.torque_off()
@@ -198,7 +193,7 @@ class Joints:
         for _ in range(2):  # a broadcast is not acknowledged
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
-        self._rejected[:] = True
+        self._torque_check.doubt_all()
         for index in np.flatnonzero(weak).tolist():
             self._tell(partial(self._restore, index))
 
@@ -210,7 +205,7 @@ class Joints:
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
         goals[leg, joint] = self._within(self.q)[leg, joint]
-        self._leave_behind(np.arange(18) == index, GENTLE)
+        self._catching_up.leave_behind(np.arange(18) == index, GENTLE)
         self.write(goals)
         self._tell(lambda: self._restore(index))
 
@@ -252,51 +247,33 @@ class Joints:
         self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
         self.voltage[reading.index] = reading.voltage
         self.temperature[reading.index] = reading.temperature
+        self._catching_up.note_reading(
+            reading.index, reading.stamp_ns, self.q[leg, joint] - self.goals[leg, joint], reading.speed
+        )
 
     def _within(self, q: Array) -> Array:
         """Return joint angles (6, 3) [rad] clipped to the joint limits."""
         limits = self._profile.joint_limits
         return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
 
-    def _leave_behind(self, servos: NDArray[np.bool_], catch_up: float) -> None:
-        self._catch_up[servos & ~self._behind] = catch_up
-        self._catch_up[servos] = np.minimum(self._catch_up[servos], catch_up)
-        self._behind |= servos
-        self._back_ns[servos] = 0
-
     def _check_touch(self) -> None:
-        """Mark all servos as lost if none answers, until all have caught up."""
+        """Treat all servos as lost if none answers, until all have caught up."""
         if float(self._bus.ages().min()) > _LOST_S:
             self.mark_stale()
-        elif self.out_of_touch:
-            back = self._back_ns[self._back_ns > 0]
-            waited = len(back) > 0 and self._clock() - int(back.min()) > _PATIENT_S * 1e9
-            self.out_of_touch = bool(self._behind.any()) and not waited
-
-    def _check_caught_up(self, reading: ServoReading) -> None:
-        """Remove the speed limit of a servo once it has reached its goal."""
-        i = reading.index
-        if not self._behind[i]:
-            return
-        self._back_ns[i] = self._back_ns[i] or reading.stamp_ns
-        arrived = abs(reading.speed) < _STILL and reading.stamp_ns - self._back_ns[i] > _MOVED_NS
-        if arrived or abs(self.q.flat[i] - self.goals.flat[i]) < _CAUGHT_UP:
-            self._behind[i] = False
+        else:
+            self._catching_up.check_touch(self._clock())
 
     def _find_torque_disabled(self, readings: list[ServoReading]) -> None:
         """Read Torque Enable of doubtful servos, a few per cycle.
 
         A short power loss turns torque off.
         """
-        answers = [(reading.index, reading.servo_id) for reading in readings]
-        for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._rejected[i] and self.torque[i]][:_VERIFIED]:
-            enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
+        for index in self._torque_check.due([reading.index for reading in readings], self.torque):
+            enabled = self._bus.read(self._bus.servo_ids[index], dxl.TORQUE_ENABLE)
             if enabled is not None:
-                self.torque[index], self._rejected[index] = bool(enabled), False
-        self._rejected |= self._bus.missed > self._excused
-        self._cycle += 1
-        if self._cycle % _DOUBTED_EVERY == 0:  # a power loss may be shorter than the time between two requests
-            self._rejected[self._cycle // _DOUBTED_EVERY % 18] = True
+                self.torque[index] = bool(enabled)
+                self._torque_check.confirm(index)
+        self._torque_check.end_cycle(self._bus.missed > self._excused)
 
     def _restore(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its position as goal."""
@@ -317,7 +294,7 @@ class Joints:
         self._tell(lambda: self._bus.set_torque(False))
 
     def _disconnect(self, error: BusDisconnectedError) -> None:
-        self.gone, self._tried_ns, self._since_ns, self.out_of_touch = str(error), self._clock(), -1, True
+        self.gone, self._tried_ns, self._since_ns, self._catching_up.out_of_touch = str(error), self._clock(), -1, True
         self._bus.close()
 
     def _reconnect(self) -> None:
@@ -338,9 +315,7 @@ class Joints:
         self._take_in(found)
         self._bus.between = _nothing
         self.gone = ""
-        # Far goals have become the positions of their joints; a joint on its way to a near one continues slowly.
-        self._behind &= (np.abs(self.q - self.goals) >= _CAUGHT_UP).ravel()
-        self._back_ns[:] = 0
+        self._catching_up.readopt((self.q - self.goals).ravel())
 
     def _take_in(self, tables: list[bytes]) -> None:
         """Adopt the state of each servo; a far goal is replaced by the joint position."""

@@ -48,7 +48,7 @@ def test_a_joint_that_was_catching_up_slowly_continues_slowly_when_the_port_is_b
     rig.jammed.add(SERVO)  # its joint is still on its way to the goal
     goals = rig.joints.goals.copy()
     goals[LEG, JOINT] += np.radians(8.0)
-    rig.joints._leave_behind(np.arange(18) == SERVO, GENTLE)
+    rig.joints._catching_up.leave_behind(np.arange(18) == SERVO, GENTLE)
     rig.joints.write(goals)
     rig.suffer("bus", "gone", 0.5)
     rig.until(lambda: rig.joints.gone != "")

@@ -1,0 +1,77 @@
+"""Servos that missed goals and move slowly until they have caught up. Pure: time is an input."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
+from sextant.shared.geometry import Array
+from sextant.shared.servo import dynamixel as dxl
+
+_CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
+_STILL = np.radians(10.0)  # [rad/s] ... so it has also arrived if it is slower than this ...
+_MOVED_NS = 100_000_000  # [ns] ... this long after its first new reading
+_PATIENT_NS = 1_000_000_000  # [ns] of waiting for silent servos after the others have answered again
+
+
+class CatchingUp:
+    """Servos whose position is unknown or away from their goal, after they missed goals."""
+
+    def __init__(self) -> None:
+        """Begin with servos that have received all goals."""
+        self.behind: NDArray[np.bool_] = np.zeros(18, dtype=np.bool_)  # servos that missed goals
+        self.out_of_touch = False  # whether all servos missed goals and have not yet answered and caught up
+        self._top: Array = np.full(18, GENTLE)  # [rad/s] speed limit of those
+        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those first answered again, 0 before
+
+    @property
+    def answering(self) -> NDArray[np.bool_]:
+        """(18,) servos that have answered again, and have not caught up yet."""
+        return np.asarray(self.behind & (self._back_ns > 0))
+
+    @property
+    def speed_ticks(self) -> NDArray[np.int64]:
+        """(18,) moving speed registers, 0 for uncontrolled."""
+        return np.where(self.behind, [dxl.moving_speed_from(top) for top in self._top.tolist()], 0)
+
+    def leave_behind(self, servos: NDArray[np.bool_], top: float) -> None:
+        """Limit the speed of servos (18,) that miss goals to `top` [rad/s]."""
+        self._top[servos & ~self.behind] = top
+        self._top[servos] = np.minimum(self._top[servos], top)
+        self.behind |= servos
+        self._back_ns[servos] = 0
+
+    def leave_all_behind(self) -> None:
+        """Treat the positions of all servos as unknown."""
+        self.out_of_touch = True
+        self.leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
+
+    def note_reading(self, index: int, stamp_ns: int, off: float, speed: float) -> None:
+        """End the limit of a servo once it has reached its goal.
+
+        Args:
+            index: The servo, 0 to 17.
+            stamp_ns: [ns] time of its reading.
+            off: [rad] between joint and goal.
+            speed: [rad/s] of the servo.
+        """
+        if not self.behind[index]:
+            return
+        self._back_ns[index] = self._back_ns[index] or stamp_ns
+        arrived = abs(speed) < _STILL and stamp_ns - self._back_ns[index] > _MOVED_NS
+        if arrived or abs(off) < _CAUGHT_UP:
+            self.behind[index] = False
+
+    def check_touch(self, now_ns: int) -> None:
+        """End `out_of_touch` once all servos have caught up, or after some waiting."""
+        if self.out_of_touch:
+            back = self._back_ns[self._back_ns > 0]
+            waited = len(back) > 0 and now_ns - int(back.min()) > _PATIENT_NS
+            self.out_of_touch = bool(self.behind.any()) and not waited
+
+    def readopt(self, off: Array) -> None:
+        """Continue with goals (18,) that are off their joints by `off` [rad], adopted from the servos.
+
+        A joint on its way to its goal continues slowly.
+        """
+        self.behind &= np.abs(off) >= _CAUGHT_UP
+        self._back_ns[:] = 0

@@ -1,0 +1,91 @@
+"""Servos that catch up, and the check of their torque."""
+
+import numpy as np
+
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
+from sextant.services.actuator.servo_bus.catching_up import CatchingUp
+from sextant.services.actuator.servo_bus.torque_check import TorqueCheck
+from sextant.shared.servo import dynamixel as dxl
+
+MS, SECOND = 1_000_000, 1_000_000_000
+FIRST = np.arange(18) == 0
+NONE, ALL = np.zeros(18, dtype=np.bool_), np.ones(18, dtype=np.bool_)
+FAR, FAST = np.radians(20.0), np.radians(100.0)
+
+
+def test_only_servos_that_missed_goals_are_slow() -> None:
+    servos = CatchingUp()
+    servos.leave_behind(FIRST, LOWERED)
+    assert servos.speed_ticks.tolist() == [dxl.moving_speed_from(LOWERED), *[0] * 17]
+    servos.leave_behind(FIRST, GENTLE)
+    servos.leave_behind(FIRST, LOWERED)
+    assert servos.speed_ticks[0] == dxl.moving_speed_from(GENTLE), "the lowest limit counts"
+
+
+def test_a_servo_has_caught_up_near_its_goal_or_once_it_no_longer_moves() -> None:
+    for off, speed, stamps_ms, behind in (
+        (np.radians(4.0), FAST, [0], False),
+        (FAR, FAST, [0, 200], True),
+        (FAR, 0.0, [0, 90], True),
+        (FAR, 0.0, [0, 110], False),
+    ):
+        servos = CatchingUp()
+        servos.leave_behind(FIRST, GENTLE)
+        assert not servos.answering.any()
+        for stamp_ms in stamps_ms:
+            servos.note_reading(0, SECOND + stamp_ms * MS, off, speed)
+        assert servos.behind[0] == servos.answering[0] == behind
+
+
+def test_touch_is_regained_when_all_have_caught_up_or_a_second_after_the_first_answer() -> None:
+    servos = CatchingUp()
+    servos.leave_all_behind()
+    servos.check_touch(SECOND)
+    assert servos.out_of_touch
+    for index in range(17):
+        servos.note_reading(index, SECOND, 0.0, 0.0)
+    servos.check_touch(2 * SECOND)
+    assert servos.out_of_touch, "one servo is silent"
+    servos.check_touch(2 * SECOND + 1)
+    assert not servos.out_of_touch
+    servos.leave_all_behind()
+    for index in range(18):
+        servos.note_reading(index, 3 * SECOND, 0.0, 0.0)
+    servos.check_touch(3 * SECOND)
+    assert not servos.out_of_touch
+
+
+def test_with_goals_of_the_servos_only_joints_on_their_way_stay_slow() -> None:
+    servos = CatchingUp()
+    servos.leave_all_behind()
+    servos.readopt(np.where(FIRST, np.radians(8.0), np.radians(2.0)))
+    assert servos.behind.tolist() == FIRST.tolist()
+    servos.readopt(np.full(18, np.radians(8.0)))
+    assert servos.behind.tolist() == FIRST.tolist(), "it leaves no servo behind"
+
+
+def test_every_servo_becomes_doubtful_within_two_seconds() -> None:
+    check, checked = TorqueCheck(), set[int]()
+    for _ in range(90):
+        check.end_cycle(NONE)
+        for index in check.due(range(18), ALL):
+            checked.add(index)
+            check.confirm(index)
+    assert checked == set(range(18))
+
+
+def test_a_silent_servo_is_checked_once_it_answers_and_until_it_is_confirmed() -> None:
+    check = TorqueCheck()
+    check.end_cycle(FIRST)
+    assert check.due([3, 4], ALL) == []
+    assert check.due([3, 0], ALL) == [0]
+    assert check.due([3, 0], ~FIRST) == [], "it has no torque to lose"
+    assert check.due([0], ALL) == [0]
+    check.confirm(0)
+    assert check.due([0], ALL) == []
+
+
+def test_few_servos_are_checked_in_one_cycle() -> None:
+    check = TorqueCheck()
+    check.doubt_all()
+    assert check.due(range(18), ALL) == [0, 1, 2]
