@@ -29,49 +29,49 @@ def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Latch:
     return Latch.of_port(PORT)
 
 
-def say(stop: EmergencyStop, mode: str, sequence: int, holder: str = "operator") -> None:
-    hear(stop, ModeCommand(0, mode, sequence, holder))  # type: ignore[arg-type]
+def send_mode(stop: EmergencyStop, mode: str, sequence: int, holder: str = "operator") -> None:
+    receive_order(stop, ModeCommand(0, mode, sequence, holder))  # type: ignore[arg-type]
 
 
-def hear(stop: EmergencyStop, order: ModeCommand | StopOrder) -> None:
+def receive_order(stop: EmergencyStop, order: ModeCommand | StopOrder) -> None:
     inbox = Inbox(stop.subscribes, stop.stages)
     inbox.receive(topics.OF_TYPE[type(order)], codec.encode(order), 0)
     assert list(stop.step(Tick(0), inbox)) == []
 
 
-def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
+def test_each_new_torque_off_order_is_latched_once(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "walk", 1)
+    send_mode(stop, "walk", 1)
     assert not latch.closed
-    say(stop, "off", 2)
+    send_mode(stop, "off", 2)
     assert latch.closed
     assert stop.doing() == "torque is latched off"
     latch.open()  # the actuator was ordered to stand
-    say(stop, "off", 2)
-    say(stop, "off", 1)
+    send_mode(stop, "off", 2)
+    send_mode(stop, "off", 1)
     assert not latch.closed, "an order counts once"
-    say(stop, "off", 1, "another")
+    send_mode(stop, "off", 1, "another")
     assert latch.closed
 
 
-def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> None:
+def test_viewer_stop_order_off_is_latched_once_per_sequence(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    hear(stop, StopOrder(0, "stop", 7, "viewer"))
+    receive_order(stop, StopOrder(0, "stop", 7, "viewer"))
     assert not latch.closed
-    hear(stop, StopOrder(0, "off", 8, "viewer"))
+    receive_order(stop, StopOrder(0, "off", 8, "viewer"))
     assert latch.closed
     latch.open()
-    hear(stop, StopOrder(0, "off", 8, "viewer"))
+    receive_order(stop, StopOrder(0, "off", 8, "viewer"))
     assert not latch.closed, "an order counts once"
-    hear(stop, StopOrder(0, "off", 3, "viewer"))
+    receive_order(stop, StopOrder(0, "off", 3, "viewer"))
     assert latch.closed, "a viewer whose machine has restarted counts from the start"
     for k in range(1000):
-        hear(stop, StopOrder(0, "off", k, f"viewer {k}"))
+        receive_order(stop, StopOrder(0, "off", k, f"viewer {k}"))
     assert len(stop._stops) <= 64
 
 
 @pytest.mark.parametrize("mode", ["stop", "sit", "walk", "stand"])
-def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(latch: Latch, mode: str) -> None:
+def test_torque_off_in_batch_is_latched_with_its_own_time(latch: Latch, mode: str) -> None:
     """Check that the latch keeps the time of the order: a later order may undo it.
 
     The actuator decides whether that has happened.
@@ -84,7 +84,7 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
     assert latch.since_ns == 5
 
 
-def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_heard_where_it_is_of_now(latch: Latch) -> None:
+def test_late_torque_off_order_is_latched_only_with_a_recent_stamp(latch: Latch) -> None:
     """Check a late order to turn torque off, which the guard obeys, too."""
     second = 1_000_000_000
     stop = EmergencyStop(PROFILE, Settings(PORT))
@@ -105,52 +105,52 @@ def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_h
     assert not latch.closed, "an order counts once, and none that is older than the last"
 
 
-def test_a_repetition_is_latched_no_second_time_whatever_numbers_its_holder_has_stopped_by_since(latch: Latch) -> None:
+def test_repeated_torque_off_is_not_latched_again_after_stop_order(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "off", 9)
-    hear(stop, StopOrder(0, "off", 3, "operator"))
+    send_mode(stop, "off", 9)
+    receive_order(stop, StopOrder(0, "off", 3, "operator"))
     latch.open()
-    say(stop, "off", 9)
+    send_mode(stop, "off", 9)
     assert not latch.closed
 
 
-def test_an_order_to_let_go_that_comes_by_a_late_clock_is_latched_as_one_after_what_it_takes_back(latch: Latch) -> None:
+def test_torque_off_with_slow_clock_is_latched_later_than_stand_order(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "stand", 9, "a")
-    say(stop, "off", 5, "b")
+    send_mode(stop, "stand", 9, "a")
+    send_mode(stop, "off", 5, "b")
     assert latch.since_ns == 10
 
 
-def test_numbers_that_are_no_times_bar_no_later_orders_way(latch: Latch) -> None:
+def test_implausible_sequence_number_does_not_block_later_orders(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "off", 10**18)
+    send_mode(stop, "off", 10**18)
     assert latch.closed
     latch.open()
-    say(stop, "off", 10**18)
+    send_mode(stop, "off", 10**18)
     assert not latch.closed, "an order counts once"
-    say(stop, "off", 1)
+    send_mode(stop, "off", 1)
     assert latch.closed
 
 
-def test_it_tries_again_where_the_latch_cannot_be_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_the_latch_is_retried_after_os_error(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
     with monkeypatch.context() as patched:
         patched.setattr(Latch, "close", lambda *_: (_ for _ in ()).throw(OSError("no such folder")))
-        say(stop, "off", 3)
+        send_mode(stop, "off", 3)
         assert "cannot latch a torque-off order: no such folder" in stop.doing()
     assert list(stop.step(Tick(0), Inbox(stop.subscribes, stop.stages))) == []
     assert latch.since_ns == 3
     assert stop.doing() == "torque is latched off"
 
 
-def test_a_disk_that_is_full_has_room_for_a_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latch_closes_on_full_disk(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
     latch.close(5)
     assert (latch.closed, latch.since_ns) == (True, 0)
     assert [path.name for path in latch.paths[0].parent.iterdir()] == [latch.paths[0].name]
 
 
-def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> None:
+def test_latch_is_not_opened_by_order_older_than_its_closing(latch: Latch) -> None:
     latch.close(100)
     latch.close(50)
     assert latch.since_ns == 100, "the newest counts"
@@ -169,7 +169,7 @@ def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> N
     assert list(latch.paths[0].parent.iterdir()) == []
 
 
-def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latch_closed_during_opening_stays_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
     latch.close(100)
     replace = Path.replace
 
@@ -184,15 +184,15 @@ def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypat
     assert latch.since_ns == 200
 
 
-def test_no_order_opens_it(latch: Latch) -> None:
+def test_no_mode_command_opens_the_latch(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "off", 1)
+    send_mode(stop, "off", 1)
     for sequence, mode in enumerate(("stop", "ready", "stand", "walk", "sit"), 2):
-        say(stop, mode, sequence)
+        send_mode(stop, mode, sequence)
     assert latch.closed
 
 
-def test_it_outlives_the_process_and_belongs_to_one_port(latch: Latch) -> None:
+def test_latch_persists_across_processes_and_applies_to_one_port(latch: Latch) -> None:
     latch.close()
     latch.close()
     assert Latch.of_port(PORT).closed
@@ -203,25 +203,25 @@ def test_it_outlives_the_process_and_belongs_to_one_port(latch: Latch) -> None:
 
 
 @given(st.text(min_size=1, max_size=200))
-def test_every_port_has_a_file_name(port: str) -> None:
+def test_any_port_name_gives_a_valid_latch_file_name(port: str) -> None:
     for path in Latch.of_port(port).paths:
         assert path.parent in latch_files.FOLDERS
         assert len(os.fsencode(path.name)) < 200
 
 
-def test_names_that_are_cut_stay_those_of_their_port() -> None:
+def test_truncated_latch_file_names_stay_unique_per_port() -> None:
     long = "/dev/serial/by-id/" + 200 * "x"
     assert Latch.of_port(long + "1").paths != Latch.of_port(long + "2").paths
 
 
-def test_a_device_has_one_latch_for_all_users_and_a_port_of_the_network_one_for_each(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_device_latch_is_shared_by_users_and_network_port_latch_per_user(monkeypatch: pytest.MonkeyPatch) -> None:
     device, network = Latch.of_port(PORT).paths, Latch.of_port("socket://127.0.0.1:7000").paths
     monkeypatch.setattr(os, "getuid", lambda: 4242)
     assert Latch.of_port(PORT).paths == device
     assert Latch.of_port("socket://127.0.0.1:7000").paths != network
 
 
-def test_who_knows_a_port_by_another_of_its_names_has_the_same_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_names_of_one_port_share_a_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that all names of one port share a latch.
 
     This includes an adapter that returns under another name, or was unplugged at start-up.
@@ -249,7 +249,7 @@ def test_who_knows_a_port_by_another_of_its_names_has_the_same_latch(latch: Latc
     assert not Latch.of_port(str(devices / "ttyUSB1")).closed
 
 
-def test_several_ports_are_let_go_by_the_latch_of_any(latch: Latch) -> None:
+def test_latch_of_any_port_turns_torque_off_on_all_ports(latch: Latch) -> None:
     both = Latch.of_port(f"{PORT}, /dev/ttyUSB1")
     Latch.of_port("/dev/ttyUSB1").close(5)
     assert (both.closed, both.since_ns) == (True, 5)
@@ -257,7 +257,7 @@ def test_several_ports_are_let_go_by_the_latch_of_any(latch: Latch) -> None:
     assert not Latch.of_port("/dev/ttyUSB1").closed
 
 
-def test_it_is_closed_where_any_of_its_files_says_so_and_open_where_none_does(tmp_path: Path) -> None:
+def test_latch_is_closed_if_any_of_its_files_exists(tmp_path: Path) -> None:
     shared, private = tmp_path / "shared", tmp_path / "private"
     latch = Latch(shared / "off", private / "off")
     with pytest.raises(FileNotFoundError, match=str(shared)):
@@ -276,7 +276,7 @@ def test_it_is_closed_where_any_of_its_files_says_so_and_open_where_none_does(tm
     assert [*shared.iterdir(), *private.iterdir()] == []
 
 
-def test_one_that_cannot_be_looked_at_is_neither_open_nor_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_latch_raises_os_error_and_is_reported(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
     with monkeypatch.context() as patched:
         patched.setattr(Path, "lstat", broken)
@@ -294,7 +294,7 @@ def broken(path: Path) -> os.stat_result:
 
 
 @pytest.mark.parametrize(("heard_ns", "since_ns"), [(700_000_000, 100), (2_000_000_101, 2_000_000_101), (50, 50)])
-def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, heard_ns: int, since_ns: int) -> None:
+def test_late_stop_order_is_latched_with_its_stamp(latch: Latch, heard_ns: int, since_ns: int) -> None:
     """Check that a late stop counts from its stamp, or from now if its clock differs.
 
     Otherwise a robot that stands up after a newer order would fall.
@@ -306,20 +306,18 @@ def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, he
     assert latch.since_ns == since_ns
 
 
-def test_many_holders_take_no_more_room(latch: Latch) -> None:
+def test_remembered_holders_are_bounded(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
     for k in range(1000):
-        say(stop, "off", k, f"holder {k}")
+        send_mode(stop, "off", k, f"holder {k}")
     assert len(stop._newest) <= 64
 
 
-def test_a_latch_that_cannot_be_closed_is_said_and_the_stop_path_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stop_path_continues_after_reporting_a_failed_latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "gone",))
     stop = EmergencyStop(PROFILE, Settings(PORT))
-    say(stop, "off", 1)
+    send_mode(stop, "off", 1)
     assert stop.doing().startswith("cannot latch a torque-off order: ")
     (tmp_path / "gone").mkdir()
-    say(stop, "off", 2)
+    send_mode(stop, "off", 2)
     assert stop.doing() == "torque is latched off"

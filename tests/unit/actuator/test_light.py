@@ -48,7 +48,7 @@ def own_files() -> Iterable[Path]:
     return (path for path in found if "__pycache__" not in path.parts)
 
 
-def test_the_role_installs_in_150_megabytes() -> None:
+def test_actuator_extra_installs_in_at_most_150_mb() -> None:
     """Check the installed size without Python, pip and setuptools.
 
     Bytecode of other packages counts as far as it exists on this machine.
@@ -65,7 +65,7 @@ def test_the_role_installs_in_150_megabytes() -> None:
 
 
 @pytest.mark.parametrize("process", ["sextant.services.actuator", "sextant.services.actuator.estop"])
-def test_its_processes_import_nothing_heavy(process: str) -> None:
+def test_actuator_processes_import_no_heavy_packages(process: str) -> None:
     """List all modules that are imported when `process.main` is called."""
     look = (
         "import sys; from sextant.shared.runtime import process; process.main = lambda *_: None; "

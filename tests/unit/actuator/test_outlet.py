@@ -17,7 +17,7 @@ class Adapter:
         self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial
 
 
-def test_an_adapter_says_who_it_is_and_is_found_under_its_new_name() -> None:
+def test_adapter_is_found_by_identity_under_a_new_device_name() -> None:
     before = [Adapter("/dev/ttyS0", None, None, None), Adapter("/dev/ttyUSB0"), Adapter("/dev/ttyUSB1", serial="FT2")]
     who = usb_adapter.identity("/dev/ttyUSB0", lambda: before)
     assert who == (0x0403, 0x6014, "FT1")
@@ -27,7 +27,7 @@ def test_an_adapter_says_who_it_is_and_is_found_under_its_new_name() -> None:
 
 
 @pytest.mark.parametrize("url", ["/dev/ttyS0", "/dev/ttyUSB9", "socket://127.0.0.1:5000"])
-def test_a_port_that_is_no_adapter_is_nobody(url: str) -> None:
+def test_port_without_usb_adapter_has_no_identity(url: str) -> None:
     ports = [Adapter("/dev/ttyS0", None, None, None), Adapter("/dev/ttyUSB9", serial=None)]
     assert usb_adapter.identity(url, lambda: ports) is None
     assert usb_adapter.renamed_devices(None, lambda: [Adapter("/dev/ttyUSB0"), *ports]) == []
@@ -50,7 +50,7 @@ class Desk:
         return url
 
 
-def test_an_outlet_takes_the_first_name_there_is_and_follows_the_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outlet_opens_first_existing_port_and_follows_renamed_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"))
     outlet = servos.Outlet(Settings(port="/dev/ttyACM0, /dev/ttyUSB0"))
     assert outlet.open() == "/dev/ttyUSB0"
@@ -64,7 +64,7 @@ def test_an_outlet_takes_the_first_name_there_is_and_follows_the_adapter(monkeyp
     assert outlet.open() == "/dev/ttyUSB7", "it is remembered"
 
 
-def test_an_outlet_tries_a_name_once_and_a_port_that_is_no_adapter_keeps_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outlet_keeps_adapter_identity_after_opening_a_socket_port(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"), others=("socket://here:1",))
     outlet = servos.Outlet(Settings(port="/dev/ttyUSB0,socket://here:1"))
     assert outlet.open() == outlet.open() == "/dev/ttyUSB0"

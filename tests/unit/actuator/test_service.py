@@ -18,7 +18,7 @@ from sextant.shared.wire.messages import Mode, ModeCommand, Odometry
 from tests.support.actuator_rig import CRAWL, OUT, PERIOD, PROFILE, REST, TRIPOD, Rig
 
 
-def test_torque_stays_as_it_was_found() -> None:
+def test_start_up_keeps_torque_state() -> None:
     for torque in (True, False):
         rig = Rig(torque=torque)
         state = rig.cycle(5)
@@ -26,7 +26,7 @@ def test_torque_stays_as_it_was_found() -> None:
         assert state.mode == (Mode.HOLD if torque else Mode.OFF)
 
 
-def test_a_standing_robot_is_taken_over_without_a_twitch() -> None:
+def test_start_up_on_standing_robot_does_not_jerk_joints() -> None:
     rig = Rig()
     before = rig.goals
     states = []
@@ -62,7 +62,7 @@ def test_stand_raises_a_lying_robot_to_rest() -> None:
     assert (feet[:, 2] < REST[:, 2] + 2e-3).all()  # the sag is fed forward: feet go beyond the height, never short of it
 
 
-def test_an_order_counts_once() -> None:
+def test_repeated_order_sequence_is_ignored() -> None:
     rig = Rig()
     rig.cycle()
     rig.command("stand")
@@ -72,7 +72,7 @@ def test_an_order_counts_once() -> None:
     assert rig.torque
 
 
-def test_standing_up_again_is_no_leap() -> None:
+def test_second_stand_order_does_not_jump() -> None:
     rig = Rig()
     rig.cycle(5)
     before = rig.goals
@@ -81,7 +81,7 @@ def test_standing_up_again_is_no_leap() -> None:
     assert np.abs(rig.goals - before).max() < 0.02
 
 
-def test_off_is_obeyed_at_once() -> None:
+def test_off_order_during_walk_turns_torque_off_at_once() -> None:
     rig = Rig()
     rig.walking()
     rig.command("off")
@@ -93,7 +93,7 @@ def test_off_is_obeyed_at_once() -> None:
     assert not rig.torque
 
 
-def test_an_order_to_let_go_outlives_the_process_and_a_new_order_alone_undoes_it(tmp_path: Path) -> None:
+def test_torque_stays_off_after_restart_until_new_order(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(latch=latch)
     rig.walking()
@@ -114,7 +114,7 @@ def test_an_order_to_let_go_outlives_the_process_and_a_new_order_alone_undoes_it
     assert not latch.closed
 
 
-def test_a_new_process_lets_go_before_it_asks_anything(tmp_path: Path) -> None:
+def test_latched_process_turns_torque_off_before_first_bus_read(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(latch=latch)
     latch.close()
@@ -124,7 +124,7 @@ def test_a_new_process_lets_go_before_it_asks_anything(tmp_path: Path) -> None:
     assert heard[0] == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
 
 
-def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> None:
+def test_closed_latch_turns_torque_off_without_any_message(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(latch=latch)
     rig.walking()
@@ -147,7 +147,7 @@ class LateLatch(Latch):
         return was
 
 
-def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_path: Path) -> None:
+def test_latch_closed_in_mid_cycle_turns_torque_off_before_any_goal(tmp_path: Path) -> None:
     """Check a process that was stopped after its check and continues much later."""
     latch = LateLatch(tmp_path / "off")
     rig = Rig(latch=latch)
@@ -162,7 +162,7 @@ def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_pa
     assert not rig.torque
 
 
-def test_goals_of_a_cycle_in_which_the_process_was_stopped_for_long_are_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_goals_are_not_sent_after_long_pause_within_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     state = rig.walking()
     rig.hear(rig.plan(state))
@@ -184,7 +184,7 @@ def test_goals_of_a_cycle_in_which_the_process_was_stopped_for_long_are_not_sent
     assert [data for data in heard if data[4] == dxl.Instruction.SYNC_WRITE and data[5] == dxl.GOAL_POSITION.address]
 
 
-def test_without_the_order_to_walk_a_plan_is_refused_in_words() -> None:
+def test_plan_without_walk_order_is_refused_with_reason() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.cycle(2)))
     state = rig.cycle()
@@ -193,7 +193,7 @@ def test_without_the_order_to_walk_a_plan_is_refused_in_words() -> None:
     assert "not ordered to walk" in rig.actuator.doing()
 
 
-def test_a_plan_is_walked_to_its_end_and_then_it_holds_with_torque_on() -> None:
+def test_plan_is_executed_then_robot_holds_with_torque_on() -> None:
     rig = Rig()
     state = rig.walking()
     start, plan = state.T_odom_body, rig.plan(state)
@@ -217,7 +217,7 @@ def test_a_plan_is_walked_to_its_end_and_then_it_holds_with_torque_on() -> None:
     assert np.abs(rig.goals - held).max() < 4.5 * dxl.TICK_RAD
 
 
-def test_the_odometry_is_that_of_the_joints() -> None:
+def test_published_odometry_matches_joint_odometry() -> None:
     rig = Rig()
     state = rig.walking()
     for _ in range(3):
@@ -234,7 +234,7 @@ def test_the_odometry_is_that_of_the_joints() -> None:
     assert odometry.travelled >= np.linalg.norm(state.T_odom_body[:2, 3]) - 1e-9
 
 
-def test_a_refused_plan_changes_nothing() -> None:
+def test_refused_plan_does_not_change_step_or_mode() -> None:
     rig = Rig()
     state = rig.walking()
     rig.hear(rig.plan(state, duration=99.0))
@@ -255,7 +255,7 @@ def test_an_old_plan_is_refused() -> None:
     assert "s old" in rig.cycle().refused
 
 
-def test_the_next_plan_waits_and_joins_on() -> None:
+def test_next_plan_waits_for_running_step_without_a_pause() -> None:
     rig = Rig()
     state = rig.walking()
     first = rig.plan(state)
@@ -277,7 +277,7 @@ def test_the_next_plan_waits_and_joins_on() -> None:
     assert set(modes) == {Mode.WALK}
 
 
-def test_contacts_and_loads_are_those_the_servos_feel() -> None:
+def test_contacts_and_loads_follow_servo_readings() -> None:
     rig = Rig()
     rig.ground[:] = False
     rig.push[TRIPOD, 2] = 8.0
@@ -289,7 +289,7 @@ def test_contacts_and_loads_are_those_the_servos_feel() -> None:
     assert 20.0 < state.temperature < 40.0
 
 
-def test_a_robot_without_servos_does_not_start() -> None:
+def test_start_up_fails_if_servos_are_missing() -> None:
     rig = Rig()
     rig.bus = ServoBusEmulator(ServoBank([1, 2, 3]))
     with pytest.raises(OSError, match="15 of 18 servos are not ready"):
@@ -299,6 +299,6 @@ def test_a_robot_without_servos_does_not_start() -> None:
 @pytest.mark.parametrize(
     "nonsense", [{"rate_hz": 5.0}, {"read_budget_ms": 30.0}, {"unload_s": 0.0}, {"load_s": 0.29}, {"brake_s": 0.0}]
 )
-def test_nonsense_settings_are_refused(nonsense: dict[str, float]) -> None:
+def test_invalid_settings_are_refused(nonsense: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Settings(**nonsense)  # type: ignore[arg-type]

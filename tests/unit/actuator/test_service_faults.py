@@ -17,7 +17,7 @@ def shut_down(rig: Rig, row: int) -> None:
     rig.bank._faults[row] = int(dxl.ServoError.OVERLOAD)
 
 
-def test_a_servo_that_was_left_weak_is_named_and_taken_up_by_order_alone() -> None:
+def test_low_torque_limit_is_reported_and_restored_by_ready_order() -> None:
     rig = Rig()
     row = IDS.index(9)
     rig.bank.write(row, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(300))
@@ -32,7 +32,7 @@ def test_a_servo_that_was_left_weak_is_named_and_taken_up_by_order_alone() -> No
     assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(dxl.TORQUE_LIMIT.max)
 
 
-def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
+def test_servo_shutdown_is_named_and_robot_holds() -> None:
     rig = Rig()
     state = rig.walking()
     rig.hear(rig.plan(state))
@@ -51,7 +51,7 @@ def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
     assert f"`stand` refused: {words}" in state.warnings
 
 
-def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot_lies_down_and_lets_go() -> None:
+def test_fourth_overload_in_5_minutes_sits_down_and_turns_torque_off() -> None:
     rig = Rig()
     rig.walking()
     row = IDS.index(16)
@@ -72,7 +72,7 @@ def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot
     assert not rig.torque
 
 
-def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are() -> None:
+def test_walk_resumes_only_after_reset_servo_has_caught_up() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     state = rig.cycle(14)
@@ -113,21 +113,21 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     assert abs(rig.joint(row) - torque_disabled) > np.radians(8.0), "it is where the others are"
 
 
-def lies_limp(rig: Rig, row: int, by: float) -> None:
+def disable_torque_and_drop_joint(rig: Rig, row: int, by: float) -> None:
     """Shut a servo down and let its joint fall by an angle [rad]."""
     rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
     shut_down(rig, row)
     rig.stuck[row] = rig.joint(row) + by
 
 
-def test_of_two_legs_that_were_limp_the_second_waits_where_it_lies_and_nobody_walks_on_before() -> None:
+def test_two_legs_without_torque_are_recovered_one_after_the_other() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     state = rig.cycle(40)
     rows = IDS.index(16), IDS.index(9)
-    lies_limp(rig, rows[0], 0.4)
+    disable_torque_and_drop_joint(rig, rows[0], 0.4)
     rig.cycle(40)
-    lies_limp(rig, rows[1], 0.4)
+    disable_torque_and_drop_joint(rig, rows[1], 0.4)
     second, order, before = rows[1] // 3, list[int](), None
     state = rig.cycle(5)
     while state.mode is Mode.FAULT:
@@ -149,7 +149,7 @@ def test_of_two_legs_that_were_limp_the_second_waits_where_it_lies_and_nobody_wa
 
 
 @pytest.mark.parametrize("heard_again", [False, True])
-def test_a_robot_lies_down_on_no_leg_that_hangs(heard_again: bool) -> None:
+def test_sitting_down_does_not_load_a_leg_with_lost_servo(heard_again: bool) -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     rig.cycle(14)
@@ -169,9 +169,7 @@ def test_a_robot_lies_down_on_no_leg_that_hangs(heard_again: bool) -> None:
 
 @pytest.mark.parametrize(("roll", "leg"), [(0.0, 1), (0.12, 1), (0.12, 4), (-0.12, 5)])
 @pytest.mark.parametrize("height", [0.008, 0.02])
-def test_a_foot_that_is_found_in_the_air_comes_down_to_the_plane_of_those_that_stand(
-    roll: float, leg: int, height: float
-) -> None:
+def test_raised_foot_at_start_up_is_lowered_to_plane_of_stance_feet(roll: float, leg: int, height: float) -> None:
     stands = np.arange(6) != leg
     level = REST + np.where(stands, 0.0, height)[:, None] * UP
     rig = Rig(apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, 0.0, 0.0)), level))
@@ -191,7 +189,7 @@ def test_a_foot_that_is_found_in_the_air_comes_down_to_the_plane_of_those_that_s
     assert abs(feet[leg, 2] - plane[leg] @ slope) < 0.003
 
 
-def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None:
+def test_stand_is_allowed_after_ready_order_during_servo_catch_up() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     rig.cycle(14)
@@ -211,7 +209,7 @@ def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None
     assert rig.cycle(2).mode is Mode.STAND
 
 
-def test_a_fault_while_standing_up_is_not_forgotten() -> None:
+def test_fault_during_stand_up_aborts_the_motion() -> None:
     rig = Rig(CRAWL, torque=False)
     rig.cycle(2)
     rig.command("stand")
@@ -224,7 +222,7 @@ def test_a_fault_while_standing_up_is_not_forgotten() -> None:
     np.testing.assert_array_equal(rig.goals, goals)
 
 
-def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
+def test_restarted_actuator_holds_pose_and_requires_new_walk_order() -> None:
     rig = Rig()
     state = rig.walking()
     for _ in range(2):
@@ -246,7 +244,7 @@ def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
 
 
 @pytest.mark.parametrize("cycles", [3, 5, 9, 15, 21, 27, 29])
-def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_come_down_gently(cycles: int) -> None:
+def test_after_process_pause_feet_are_lowered_at_limited_rate(cycles: int) -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     state = rig.cycle(cycles)
@@ -267,7 +265,7 @@ def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_com
     assert state.mode is Mode.HOLD
 
 
-def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
+def test_plans_are_refused_until_joints_have_caught_up_after_pause() -> None:
     rig = Rig()
     epoch = rig.walking().epoch
     rig.stuck[0] = rig.joint(0) + 0.09  # the joint restarts here, and its goal has moved here, too
@@ -289,9 +287,7 @@ def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
 
 
 @pytest.mark.parametrize("cycles", [3, 15, 27])
-def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
-    cycles: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_feedforward_rate_is_zero_in_first_cycle_after_process_pause(cycles: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rates: list[float] = []
 
     def noted(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:
@@ -309,7 +305,7 @@ def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
 
 
 @pytest.mark.parametrize("mode", ["off", "ready"])
-def test_a_robot_that_lies_says_what_is_broken(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lying_robot_reports_unresponsive_bus(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(torque=False)
     rig.cycle(2)
     if mode == "ready":
@@ -323,7 +319,7 @@ def test_a_robot_that_lies_says_what_is_broken(mode: str, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("order", ["ready", "stand"])
-def test_a_robot_that_is_still_may_stand_once_a_servo_has_been_reset(order: str) -> None:
+def test_stand_is_allowed_after_servo_reset_on_a_resting_robot(order: str) -> None:
     """Check that an interrupted motion is not resumed after a reset.
 
     The actuator gave it up when the servo shut down.

@@ -12,7 +12,7 @@ from sextant.shared.wire.messages import ActuatorState, Imu, Mode
 from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
 
 
-def stepped(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[ActuatorState]]:
+def take_two_steps(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[ActuatorState]]:
     """Take two steps; return the last state and all states on the way.
 
     The second step is planned when the first has ended.
@@ -24,13 +24,13 @@ def stepped(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[Actuato
     return states[-1], states
 
 
-def test_a_foot_without_ground_reaches_down_and_is_taken_back_and_everybody_hears_of_it() -> None:
+def test_foot_without_ground_reaches_down_then_step_is_reversed() -> None:
     rig = Rig()
     first = rig.walking()
     lost = int(np.flatnonzero(rig.plan(first).swing)[0])
     stood = apply(first.T_odom_body, first.feet)
     rig.ground[lost] = False
-    state, states = stepped(rig, first)
+    state, states = take_two_steps(rig, first)
     reasons = [s.reason for s in states]
     assert any("the foot reaches down" in r for r in reasons)
     assert state.mode is Mode.HOLD
@@ -47,7 +47,7 @@ def test_a_foot_without_ground_reaches_down_and_is_taken_back_and_everybody_hear
     assert not state.swing.any()
 
 
-def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_reason() -> None:
+def test_plan_is_refused_while_a_foot_searches_for_ground() -> None:
     rig = Rig()
     first = rig.walking()
     rig.ground[int(np.flatnonzero(rig.plan(first).swing)[0])] = False
@@ -61,7 +61,7 @@ def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_re
     assert "no ground under" in rig.cycle(2).refused
 
 
-def felt_by(rig: Rig, R_level_ground: Array) -> Array:
+def measured_up(rig: Rig, R_level_ground: Array) -> Array:
     """Return up (3,) {body} of a robot that stands with six feet on a plane."""
     feet = body_forward(PROFILE, rig.goals)
     ahead, aside, _ = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(6)]), feet[:, 2], rcond=None)[0]
@@ -71,20 +71,20 @@ def felt_by(rig: Rig, R_level_ground: Array) -> Array:
     return np.asarray((R_level_ground @ R_ground_body)[2])
 
 
-def listen(rig: Rig, up: Array) -> ActuatorState:
+def cycle_with_imu(rig: Rig, up: Array) -> ActuatorState:
     """Run a cycle with an inertial sensor that measures up (3,) {body}."""
     rig.hear(Imu(rig.now_ns, np.zeros(3), 9.81 * up))
     return rig.cycle()
 
 
 @pytest.mark.parametrize("slope", [(4.0, 0.0), (0.0, -5.0), (3.0, 3.0)])
-def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float, float]) -> None:
+def test_body_levels_on_slope_with_imu(slope: tuple[float, float]) -> None:
     rig, R = Rig(), rotation_from_rpy(np.radians([*slope, 0.0]))
     rig.walking()
-    tilted = np.degrees(np.arccos(felt_by(rig, R)[2]))
+    tilted = np.degrees(np.arccos(measured_up(rig, R)[2]))
     for _ in range(900):
-        state = listen(rig, felt_by(rig, R))
-    up = felt_by(rig, R)
+        state = cycle_with_imu(rig, measured_up(rig, R))
+    up = measured_up(rig, R)
     assert tilted > 3.5
     assert np.degrees(np.arccos(up[2])) < 1.0
     np.testing.assert_allclose(state.T_odom_body[2, :3], up, atol=np.radians(1.0))
@@ -95,21 +95,21 @@ def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float,
     np.testing.assert_allclose(later.T_odom_body[2, :3], up, atol=np.radians(1.0))
 
 
-def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
+def test_tipping_robot_finishes_step_then_holds_with_reason() -> None:
     rig, upright = Rig(), UP
     state = rig.walking()
     for _ in range(500):
-        state = listen(rig, upright)
+        state = cycle_with_imu(rig, upright)
     rig.hear(rig.plan(state))
     for _ in range(10):
-        state = listen(rig, upright)
+        state = cycle_with_imu(rig, upright)
     assert state.mode is Mode.WALK
     for tilt in np.radians(np.arange(0.0, 35.0, 2.5)):
         rig.hear(Imu(rig.now_ns, np.array([np.radians(125.0), 0.0, 0.0]), 9.81 * rotation_from_rpy((tilt, 0.0, 0.0))[2]))
         state = rig.cycle()
     running = state.step
     while state.mode is Mode.WALK:
-        state = listen(rig, rotation_from_rpy((np.radians(35.0), 0.0, 0.0))[2])
+        state = cycle_with_imu(rig, rotation_from_rpy((np.radians(35.0), 0.0, 0.0))[2])
     assert state.mode is Mode.HOLD
     assert state.step == running
     assert "deg from the commanded pose, by the IMU" in state.reason
@@ -119,11 +119,11 @@ def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
     assert rig.torque
 
 
-def sure(rig: Rig, up: Array = UP) -> ActuatorState:
+def walk_with_trusted_imu(rig: Rig, up: Array = UP) -> ActuatorState:
     """Run until walking is allowed and the sensor is trusted; up is (3,) {body}."""
     rig.walking()
     for _ in range(400):
-        state = listen(rig, up)
+        state = cycle_with_imu(rig, up)
     return state
 
 
@@ -136,9 +136,9 @@ def tip(rig: Rig, angle: float, cycles: int = 25) -> ActuatorState:
     return state
 
 
-def test_a_robot_that_is_lifted_and_turned_keeps_its_legs_still() -> None:
+def test_lifted_and_turned_robot_does_not_move_legs() -> None:
     rig = Rig()
-    sure(rig)
+    walk_with_trusted_imu(rig)
     goals = rig.goals
     for _ in range(100):
         rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 1.5]), 9.81 * UP))
@@ -147,86 +147,86 @@ def test_a_robot_that_is_lifted_and_turned_keeps_its_legs_still() -> None:
 
 
 @pytest.mark.parametrize("angle", [1.0, np.pi / 2, 3.0])
-def test_a_fallen_robot_keeps_its_legs_still(angle: float) -> None:
+def test_fallen_robot_does_not_move_legs(angle: float) -> None:
     rig = Rig()
-    sure(rig)
+    walk_with_trusted_imu(rig)
     state = tip(rig, angle)
     assert any("from the commanded pose" in warning for warning in state.warnings)
     goals = rig.goals
     for _ in range(150):
-        state = listen(rig, rotation_from_rpy((angle, 0.0, 0.0))[2])
+        state = cycle_with_imu(rig, rotation_from_rpy((angle, 0.0, 0.0))[2])
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
     assert any("from the commanded pose" in warning for warning in state.warnings)
 
 
-def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
+def test_upside_down_imu_does_not_move_legs() -> None:
     rig = Rig()
     rig.walking()
     rig.cycle(300)
     goals = rig.goals
     for _ in range(500):
-        state = listen(rig, -UP)
+        state = cycle_with_imu(rig, -UP)
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
     assert any("180 deg from the commanded pose" in warning for warning in state.warnings)
 
 
-def test_a_robot_with_a_fault_moves_no_leg() -> None:
+def test_faulty_robot_does_not_level_when_tilted() -> None:
     rig = Rig()
-    sure(rig)
+    walk_with_trusted_imu(rig)
     rig.bank._faults[4] = int(dxl.ServoError.ANGLE_LIMIT)
     rig.cycle(20)
     goals = rig.goals
     tip(rig, np.radians(10.0))
     for _ in range(150):
-        state = listen(rig, rotation_from_rpy((np.radians(10.0), 0.0, 0.0))[2])
+        state = cycle_with_imu(rig, rotation_from_rpy((np.radians(10.0), 0.0, 0.0))[2])
     assert state.mode is Mode.FAULT
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_a_robot_that_has_tipped_walks_on_by_a_new_order_only(heard: bool) -> None:
+def test_walking_after_tipping_requires_new_order(heard: bool) -> None:
     """Check that neither a return upright nor a silent sensor allows walking again."""
     rig = Rig()
-    sure(rig)
+    walk_with_trusted_imu(rig)
     tip(rig, np.radians(35.0))
     for _ in range(400):
-        state = listen(rig, UP) if heard else rig.cycle()
+        state = cycle_with_imu(rig, UP) if heard else rig.cycle()
     rig.hear(rig.plan(state))
     state = rig.cycle()
     assert state.mode is Mode.HOLD
     assert "by the IMU" in state.refused
     rig.command("walk")
-    state = listen(rig, UP) if heard else rig.cycle()
+    state = cycle_with_imu(rig, UP) if heard else rig.cycle()
     rig.hear(rig.plan(state))
     assert rig.cycle().mode is Mode.WALK
     assert not any("from the commanded pose" in warning for warning in rig.cycle().warnings)
 
 
-def test_a_robot_that_lies_on_its_side_does_not_walk_by_an_order() -> None:
+def test_robot_on_its_side_refuses_walk_order() -> None:
     rig, up = Rig(), rotation_from_rpy((1.2, 0.0, 0.0))[2]
-    sure(rig)
+    walk_with_trusted_imu(rig)
     state = tip(rig, 1.2)
     rig.command("walk")
     rig.hear(rig.plan(state))
-    assert listen(rig, up).mode is Mode.HOLD
+    assert cycle_with_imu(rig, up).mode is Mode.HOLD
     rig.hear(rig.plan(state))
-    assert "by the IMU" in listen(rig, up).refused
+    assert "by the IMU" in cycle_with_imu(rig, up).refused
 
 
-def test_standing_up_anew_twists_nobody() -> None:
+def test_second_stand_up_does_not_twist_the_coxae() -> None:
     """Check that standing up restarts leg odometry while the gyro continues."""
     rig = Rig()
-    sure(rig)
+    walk_with_trusted_imu(rig)
     rig.actuator._estimator.odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # gyro and legs agree on the turn
     rig.actuator._motion.executor = StepExecutor(Settings(), REST, rig.actuator._estimator.odometry.T_odom_body)
     rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
     rig.cycle()
     goals = rig.goals
     rig.command("stand")
-    state = listen(rig, UP)
+    state = cycle_with_imu(rig, UP)
     assert state.mode is Mode.STAND
-    while listen(rig, UP).mode is Mode.STAND:
+    while cycle_with_imu(rig, UP).mode is Mode.STAND:
         pass
     for _ in range(150):
-        listen(rig, UP)
+        cycle_with_imu(rig, UP)
     np.testing.assert_allclose(rig.goals[:, 0], goals[:, 0], atol=STILL)

@@ -16,7 +16,7 @@ from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig
 
 
-def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_until_it_can(tmp_path: Path) -> None:
+def test_torque_turns_off_with_warning_while_order_cannot_be_latched(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     rig = Rig(latch=Latch(folder / "off"))
     rig.cycle(2)
@@ -32,9 +32,7 @@ def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_unt
     assert rig.cycle(2).mode is Mode.OFF
 
 
-def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_nor_keeps_an_order_from_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_latch_gives_warning_and_keeps_torque_and_off_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(path: Path) -> None:
         raise OSError(5, "Input/output error")
 
@@ -58,7 +56,7 @@ def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_no
     assert words not in state.warnings
 
 
-def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_path: Path) -> None:
+def test_torque_stays_off_if_latch_cannot_be_opened(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     latch.paths[0].mkdir()  # a folder cannot be unlinked
     rig = Rig(torque=False, latch=latch)
@@ -73,7 +71,7 @@ def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_pat
     )
 
 
-def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_begins_anew(tmp_path: Path) -> None:
+def test_stand_order_repeated_across_restart_does_not_undo_torque_off(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(torque=False, latch=latch)
     rig.cycle(2)
@@ -96,7 +94,7 @@ def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_be
 
 
 @pytest.mark.parametrize("stops_only", [False, True])
-def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_later(tmp_path: Path, stops_only: bool) -> None:
+def test_torque_off_takes_precedence_over_earlier_stand_in_one_batch(tmp_path: Path, stops_only: bool) -> None:
     rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
     rig.leads = False
     rig.cycle(2)
@@ -111,7 +109,7 @@ def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_late
     assert not rig.torque
 
 
-def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late_clock_and_in_one_batch(tmp_path: Path) -> None:
+def test_torque_off_with_slow_clock_overrides_stand_in_one_batch(tmp_path: Path) -> None:
     rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
     rig.leads = False
     rig.cycle(2)
@@ -124,7 +122,7 @@ def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late
 
 
 @pytest.mark.parametrize("order", ["walk", "stand"])
-def test_who_wakes_from_sleep_goes_on_with_nothing(order: str) -> None:
+def test_orders_from_before_suspend_are_not_resumed(order: str) -> None:
     """Check that sleep ends all orders, although it stops the monotonic clock.
 
     An order from an hour ago would otherwise look new.
@@ -148,7 +146,7 @@ def test_who_wakes_from_sleep_goes_on_with_nothing(order: str) -> None:
     assert rig.cycle(2).lease == "operator"
 
 
-def test_torque_goes_off_for_who_wakes_from_sleep() -> None:
+def test_torque_off_order_from_before_suspend_is_obeyed() -> None:
     rig = Rig()
     rig.cycle(2)
     rig.suspended_ns = 10**12
@@ -158,7 +156,7 @@ def test_torque_goes_off_for_who_wakes_from_sleep() -> None:
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
+def test_restart_resumes_walk_order_only_if_not_stopped(stopped: bool, tmp_path: Path) -> None:
     """Check a client that repeats its walk order: it missed or ignores the stop."""
     rig = Rig(latch=Latch(tmp_path / "off"))
     rig.authorization = WalkAuthorization(tmp_path / "walk")
@@ -179,7 +177,7 @@ def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
     assert told == stopped
 
 
-def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched_late(tmp_path: Path) -> None:
+def test_rising_robot_ignores_late_latch_of_an_older_off_order(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(torque=False, latch=latch)
     rig.cycle(2)
@@ -199,7 +197,7 @@ def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched
 
 
 @pytest.mark.parametrize("since_ns", [0, 10**18])
-def test_a_latch_that_does_not_know_when_it_was_closed_was_closed_just_now(tmp_path: Path, since_ns: int) -> None:
+def test_latch_without_valid_time_counts_as_closed_now(tmp_path: Path, since_ns: int) -> None:
     latch = Latch(tmp_path / "off")
     latch.close(since_ns)
     rig = Rig(torque=True, latch=latch)
@@ -213,7 +211,7 @@ def test_a_latch_that_does_not_know_when_it_was_closed_was_closed_just_now(tmp_p
     assert not latch.closed
 
 
-def test_torque_that_is_ordered_off_while_it_is_turned_on_stays_off(tmp_path: Path) -> None:
+def test_torque_off_ordered_during_torque_on_wins(tmp_path: Path) -> None:
     class Closing(Latch):
         def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
             self.close((given_ns or 0) + 1)  # by the stop path, just now

@@ -40,7 +40,7 @@ def run(
 BEAT_NS = TIME_STEP_NS  # messages are published after a step
 
 
-def test_rates_are_exact_in_count() -> None:
+def test_message_counts_match_rates_exactly() -> None:
     made = run(simulator(imu=True), 2_000 * MS)
     counts = Counter(type(m) for m in made)
     # The first of each comes at once, so the two seconds after it contain two seconds of messages.
@@ -56,7 +56,7 @@ def test_rates_are_exact_in_count() -> None:
         assert late[1:].max() < BEAT_NS + 100  # no drift: it is at most one beat of the simulator late
 
 
-def test_colour_is_made_where_the_camera_has_it_and_somebody_wants_it() -> None:
+def test_colour_is_rendered_only_with_colour_camera_and_subscriber() -> None:
     in_colour = Simulator(load_profile("phantomx_mk2_rgbd"), Settings(), FLAT)
     assert not [m for m in run(in_colour, 300 * MS) if isinstance(m, ColorImage)]
     assert not [m for m in run(simulator(), 300 * MS, (topics.COLOR,)) if isinstance(m, ColorImage)]
@@ -68,7 +68,7 @@ def test_colour_is_made_where_the_camera_has_it_and_somebody_wants_it() -> None:
     assert {m.stamp_ns for m in pictures} <= {m.stamp_ns for m in made if isinstance(m, DepthImage)}
 
 
-def test_depth_is_the_same_with_and_without_colour() -> None:
+def test_depth_is_unaffected_by_colour() -> None:
     both = [Simulator(load_profile(name), Settings(), FLAT) for name in ("phantomx_mk2", "phantomx_mk2_rgbd")]
     one, two = ([m.depth for m in run(sim, 120 * MS, (topics.COLOR,)) if isinstance(m, DepthImage)] for sim in both)
     for a, b in zip(one, two, strict=True):
@@ -76,7 +76,7 @@ def test_depth_is_the_same_with_and_without_colour() -> None:
 
 
 @pytest.mark.parametrize("kind", ["absent", "frozen", "blind", "noise"])
-def test_the_camera_fails_as_the_scenario_has_it_and_comes_back(kind: str) -> None:
+def test_camera_fault_of_scenario_starts_and_ends_in_time(kind: str) -> None:
     fault = Fault(0.2, "camera", kind, for_s=0.3)  # type: ignore[arg-type]
     made = run(Simulator(PROFILE, Settings(), Scenario("flat", (Plane(),), Goal(1.0), faults=(fault,))), 800 * MS)
     before, during, after = (
@@ -98,11 +98,11 @@ def test_the_camera_fails_as_the_scenario_has_it_and_comes_back(kind: str) -> No
     assert states[-1].ok
 
 
-def test_no_imu_unless_the_scenario_has_one() -> None:
+def test_imu_is_published_only_if_scenario_has_one() -> None:
     assert not [m for m in run(simulator(), 100 * MS) if isinstance(m, Imu)]
 
 
-def test_the_robot_stands_on_its_feet_with_torque_on() -> None:
+def test_robot_starts_standing_with_torque_on() -> None:
     sim = simulator()
     truths = [m for m in run(sim, 500 * MS) if isinstance(m, GroundTruth)]
     last = truths[-1]
@@ -112,7 +112,7 @@ def test_the_robot_stands_on_its_feet_with_torque_on() -> None:
     np.testing.assert_allclose(last.T_world_body[:2, 3], 0.0, atol=5e-3)
 
 
-def test_the_robot_starts_where_its_seed_says_within_the_spreads() -> None:
+def test_start_pose_follows_seed_within_spread() -> None:
     start = Start((0.1, -0.2), 10.0, xy_spread=(0.02, 0.01), yaw_spread_deg=2.0)
     scenario = Scenario("flat", (Plane(),), Goal(1.0), start=start)
     poses = np.array([Simulator(PROFILE, Settings(seed=seed), scenario).world.T_world_body for seed in [*range(8), 0]])
@@ -124,7 +124,7 @@ def test_the_robot_starts_where_its_seed_says_within_the_spreads() -> None:
 
 
 @pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
-def test_servos_of_either_kind_are_set_up_for_the_actuators_bus(name: str) -> None:
+def test_servos_of_each_model_answer_on_actuator_bus(name: str) -> None:
     profile = load_profile(name)
     sim = Simulator(profile, Settings(seed=0), FLAT)
     for servo in profile.servo_ids.ravel().tolist():
@@ -132,7 +132,7 @@ def test_servos_of_either_kind_are_set_up_for_the_actuators_bus(name: str) -> No
         assert answer.data == dxl.status(servo, 0, bytes([{"AX-12A": 12, "RX-64": 64}[profile.servo.model]]))
 
 
-def test_stamps_are_those_of_whoever_paces_it() -> None:
+def test_stamps_follow_the_pacing_clock() -> None:
     """Take stamps from the pacing clock; live, it does not begin at zero."""
     origin = 123_456_789_000
     made = run(simulator(), origin + 100 * MS, from_ns=origin)
@@ -140,7 +140,7 @@ def test_stamps_are_those_of_whoever_paces_it() -> None:
     assert max(m.stamp_ns for m in made) <= origin + 100 * MS
 
 
-def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
+def test_slow_machine_drops_time_and_reports_it() -> None:
     sim = simulator()
     run(sim, 40 * MS)
     inbox = Inbox(sim.subscribes, sim.stages, lambda _: False)
@@ -157,7 +157,7 @@ def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
     assert "1 times too slow" in sim.doing()
 
 
-def test_a_small_delay_is_made_up_for() -> None:
+def test_small_delay_is_caught_up() -> None:
     sim = simulator()
     run(sim, 40 * MS)
     list(sim.step(Tick(140 * MS), Inbox(sim.subscribes, sim.stages, lambda _: False)))
@@ -166,7 +166,7 @@ def test_a_small_delay_is_made_up_for() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_one_seed_one_world(seed: int) -> None:
+def test_depth_images_are_determined_by_seed(seed: int) -> None:
     frames = []
     for _ in range(2):
         made = run(simulator(seed=seed), 60 * MS)
@@ -178,7 +178,7 @@ def test_one_seed_one_world(seed: int) -> None:
     assert (other[0].depth != frames[0][0].depth).any()
 
 
-def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
+def test_lockstep_publishes_depth_and_truth_but_no_colour() -> None:
     heard: Counter[str] = Counter()
     lockstep = Lockstep({"simulator": simulator}, lambda topic, _frame, _ns: heard.update([topic.key]))
     lockstep.run(200 * MS)
@@ -188,66 +188,66 @@ def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
 
 
 @pytest.mark.parametrize("nonsense", [{"bus_port": 70_000}, {"seed": -1}, {"frames_per_picture": 0}])
-def test_nonsense_settings_are_refused(nonsense: dict[str, int]) -> None:
+def test_invalid_settings_are_refused(nonsense: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Settings(**nonsense)  # type: ignore[arg-type]
 
 
-def silent(sim: Simulator, at_ns: int) -> bool:
+def is_bus_silent(sim: Simulator, at_ns: int) -> bool:
     return sim.bus.receive(dxl.ping(1), at_ns) == []
 
 
-def test_the_bus_fails_as_the_scenario_has_it_and_comes_back() -> None:
+def test_bus_fault_of_scenario_starts_and_ends_in_time() -> None:
     fault = BusFault("bus", "silent", 0.1, for_s=0.1)
     sim = Simulator(PROFILE, Settings(), Scenario("flat", (Plane(),), Goal(1.0), bus_faults=(fault,)))
     run(sim, 120 * MS)
-    assert [silent(sim, at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
+    assert [is_bus_silent(sim, at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
     assert sim.doing() == "simulating flat, 0.1 s, faults: bus silent"
 
 
-def word(sim: Simulator, row: int, register: dxl.Register, at_ns: int | None = None) -> int:
+def read_register(sim: Simulator, row: int, register: dxl.Register, at_ns: int | None = None) -> int:
     return int.from_bytes(sim.servos.read(row, register.address, register.size, at_ns), "little")
 
 
-def test_a_jammed_servo_tells_how_hard_its_motor_pulls_in_vain() -> None:
+def test_jammed_servo_reports_full_motor_load() -> None:
     sim, row, goal = simulator(), 4, dxl.GOAL_POSITION
     run(sim, 20 * MS)
     sim.inject(BusFault("servo", "jammed", 0.0, for_s=1.0, servo=PROFILE.servo_ids.ravel().tolist()[row]))
-    sim.servos.write(row, goal.address, goal.encode(word(sim, row, goal) - 80))
+    sim.servos.write(row, goal.address, goal.encode(read_register(sim, row, goal) - 80))
     run(sim, 100 * MS, from_ns=24 * MS)
     for at_ns in (None, sim.world.time_ns, sim.world.time_ns + 3 * MS):
-        assert dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, at_ns)) == pytest.approx(-1.0, abs=0.01)
+        assert dxl.load_from_register(read_register(sim, row, dxl.PRESENT_LOAD, at_ns)) == pytest.approx(-1.0, abs=0.01)
 
 
-def test_a_load_that_is_asked_for_ahead_of_the_physics_is_what_the_physics_then_gives() -> None:
+def test_load_extrapolated_ahead_of_physics_matches_later_physics() -> None:
     sim, row, goal = simulator(), 4, dxl.GOAL_POSITION
     run(sim, 100 * MS)
-    ticks, told, found = word(sim, row, goal), list[float](), list[float]()
+    ticks, told, found = read_register(sim, row, goal), list[float](), list[float]()
     for _ in range(15):  # a femur moves with its leg, step by step
         ticks -= 4
         sim.servos.write(row, goal.address, goal.encode(ticks))
         begin_ns = sim.world.time_ns
         run(sim, begin_ns + 12 * MS, from_ns=begin_ns)
         asked_ns = sim.world.time_ns + 4 * MS
-        told.append(dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, asked_ns)))
+        told.append(dxl.load_from_register(read_register(sim, row, dxl.PRESENT_LOAD, asked_ns)))
         run(sim, asked_ns, from_ns=asked_ns)
-        found.append(dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, asked_ns)))
+        found.append(dxl.load_from_register(read_register(sim, row, dxl.PRESENT_LOAD, asked_ns)))
         run(sim, begin_ns + 20 * MS, from_ns=begin_ns + 20 * MS)
     assert np.ptp(found) > 0.5
     np.testing.assert_allclose(told, found, atol=0.003)
 
 
-def test_a_fault_is_injected_at_its_simulated_time_whatever_the_clock_shows() -> None:
+def test_fault_injection_uses_simulated_time() -> None:
     sim = simulator()
     begun_ns = 7_000 * MS
     run(sim, begun_ns + 20 * MS, from_ns=begun_ns)
     sim.inject(BusFault("bus", "silent", 0.1, for_s=0.1))
-    assert [silent(sim, begun_ns + at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
+    assert [is_bus_silent(sim, begun_ns + at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
     sim.inject(BusFault("packets", "silent", 0.0, for_s=0.01, share=1.0))  # at once
-    assert [silent(sim, begun_ns + at * MS) for at in (20, 29, 30)] == [True, True, False]
+    assert [is_bus_silent(sim, begun_ns + at * MS) for at in (20, 29, 30)] == [True, True, False]
 
 
-def test_a_fault_is_injected_by_message_in_lockstep_and_what_makes_no_sense_is_refused_in_words() -> None:
+def test_fault_message_is_injected_and_invalid_one_is_refused() -> None:
     sim = simulator()
     inbox = Inbox(sim.subscribes, sim.stages)
     overload = BusFault("servo", "overload", 0.0, servo=8).command(0)
@@ -266,7 +266,7 @@ def test_a_fault_is_injected_by_message_in_lockstep_and_what_makes_no_sense_is_r
     assert truths[-1].shutdown.sum() == 1
 
 
-def test_a_scenario_that_breaks_a_servo_which_is_not_there_is_refused() -> None:
+def test_scenario_with_fault_of_unknown_servo_is_refused() -> None:
     scenario = Scenario("flat", (Plane(),), Goal(1.0), bus_faults=(BusFault("servo", "silent", 0.1, servo=99),))
     with pytest.raises(ConfigError, match=r"scenario flat: servo silent, servo 99, .* expected, found 99"):
         Simulator(PROFILE, Settings(), scenario)

@@ -20,7 +20,7 @@ FEMUR = 9  # left rear
 COXA = 1  # left front: a factory reset sets this id
 
 
-def trouble(desk: Desk) -> str:
+def setup_error(desk: Desk) -> str:
     with pytest.raises(BusSetupError) as failure:
         desk.bus().setup()
     return str(failure.value)
@@ -30,7 +30,7 @@ def trouble(desk: Desk) -> str:
 def test_a_missing_servo_is_named_by_leg_and_joint(servo_id: int) -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(servo_id)])
-    words = trouble(desk)
+    words = setup_error(desk)
     assert f"1 of 18 servos are not ready: servo {servo_id} ({NAMES[servo_id]}) does not answer" in words
     assert "reset" not in words
 
@@ -38,13 +38,13 @@ def test_a_missing_servo_is_named_by_leg_and_joint(servo_id: int) -> None:
 def test_a_servo_of_another_model_is_named() -> None:
     desk = Desk()
     desk.tables[desk.row(FEMUR), dxl.MODEL_NUMBER.address] = 64
-    assert "servo 9 (left rear femur) is model 64 (RX-64), expected 12 (AX-12A)" in trouble(desk)
+    assert "servo 9 (left rear femur) is model 64 (RX-64), expected 12 (AX-12A)" in setup_error(desk)
 
 
-def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> None:
+def test_reset_servo_sharing_another_id_is_detected() -> None:
     desk = Desk()
     desk.reset(FEMUR)
-    words = trouble(desk)
+    words = setup_error(desk)
     assert "2 of 18 servos" in words
     assert "servo 1 (left front coxa) gives several or garbled answers" in words
     assert "a reset sets id 1: this may be servo 9 (left rear femur)" in words
@@ -52,44 +52,44 @@ def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> Non
     assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # the scan has not configured the reset servo
 
 
-def test_where_many_are_missing_who_was_reset_is_not_listed() -> None:
+def test_reset_hint_counts_servos_if_many_are_missing() -> None:
     desk = Desk()
     desk.reset(FEMUR)
     desk.bench.unplug([desk.row(i) for i in (3, 4, 5)])
-    assert "a reset sets id 1: this may be any of the 4 missing servos" in trouble(desk)
+    assert "a reset sets id 1: this may be any of the 4 missing servos" in setup_error(desk)
 
 
-def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> None:
+def test_reset_servo_on_unused_id_is_detected() -> None:
     desk = Desk()
     desk.change(COXA, dxl.ID, 19)
     desk.reset(FEMUR)
     legs = (replace(desk.profile.legs[0], servo_ids=(19, 3, 5)), *desk.profile.legs[1:])
     desk.profile = replace(desk.profile, legs=legs)
-    words = trouble(desk)
+    words = setup_error(desk)
     assert "servo 9 (left rear femur) does not answer" in words
     assert "servo 1 is not one of the robot's servos; a reset sets id 1: this may be servo 9 (left rear femur)" in words
 
 
 @pytest.mark.parametrize("delay", [0, 250], ids=["speaking at once", "one after the other"])
-def test_two_servos_with_one_id_are_found(delay: int) -> None:
+def test_id_collision_is_detected(delay: int) -> None:
     desk = Desk()
     desk.change(FEMUR, dxl.RETURN_DELAY, delay)
     desk.change(FEMUR, dxl.ID, 16)
-    words = trouble(desk)
+    words = setup_error(desk)
     assert "servo 9 (left rear femur) does not answer" in words
     assert "servo 16 (right middle femur) gives several or garbled answers" in words
 
 
-def test_nothing_is_written_to_a_servo_that_is_not_right() -> None:
+def test_setup_writes_nothing_to_colliding_servos() -> None:
     desk = Desk()
     for servo_id in (FEMUR, 16):
         desk.change(servo_id, dxl.RETURN_DELAY, 100)
     desk.change(FEMUR, dxl.ID, 16)
-    trouble(desk)
+    setup_error(desk)
     assert (desk.tables[desk.bench._with_id(16), dxl.RETURN_DELAY.address] == 100).all()
 
 
-def test_whoever_is_looked_at_says_all_of_itself() -> None:
+def test_scan_servo_reads_full_control_table() -> None:
     desk = Desk()
     seen = bus_scan.scan_servo(desk.bus(), FEMUR)
     assert seen is not None
@@ -103,7 +103,7 @@ def test_whoever_is_looked_at_says_all_of_itself() -> None:
     assert bus_scan.scan_servo(desk.bus(), 99) is None
 
 
-def test_a_call_in_order_costs_no_timeouts() -> None:
+def test_setup_of_healthy_bus_has_no_timeouts() -> None:
     desk = Desk()
     bus = desk.bus()
     began = desk.clock()
@@ -112,7 +112,7 @@ def test_a_call_in_order_costs_no_timeouts() -> None:
     assert not bus.lost
 
 
-def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
+def test_late_reply_is_not_taken_for_a_second_servo() -> None:
     """Check that a late reply to one ping, read during the next, counts once."""
     desk = Desk()
     bus = desk.bus()
@@ -132,7 +132,7 @@ def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
     assert seen.response is BusResponse.CLEAR
 
 
-def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
+def test_loose_cable_is_not_taken_for_id_collision() -> None:
     desk = Desk()
     bus = desk.bus()
     receive = desk.bench.receive
@@ -147,11 +147,11 @@ def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
 
 
 @pytest.mark.parametrize(("number", "name"), [(18, "AX-18A"), (300, "AX-12W")])
-def test_the_other_servos_with_the_same_table_are_known_by_name(number: int, name: str) -> None:
+def test_models_with_the_same_control_table_are_named(number: int, name: str) -> None:
     desk = Desk()
     address = dxl.MODEL_NUMBER.address
     desk.tables[desk.row(FEMUR), address : address + 2] = list(number.to_bytes(2, "little"))
-    assert f"is model {number} ({name}), expected 12 (AX-12A)" in trouble(desk)
+    assert f"is model {number} ({name}), expected 12 (AX-12A)" in setup_error(desk)
     assert replace(desk.profile.servo, model=name).model == name
 
 
@@ -176,7 +176,7 @@ class _Station:
     def close(self) -> None: ...
 
 
-def test_another_device_on_the_port_is_named_by_what_it_sends() -> None:
+def test_foreign_device_on_port_is_reported_with_its_output() -> None:
     station = _Station(b"Temperature 21.5 C\r\n")
     bus = ServoBus(station, [1, 2], station.clock)
     with pytest.raises(

@@ -35,14 +35,14 @@ def bend(desk: Desk, leg: str, pose: tuple[float, float, float] = (0.0, 0.0, 0.0
     return act
 
 
-def measured(desk: Desk, answers: list[Answer], **options: object) -> tuple[bool, list[Calibration], Builder]:
+def run_calibration(desk: Desk, answers: list[Answer], **options: object) -> tuple[bool, list[Calibration], Builder]:
     kept: list[Calibration] = []
     builder = Builder(answers)
     done = calibrate(desk.bus(), desk.profile, builder, kept.append, TODAY, **options)  # type: ignore[arg-type]
     return done, kept, builder
 
 
-def assert_limp_and_as_before(desk: Desk) -> None:
+def assert_torque_off_and_registers_restored(desk: Desk) -> None:
     desk.settle()
     words = desk.tables.view("<u2")
     assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
@@ -52,20 +52,20 @@ def assert_limp_and_as_before(desk: Desk) -> None:
 
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (10.0, 30.0, -60.0)])
-def test_the_horns_of_every_leg_are_found(profile: RobotProfile, pose: tuple[float, float, float]) -> None:
+def test_trims_of_all_legs_are_measured(profile: RobotProfile, pose: tuple[float, float, float]) -> None:
     desk = Desk(profile)
     answers = [answer for leg in LEGS for answer in (bend(desk, leg, pose), "")]
-    done, kept, _ = measured(desk, answers, pose_deg=pose)
+    done, kept, _ = run_calibration(desk, answers, pose_deg=pose)
     assert done
     assert [entry.leg for entry in kept] == list(LEGS)
     assert {entry.date for entry in kept} == {TODAY}
     robot = replace(profile, calibration=tuple(kept))
     tick_deg = np.degrees(dxl.TICK_RAD)
     np.testing.assert_allclose(robot.trims, desk.bench.robot.trims, atol=np.radians(tick_deg))
-    assert_limp_and_as_before(desk)
+    assert_torque_off_and_registers_restored(desk)
 
 
-def test_a_leg_that_is_held_to_be_checked_is_held_gently_and_let_go() -> None:
+def test_check_holds_leg_at_limited_torque_then_turns_torque_off() -> None:
     desk = Desk()
     row = desk.row(PHANTOMX.legs[0].servo_ids[1])
     seen: list[tuple[int, ...]] = []
@@ -76,14 +76,14 @@ def test_a_leg_that_is_held_to_be_checked_is_held_gently_and_let_go() -> None:
         seen.append((desk.tables[row, 24], words[row, 17], words[row, 16], desk.tables[:, 24].sum()))
         return ""
 
-    _, kept, _ = measured(desk, [bend(desk, LEGS[0]), "h", scan_servo, "b", bend(desk, LEGS[0]), ""], legs=LEGS[:1])
+    _, kept, _ = run_calibration(desk, [bend(desk, LEGS[0]), "h", scan_servo, "b", bend(desk, LEGS[0]), ""], legs=LEGS[:1])
     assert seen == [(1, TORQUE_LIMIT, MOVING_SPEED, 3)]
     assert len(kept) == 1
-    assert_limp_and_as_before(desk)
+    assert_torque_off_and_registers_restored(desk)
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, ServoNotRespondingError])
-def test_however_it_ends_the_torque_is_off(end: type[BaseException]) -> None:
+def test_torque_is_off_after_interrupt_or_error(end: type[BaseException]) -> None:
     desk = Desk()
 
     def go() -> str:
@@ -92,50 +92,50 @@ def test_however_it_ends_the_torque_is_off(end: type[BaseException]) -> None:
     builder = Builder([bend(desk, LEGS[0]), "h", go])
     with pytest.raises(end):
         calibrate(desk.bus(), desk.profile, builder, lambda _: None, TODAY)
-    assert_limp_and_as_before(desk)
+    assert_torque_off_and_registers_restored(desk)
     assert builder.told[-1] == "torque is off"
 
 
-def test_legs_that_were_kept_before_it_was_left_are_kept() -> None:
+def test_skipped_legs_do_not_discard_calibrated_ones() -> None:
     desk = Desk()
-    done, kept, builder = measured(desk, [bend(desk, LEGS[0]), "", bend(desk, LEGS[1]), "s", *["s"] * 4])
+    done, kept, builder = run_calibration(desk, [bend(desk, LEGS[0]), "", bend(desk, LEGS[1]), "s", *["s"] * 4])
     assert not done
     assert [entry.leg for entry in kept] == [LEGS[0]]
     assert "1 of 6 legs calibrated; torque is off" in builder.told
 
 
-def test_it_can_be_left_and_what_is_kept_is_kept() -> None:
+def test_quitting_keeps_calibrated_legs() -> None:
     desk = Desk()
-    done, kept, builder = measured(desk, [bend(desk, LEGS[0]), "", bend(desk, LEGS[1], answer="Q")])
+    done, kept, builder = run_calibration(desk, [bend(desk, LEGS[0]), "", bend(desk, LEGS[1], answer="Q")])
     assert not done
     assert [entry.leg for entry in kept] == [LEGS[0]]
     assert builder.told[-1] == "1 of 6 legs calibrated; torque is off"
-    done, kept, _ = measured(desk, [bend(desk, LEGS[0]), "q"])
+    done, kept, _ = run_calibration(desk, [bend(desk, LEGS[0]), "q"])
     assert not done
     assert not kept
 
 
 @pytest.mark.parametrize("word", ["quit", "h", "b", "y"])
-def test_what_is_no_answer_is_asked_again_and_nothing_is_measured(word: str) -> None:
+def test_invalid_answer_is_asked_again_without_measuring(word: str) -> None:
     desk = Desk()
-    done, kept, builder = measured(desk, [word, "S"], legs=LEGS[:1])
+    done, kept, builder = run_calibration(desk, [word, "S"], legs=LEGS[:1])
     assert not done
     assert not kept
     assert builder.told[0] == f"Enter or one of s, q expected, found '{word}'"
     assert "trims" not in builder.all_told
-    _, kept, builder = measured(desk, [bend(desk, LEGS[0]), "x", ""], legs=LEGS[:1])
+    _, kept, builder = run_calibration(desk, [bend(desk, LEGS[0]), "x", ""], legs=LEGS[:1])
     assert "Enter or one of b, h, s, q expected, found 'x'" in builder.told
     assert len(kept) == 1
 
 
-def test_a_leg_that_is_not_in_the_pose_is_refused_and_bent_again() -> None:
+def test_leg_outside_reference_pose_is_refused_and_repeated() -> None:
     desk = Desk()
-    _, kept, builder = measured(desk, [bend(desk, LEGS[0], (0.0, 45.0, 0.0)), bend(desk, LEGS[0]), ""], legs=LEGS[:1])
+    _, kept, builder = run_calibration(desk, [bend(desk, LEGS[0], (0.0, 45.0, 0.0)), bend(desk, LEGS[0]), ""], legs=LEGS[:1])
     assert "trims of at most 20 deg either way expected, found femur" in builder.told[0]
     assert len(kept) == 1
 
 
-def test_a_leg_that_moves_is_not_measured() -> None:
+def test_moving_leg_is_not_measured() -> None:
     desk = Desk()
     read = desk.bench.receive
 
@@ -151,20 +151,20 @@ def test_a_leg_that_moves_is_not_measured() -> None:
         desk.bench.receive = read  # type: ignore[method-assign]
         return bend(desk, LEGS[0])()
 
-    _, _, builder = measured(desk, [shake, still, ""], legs=LEGS[:1])
+    _, _, builder = run_calibration(desk, [shake, still, ""], legs=LEGS[:1])
     assert builder.told[0] == "the leg moves; hold it still"
 
 
-def test_a_pose_beyond_the_limits_is_refused_before_anything_is_asked() -> None:
+def test_reference_pose_beyond_joint_limits_is_refused() -> None:
     with pytest.raises(ValueError, match=r"found tibia 90 deg, not -147 to 9 deg"):
-        measured(Desk(), [], pose_deg=(0.0, 0.0, 90.0))
+        run_calibration(Desk(), [], pose_deg=(0.0, 0.0, 90.0))
 
 
 @pytest.mark.parametrize("agreed", [True, False])
-def test_torque_that_is_on_goes_off_only_with_a_yes(agreed: bool) -> None:
+def test_torque_is_turned_off_only_after_confirmation(agreed: bool) -> None:
     desk = Desk()
     desk.bus().set_torque(True)
-    done, kept, builder = measured(desk, [agreed, bend(desk, LEGS[0]), ""] if agreed else [False], legs=LEGS[:1])
+    done, kept, builder = run_calibration(desk, [agreed, bend(desk, LEGS[0]), ""] if agreed else [False], legs=LEGS[:1])
     assert done is agreed
     desk.settle()
     assert desk.tables[:, dxl.TORQUE_ENABLE.address].all() == (not agreed)
@@ -172,15 +172,15 @@ def test_torque_that_is_on_goes_off_only_with_a_yes(agreed: bool) -> None:
     assert len(kept) == agreed
 
 
-def test_servos_that_are_not_in_order_are_named_and_nothing_is_asked() -> None:
+def test_calibration_is_refused_with_faulty_servos() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(9)])
-    done, _, builder = measured(desk, [])
+    done, _, builder = run_calibration(desk, [])
     assert not done
     assert "servo 9 (left rear femur) does not answer: check its cable" in builder.all_told
 
 
-def test_a_servo_that_falls_silent_is_named() -> None:
+def test_error_names_servo_that_stops_responding() -> None:
     desk = Desk()
 
     def pull() -> str:
@@ -188,10 +188,10 @@ def test_a_servo_that_falls_silent_is_named() -> None:
         return ""
 
     with pytest.raises(ServoNotRespondingError, match=r"servo 3 \(left front femur\) did not answer"):
-        measured(desk, [pull], legs=LEGS[:1])
+        run_calibration(desk, [pull], legs=LEGS[:1])
 
 
-def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_named() -> None:
+def test_servo_lost_during_check_is_named_and_others_are_restored() -> None:
     desk = Desk()
 
     def pull() -> str:
@@ -200,19 +200,19 @@ def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_na
 
     advice = r"servo 1 \(left front coxa\) .* `sextant servos off`, then switch its power off and on again"
     with pytest.raises(ServoNotRespondingError, match=advice):
-        measured(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
+        run_calibration(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
     desk.bench._plugged.add(desk.row(1))  # its power stayed on
     desk.bench._find_listeners()
     desk.settle()
     limits = desk.tables.view("<u2")[:, dxl.TORQUE_LIMIT.address // 2]
     assert limits[[desk.row(3), desk.row(5)]].tolist() == [1023, 1023]
-    done, _, builder = measured(desk, [True] if desk.tables[desk.row(1), 24] else [])
+    done, _, builder = run_calibration(desk, [True] if desk.tables[desk.row(1), 24] else [])
     assert not done
     assert "servo 1 (left front coxa) reports a torque limit of 30 %; switch its power off and on again" in builder.all_told
 
 
 @given(st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3), st.lists(st.floats(-40.0, 8.0), min_size=3, max_size=3))
-def test_trims_are_what_turned_the_servos(trims: list[float], pose: list[float]) -> None:
+def test_computed_trims_match_applied_trims(trims: list[float], pose: list[float]) -> None:
     for leg, name in enumerate(LEGS):
         robot = replace(PHANTOMX, calibration=(Calibration(name, TODAY, (trims[0], trims[1], trims[2])),))
         servo = robot.servo_angles(np.tile(np.radians(pose), (6, 1)))[leg]
@@ -230,7 +230,7 @@ entries = st.builds(Calibration, st.sampled_from(LEGS), st.dates(), st.tuples(nu
 
 @given(st.lists(entries, min_size=1, max_size=12))
 @settings(deadline=None, max_examples=25)
-def test_each_leg_has_its_last_calibration_and_the_rest_of_the_file_stays(wild: list[Calibration]) -> None:
+def test_file_keeps_last_calibration_per_leg_and_other_content(wild: list[Calibration]) -> None:
     import tomllib
 
     text = 'extends = "phantomx_mk2"  # mine\n\n[stance]\nbody_height = 0.1  # higher\n'
@@ -244,7 +244,7 @@ def test_each_leg_has_its_last_calibration_and_the_rest_of_the_file_stays(wild: 
     assert text.startswith(start)
 
 
-def test_a_file_is_made_and_then_changed(tmp_path: Path) -> None:
+def test_calibration_file_is_created_then_updated(tmp_path: Path) -> None:
     own = tmp_path / "mine.toml"
     first, second = Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)), Calibration(LEGS[4], TODAY, (-1.0, 0.25, 19.99))
     calibration_file.keep(own, first, "phantomx_mk2")
@@ -269,7 +269,7 @@ def test_a_file_is_made_and_then_changed(tmp_path: Path) -> None:
         ('extends = "phantomx_mk2"\n[links]\nshin = 1.0\n', "links.shin: unknown key"),
     ],
 )
-def test_a_file_that_cannot_be_changed_without_harm_stays(text: str, words: str, tmp_path: Path) -> None:
+def test_file_that_cannot_be_edited_safely_is_unchanged(text: str, words: str, tmp_path: Path) -> None:
     own = tmp_path / "mine.toml"
     own.write_text(text)
     with pytest.raises(config.ConfigError, match=words):
@@ -278,12 +278,12 @@ def test_a_file_that_cannot_be_changed_without_harm_stays(text: str, words: str,
     assert list(tmp_path.iterdir()) == [own]
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_unwritable_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(config.ConfigError, match="cannot be written: No such file or directory; give another file with --out"):
         calibration_file.keep(tmp_path / "nowhere" / "mine.toml", Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)), "phantomx_mk2")
 
 
-def test_straight_out_is_a_pose_of_every_profile_that_comes_along() -> None:
+def test_straight_out_pose_is_valid_for_each_bundled_profile() -> None:
     from sextant.shared.robot.profiles import profile_names
 
     for name in profile_names():

@@ -42,7 +42,7 @@ def run(desk: Desk, answers: list[Answer], **options: object):  # type: ignore[n
     return run_joint_test(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
 
 
-def test_every_joint_moves_up_and_back_alone_gently() -> None:
+def test_joints_move_one_at_a_time_at_limited_torque_and_speed() -> None:
     desk = Watched()
     moved, builder = run(desk, [True])
     assert [one.name for one in moved] == [f"{leg} {joint}" for leg in LEGS for joint in JOINTS]
@@ -62,7 +62,7 @@ def test_every_joint_moves_up_and_back_alone_gently() -> None:
     assert "torque is off" in builder.told[-1]
 
 
-def test_ways_are_told_as_they_are_seen() -> None:
+def test_reported_directions_match_visible_motion() -> None:
     moved, _ = run(Desk(), [True])
     ways = {one.name: one.way for one in moved}
     assert {ways[f"{leg} femur"] for leg in LEGS} == {"up"}
@@ -71,7 +71,7 @@ def test_ways_are_told_as_they_are_seen() -> None:
     assert coxa == {leg: "backward" if leg.startswith("left") else "forward" for leg in LEGS}
 
 
-def test_without_a_yes_nothing_moves() -> None:
+def test_joint_test_moves_nothing_without_confirmation() -> None:
     desk = Watched()
     moved, builder = run(desk, [False])
     assert moved is None
@@ -81,7 +81,7 @@ def test_without_a_yes_nothing_moves() -> None:
 
 
 @pytest.mark.parametrize("hold", [True, False])
-def test_the_torque_is_left_as_the_operator_chose(hold: bool) -> None:
+def test_final_torque_state_follows_operator_choice(hold: bool) -> None:
     desk = Desk()
     _, builder = run(desk, [True, hold], legs=LEGS[:1], hold_after=None)
     desk.settle()
@@ -91,7 +91,7 @@ def test_the_torque_is_left_as_the_operator_chose(hold: bool) -> None:
     assert (np.abs(words[:, 15].astype(int) - words[:, 18]) <= 1).all() or not hold  # each goal equals the joint's position
 
 
-def test_a_joint_that_is_blocked_is_named() -> None:
+def test_blocked_joint_is_named() -> None:
     desk = Desk()
     row = desk.row(3)
     start = desk.bench._q[row]
@@ -108,7 +108,7 @@ def test_a_joint_that_is_blocked_is_named() -> None:
     assert problems["left front coxa"] == problems["left front tibia"] == ""
 
 
-def test_interrupted_in_the_middle_of_a_move_the_torque_is_off() -> None:
+def test_torque_is_off_after_interrupt_during_motion() -> None:
     desk = Watched()
     receive = desk.bench.receive
 
@@ -129,7 +129,7 @@ def test_interrupted_in_the_middle_of_a_move_the_torque_is_off() -> None:
     assert (words[:, 16] == 0).all()
 
 
-def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
+def interrupt_joint_test(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
     """Raise Ctrl-C at the first packet for which `when` is true; return the builder."""
     receive = desk.bench.receive
 
@@ -150,7 +150,7 @@ def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer],
 @pytest.mark.parametrize(
     "register", [dxl.TORQUE_ENABLE, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT], ids=lambda register: register.name
 )
-def test_interrupted_while_a_joint_is_let_go_it_is_let_go_all_the_same(register: dxl.Register) -> None:
+def test_interrupt_during_joint_torque_off_still_completes_it(register: dxl.Register) -> None:
     desk = Desk()
     row, released = desk.row(1), False
 
@@ -159,15 +159,17 @@ def test_interrupted_while_a_joint_is_let_go_it_is_let_go_all_the_same(register:
         released |= data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
         return released and data[4:6] == bytes((dxl.Instruction.WRITE, register.address))
 
-    builder = broken_off(desk, in_the_midst, [True], hold_after=False)
+    builder = interrupt_joint_test(desk, in_the_midst, [True], hold_after=False)
     words = desk.tables.view("<u2")
     assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
     assert (words[row, dxl.TORQUE_LIMIT.address // 2], words[row, dxl.MOVING_SPEED.address // 2]) == (1023, 0)
     assert builder.told[-1] == "torque is off"
 
 
-def test_interrupted_while_the_legs_take_hold_all_are_let_go() -> None:
+def test_interrupt_during_final_torque_on_turns_all_torque_off() -> None:
     desk = Desk()
-    builder = broken_off(desk, lambda data: desk.tables[:, dxl.TORQUE_ENABLE.address].sum() > 5, [True], hold_after=True)
+    builder = interrupt_joint_test(
+        desk, lambda data: desk.tables[:, dxl.TORQUE_ENABLE.address].sum() > 5, [True], hold_after=True
+    )
     assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
     assert builder.told[-1] == "torque is off"

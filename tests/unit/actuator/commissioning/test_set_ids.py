@@ -55,7 +55,7 @@ def assert_set_up(desk: Desk) -> None:
 # ---------------------------------------------------------------------------------------------------------------- scan
 
 
-def test_a_robot_in_order_is_listed_with_nothing_to_complain_about() -> None:
+def test_scan_of_healthy_robot_lists_servos_without_problems() -> None:
     desk = Desk()
     found = set_ids.scan(line(desk))
     assert [one.seen.servo_id for one in found] == sorted(PHANTOMX.servo_names)
@@ -67,7 +67,7 @@ def test_a_robot_in_order_is_listed_with_nothing_to_complain_about() -> None:
     assert table[9].split() == ["9", "1000000", "AX-12A", "24", "12.5", "V", "25", "deg", "C", "left", "rear", "femur"]
 
 
-def test_a_scan_changes_nothing() -> None:
+def test_scan_writes_no_register() -> None:
     desk = Desk(fresh=True)
     desk.bench.plug(range(3))
     before = desk.tables[:, :36].copy()
@@ -76,7 +76,7 @@ def test_a_scan_changes_nothing() -> None:
     assert not desk.bench.counts.instructions[dxl.Instruction.WRITE]
 
 
-def test_what_is_wrong_is_named_by_leg_and_joint_with_what_to_do() -> None:
+def test_scan_problems_name_leg_and_joint_with_advice() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(12)])
     desk.tables[desk.row(16), dxl.MODEL_NUMBER.address] = 64
@@ -103,7 +103,7 @@ def test_voltage_heat_and_latched_overload_are_named() -> None:
     assert any(one.startswith("servo 17 (left middle tibia) reports overload") for one in words)
 
 
-def test_a_reset_rx_64_is_found_at_the_rate_of_the_factory() -> None:
+def test_reset_rx_64_is_found_at_factory_baud_rate() -> None:
     desk = Desk(RX)
     lost = RX.legs[3].servo_ids[1]
     desk.reset(lost)
@@ -117,7 +117,7 @@ def test_a_reset_rx_64_is_found_at_the_rate_of_the_factory() -> None:
 
 
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
-def test_a_box_of_new_servos_becomes_a_robots(profile: RobotProfile) -> None:
+def test_ids_of_18_new_servos_are_set(profile: RobotProfile) -> None:
     desk = Desk(profile, fresh=True)
     builder = Builder([plug(desk)] * 18)
     assert set_ids.set_ids(line(desk), desk.profile, builder)
@@ -127,7 +127,7 @@ def test_a_box_of_new_servos_becomes_a_robots(profile: RobotProfile) -> None:
     assert [i for i in ids(desk) if i != 1] == [i for i in desk.profile.servo_names if i != 1]
 
 
-def test_one_at_a_time_alone_on_the_bus_does_as_well() -> None:
+def test_ids_can_be_set_with_one_servo_at_a_time_on_the_bus() -> None:
     desk = Desk(fresh=True)
 
     def swap() -> str:
@@ -141,7 +141,7 @@ def test_one_at_a_time_alone_on_the_bus_does_as_well() -> None:
 
 
 @pytest.mark.parametrize("done", [0, 1, 7, 17])
-def test_it_can_be_left_and_goes_on_with_what_is_missing(done: int) -> None:
+def test_interrupted_id_setup_resumes_with_missing_servos(done: int) -> None:
     desk = Desk(fresh=True)
     left = Builder([*[plug(desk)] * done, "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, left)
@@ -154,7 +154,7 @@ def test_it_can_be_left_and_goes_on_with_what_is_missing(done: int) -> None:
 
 @pytest.mark.parametrize("after", range(1, 12))
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
-def test_interrupted_between_any_two_packets_nothing_is_lost(profile: RobotProfile, after: int) -> None:
+def test_interrupt_at_any_write_is_recovered_by_second_run(profile: RobotProfile, after: int) -> None:
     """Interrupt the n-th write of a servo register; a second run sets all servos up."""
     desk = Desk(profile, fresh=True)
     writes = 0
@@ -185,7 +185,7 @@ class Agreeing(Builder):
         return True
 
 
-def test_two_new_servos_at_once_are_refused_and_left_as_they_are() -> None:
+def test_two_new_servos_at_once_are_refused_unchanged() -> None:
     desk = Desk(fresh=True)
 
     def one_out() -> str:
@@ -208,7 +208,7 @@ def test_a_servo_of_another_model_is_refused() -> None:
     assert ids(desk) == [1] * 18
 
 
-def test_a_servo_may_be_named_and_a_used_one_has_any_id() -> None:
+def test_used_servo_with_any_id_can_be_assigned_to_named_joint() -> None:
     desk = Desk(fresh=True)
     desk.tables[0, [dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address]] = 77, 0
     desk.tables[0, dxl.CCW_ANGLE_LIMIT.address : dxl.CCW_ANGLE_LIMIT.address + 2] = 0  # it was in wheel mode
@@ -220,7 +220,7 @@ def test_a_servo_may_be_named_and_a_used_one_has_any_id() -> None:
     assert "found 'left knee'; one of left front coxa" in builder.all_told
 
 
-def test_nobody_and_several_are_told_apart() -> None:
+def test_no_new_servo_and_several_are_reported_differently() -> None:
     desk = Desk(fresh=True)
     desk.tables[:2, dxl.ID.address] = 50, 60
     set_ids.set_ids(line(desk), PHANTOMX, builder := Builder(["", plug(desk, 2), "q"]))
@@ -229,7 +229,7 @@ def test_nobody_and_several_are_told_apart() -> None:
     assert set(ids(desk)) == {1, 50, 60}
 
 
-def test_a_locked_servo_is_told() -> None:
+def test_locked_servo_is_reported() -> None:
     desk = Desk(fresh=True)
 
     def plug_locked() -> str:
@@ -243,7 +243,7 @@ def test_a_locked_servo_is_told() -> None:
 
 
 @pytest.mark.parametrize("agreed", [False, True])
-def test_a_servo_that_is_done_becomes_another_joints_only_with_a_yes(agreed: bool) -> None:
+def test_configured_servo_is_reassigned_only_after_confirmation(agreed: bool) -> None:
     """Check that a configured servo alone on the bus is reassigned only after a yes.
 
     The builder names the next joint, but forgets to plug in its servo.
@@ -262,7 +262,7 @@ def joint(name: str) -> int:
     return {known: i for i, known in PHANTOMX.servo_names.items()}[name]
 
 
-def used(desk: Desk, row: int, servo_id: int, **registers: int) -> Callable[[], str]:
+def plug_used(desk: Desk, row: int, servo_id: int, **registers: int) -> Callable[[], str]:
     """Return an action that plugs in a servo set up elsewhere, then presses Enter."""
 
     def act() -> str:
@@ -275,7 +275,7 @@ def used(desk: Desk, row: int, servo_id: int, **registers: int) -> Callable[[], 
     return act
 
 
-def test_no_servo_is_given_the_id_of_one_that_is_plugged_in() -> None:
+def test_id_of_connected_servo_is_not_assigned_again() -> None:
     desk = Desk(fresh=True)
     builder = Builder([plug(desk), plug(desk, answer="left front femur"), "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
@@ -285,29 +285,29 @@ def test_no_servo_is_given_the_id_of_one_that_is_plugged_in() -> None:
 
 @pytest.mark.parametrize("agreed", [False, True])
 @pytest.mark.parametrize("delay", [0, 250], ids=["set up", "not set up"])
-def test_a_used_servo_with_the_id_of_another_joint_is_the_one_that_was_plugged_in(agreed: bool, delay: int) -> None:
+def test_used_servo_with_id_of_another_joint_is_recognised_as_new(agreed: bool, delay: int) -> None:
     desk = Desk(fresh=True)
-    builder = Builder([plug(desk), used(desk, 5, 9, RETURN_DELAY=delay), agreed, "q"])
+    builder = Builder([plug(desk), plug_used(desk, 5, 9, RETURN_DELAY=delay), agreed, "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
     assert builder.asked[2] == "servo 9 (left rear femur by its id) appeared; make it the left front tibia?"
     assert desk.tables[5, dxl.ID.address] == (joint("left front tibia") if agreed else 9)
     assert "no new servo answers" not in builder.all_told
 
 
-def test_a_used_servo_that_has_the_wanted_id_is_set_up() -> None:
+def test_used_servo_with_wanted_id_is_configured() -> None:
     desk = Desk(fresh=True)
-    builder = Builder([used(desk, 0, 3, RETURN_DELAY=100, STATUS_RETURN_LEVEL=1), used(desk, 1, 5), "q"])
+    builder = Builder([plug_used(desk, 0, 3, RETURN_DELAY=100, STATUS_RETURN_LEVEL=1), plug_used(desk, 1, 5), "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
     assert "servo 3 (left front femur) is set and verified" in builder.all_told
     assert "servo 5 (left front tibia) is set and verified" in builder.all_told
     assert desk.tables[0, [dxl.RETURN_DELAY.address, dxl.STATUS_RETURN_LEVEL.address]].tolist() == [0, 2]
 
 
-def test_servos_that_come_back_together_are_what_their_ids_say() -> None:
+def test_configured_servos_plugged_in_together_are_accepted_by_id() -> None:
     desk = Desk(fresh=True)
 
     def both() -> str:
-        return used(desk, 0, 3)() + used(desk, 1, 5)()
+        return plug_used(desk, 0, 3)() + plug_used(desk, 1, 5)()
 
     builder = Builder([both, "q"])
     set_ids.set_ids(line(desk), PHANTOMX, builder)
@@ -316,14 +316,14 @@ def test_servos_that_come_back_together_are_what_their_ids_say() -> None:
 
 
 @pytest.mark.parametrize("agreed", [False, True])
-def test_one_that_was_cut_off_behind_its_id_is_completed(agreed: bool) -> None:
+def test_servo_with_id_set_but_incomplete_registers_is_completed(agreed: bool) -> None:
     """Check that a servo is completed if power failed right after its id was set.
 
     The servo has its id, but is still in wheel mode with the factory's return delay.
     """
     desk = Desk(fresh=True)
-    used(desk, 0, 9, RETURN_DELAY=250, CCW_ANGLE_LIMIT=0)()
-    used(desk, 1, 3)()
+    plug_used(desk, 0, 9, RETURN_DELAY=250, CCW_ANGLE_LIMIT=0)()
+    plug_used(desk, 1, 3)()
     builder = Builder([agreed, "q"])
     assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
     assert builder.asked[0].startswith("The id of servo 9 (left rear femur) is set, but not all other registers")
@@ -334,7 +334,7 @@ def test_one_that_was_cut_off_behind_its_id_is_completed(agreed: bool) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_one_that_is_heard_now_and_then_is_to_be_tried_again(level: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_intermittent_servo_is_unchanged_and_retry_is_advised(level: int, monkeypatch: pytest.MonkeyPatch) -> None:
     desk = Desk(fresh=True)
     receive = desk.bench.receive
 
@@ -362,9 +362,7 @@ HARMFUL = [
 
 
 @pytest.mark.parametrize(("register", "value", "words"), HARMFUL, ids=lambda value: getattr(value, "name", None))
-def test_limits_and_protections_that_somebody_changed_are_named_and_set_right(
-    register: dxl.Register, value: int, words: str
-) -> None:
+def test_unsafe_limits_and_protections_are_named_and_restored(register: dxl.Register, value: int, words: str) -> None:
     desk = Desk()
     desk.change(9, register, value)
     found = set_ids.scan(line(desk))
@@ -381,7 +379,7 @@ def test_limits_and_protections_that_somebody_changed_are_named_and_set_right(
     assert set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX) == []
 
 
-def test_angle_limits_as_wide_as_the_joint_needs_and_further_bits_are_left() -> None:
+def test_sufficient_angle_limits_and_extra_shutdown_bits_are_accepted() -> None:
     desk = Desk()
     for register, value in ((dxl.CW_ANGLE_LIMIT, 100), (dxl.CCW_ANGLE_LIMIT, 900), (dxl.SHUTDOWN, 0x25)):
         desk.change(9, register, value)
@@ -389,11 +387,11 @@ def test_angle_limits_as_wide_as_the_joint_needs_and_further_bits_are_left() -> 
 
 
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
-def test_a_data_sheet_is_in_order(profile: RobotProfile) -> None:
+def test_data_sheet_registers_give_no_problems(profile: RobotProfile) -> None:
     assert set_ids.verdict(set_ids.scan(line(Desk(profile))), profile) == []
 
 
-def test_who_was_not_asked_is_not_missing() -> None:
+def test_servos_outside_scan_range_are_not_reported_missing() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(9)])
     asked = range(5, 12)
@@ -401,7 +399,7 @@ def test_who_was_not_asked_is_not_missing() -> None:
     assert [one.words for one in set_ids.verdict(found, PHANTOMX, asked)] == ["servo 9 (left rear femur) does not answer"]
 
 
-def test_where_nobody_answers_that_is_one_problem_beside_strangers() -> None:
+def test_all_servos_missing_is_one_problem_besides_unknown_ids() -> None:
     desk = Desk()
     desk.change(9, dxl.ID, 200)
     desk.bench.unplug([row for row in range(18) if row != desk.row(200)])

@@ -30,20 +30,20 @@ def settled(estimate: ContactEstimate, push: Array) -> Flags:
     return contact
 
 
-def test_it_begins_without_contact() -> None:
+def test_contact_is_initially_false() -> None:
     assert not ContactEstimate(PROFILE).update(Q, np.zeros((6, 3)), DT).any()
 
 
-def test_legs_that_are_pushed_up_carry() -> None:
+def test_legs_under_upward_force_are_in_contact() -> None:
     contact = settled(ContactEstimate(PROFILE), np.where(TRIPOD, 8.0, 0.0))
     np.testing.assert_array_equal(contact, TRIPOD)
 
 
-def test_a_leg_that_hangs_does_not() -> None:
+def test_hanging_legs_are_not_in_contact() -> None:
     assert not settled(ContactEstimate(PROFILE), np.full(6, -3.0)).any()
 
 
-def test_contact_comes_late_and_goes_late() -> None:
+def test_contact_has_hysteresis() -> None:
     """Check that contact keeps its state between the two thresholds (hysteresis)."""
     pushes = np.linspace(0.0, 4.0, 41)
     estimate = ContactEstimate(PROFILE)
@@ -56,13 +56,13 @@ def test_contact_comes_late_and_goes_late() -> None:
     assert sum(falling) > sum(rising)
 
 
-def test_one_odd_reading_does_not_lift_a_foot() -> None:
+def test_single_outlier_does_not_end_contact() -> None:
     estimate = ContactEstimate(PROFILE)
     settled(estimate, np.full(6, 5.0))
     assert estimate.update(Q, torques(np.zeros(6)), DT).all()
 
 
-def test_how_fast_it_follows_does_not_depend_on_how_often_it_is_asked() -> None:
+def test_contact_filter_is_independent_of_update_rate() -> None:
     seldom, often, push = ContactEstimate(PROFILE), ContactEstimate(PROFILE), torques(np.full(6, 1.9))
     seldom_in = [seldom.update(Q, push, 4 * DT)[0] for _ in range(6)]
     often_in = [often.update(Q, push, DT)[0] for _ in range(24)]
@@ -72,7 +72,7 @@ def test_how_fast_it_follows_does_not_depend_on_how_often_it_is_asked() -> None:
     assert ContactEstimate(PROFILE).update(Q, push, float("inf")).all()
 
 
-def test_each_leg_is_judged_by_its_own_torques() -> None:
+def test_contact_of_each_leg_uses_only_its_own_torques() -> None:
     for leg in range(6):
         push = np.zeros(6)
         push[leg] = 6.0
@@ -80,21 +80,21 @@ def test_each_leg_is_judged_by_its_own_torques() -> None:
 
 
 @pytest.mark.parametrize("stretched", [np.zeros((6, 3)), np.full((6, 3), [0.0, 1.5, 0.0])])
-def test_a_stretched_leg_is_no_accident(stretched: Array) -> None:
+def test_contact_is_finite_at_singular_leg_pose(stretched: Array) -> None:
     """Check that the estimate stays finite where the Jacobian is singular."""
     estimate = ContactEstimate(PROFILE)
     assert estimate.update(stretched, np.full((6, 3), 1.5), DT).dtype == bool
     assert not settled(estimate, np.full(6, -5.0)).any()
 
 
-def test_what_it_returned_does_not_change_later() -> None:
+def test_returned_contact_array_is_not_modified_later() -> None:
     estimate = ContactEstimate(PROFILE)
     first = settled(estimate, np.full(6, 6.0))
     settled(estimate, np.zeros(6))
     assert first.all()
 
 
-def test_who_pushes_beyond_doubt_pushes_more_than_who_is_in_contact() -> None:
+def test_firm_contact_requires_more_force_than_contact() -> None:
     estimate = ContactEstimate(PROFILE)
     assert settled(estimate, np.full(6, 2.0)).all()
     assert not estimate.firm.any()
@@ -106,7 +106,7 @@ SPANNING = [[0, 2, 4], [1, 3, 5], [0, 1, 3, 4], [1, 2, 4, 5], [0, 1, 2, 3, 4], [
 TILT = st.floats(-0.15, 0.15)
 
 
-def by_loads(push: Array) -> ContactEstimate:
+def estimate_from_forces(push: Array) -> ContactEstimate:
     """Return an estimate after one update under vertical forces (6,) [N]."""
     estimate = ContactEstimate(PROFILE)
     estimate.update(Q, torques(push), np.inf)
@@ -114,56 +114,58 @@ def by_loads(push: Array) -> ContactEstimate:
 
 
 @given(st.sampled_from(SPANNING), TILT, TILT, st.lists(st.floats(-10.0, 2.9), min_size=6, max_size=6), st.floats(0.007, 0.08))
-def test_feet_over_the_plane_of_those_that_bear_the_body_are_in_the_air_whatever_friction_feigns(
+def test_feet_above_support_plane_are_lifted_despite_friction(
     down: list[int], roll: float, pitch: float, feigned: list[float], height: float
 ) -> None:
     stands = np.isin(np.arange(6), down)
     level = PROFILE.rest_feet() + np.where(stands, 0.0, height)[:, None] * [0.0, 0.0, 1.0]
     feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)), level)
     push = np.where(stands, 25.0 / len(down), feigned)
-    lifted = by_loads(push).lifted(feet)
+    lifted = estimate_from_forces(push).lifted(feet)
     np.testing.assert_array_equal(lifted == 0.0, stands)
     np.testing.assert_allclose(lifted * np.cos(roll) * np.cos(pitch), np.where(stands, 0.0, height), atol=1e-9)
 
 
 @given(st.floats(0.02, 0.1), st.integers(0, 5))
-def test_a_foot_on_a_block_stands_for_it_pushes(height: float, leg: int) -> None:
+def test_pushing_foot_on_a_block_is_not_lifted(height: float, leg: int) -> None:
     feet = PROFILE.rest_feet()
     feet[leg, 2] += height
-    assert not by_loads(np.full(6, 4.0)).lifted(feet).any()
+    assert not estimate_from_forces(np.full(6, 4.0)).lifted(feet).any()
     push = np.full(6, 5.0)
     push[leg] = 2.0
-    np.testing.assert_allclose(by_loads(push).lifted(feet), np.where(np.arange(6) == leg, height, 0.0), atol=1e-9)
+    np.testing.assert_allclose(estimate_from_forces(push).lifted(feet), np.where(np.arange(6) == leg, height, 0.0), atol=1e-9)
 
 
-def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> None:
+def test_lifted_falls_back_to_loaded_feet_without_support_triangle() -> None:
     feet = PROFILE.rest_feet()
     beside = np.isin(np.arange(6), [1, 2, 3])  # legs on the right side
     feet[4:, 2] += 0.02
-    np.testing.assert_allclose(by_loads(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9)
-    assert not by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
-    assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "feet in one place define no plane"
+    np.testing.assert_allclose(
+        estimate_from_forces(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9
+    )
+    assert not estimate_from_forces(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
+    assert not estimate_from_forces(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "feet in one place define no plane"
 
 
 @pytest.mark.parametrize(("out_m", "bears"), [(0.004, True), (0.006, False)])
-def test_three_feet_bear_the_body_if_its_middle_is_hardly_outside_of_them(out_m: float, bears: bool) -> None:
+def test_support_triangle_tolerates_centre_5_mm_outside(out_m: float, bears: bool) -> None:
     """Check the tolerance, a share of the weight: one foot would pull 4 or 6 % of it."""
     feet = np.array([[0.1 + out_m, 0.0, 0.05], [out_m, 0.1, 0.0], [out_m, -0.1, 0.0], *[[-0.1, 0.0, 0.02]] * 3])
-    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    lifted = estimate_from_forces(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
     plane = (-0.1 - out_m) / 0.1 * 0.05
     mean = 0.05 / 3
     np.testing.assert_allclose(lifted, [0.0] * 3 + [0.02 - plane if bears else 0.0 if 0.02 - mean < 0.006 else 0.02 - mean] * 3)
 
 
 @pytest.mark.parametrize(("half_m", "tells"), [(0.018, True), (0.016, False)])
-def test_three_feet_tell_how_their_plane_lies_if_they_are_not_nearly_in_a_row(half_m: float, tells: bool) -> None:
+def test_support_plane_requires_triangle_of_10_cm2(half_m: float, tells: bool) -> None:
     """Check the limit: a triangle of ten square centimetres."""
     feet = np.array([[0.04, 0.0, 0.03], [-0.02, half_m, 0.0], [-0.02, -half_m, 0.0], *[[-0.1, 0.0, 0.03]] * 3])
-    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    lifted = estimate_from_forces(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
     np.testing.assert_allclose(lifted, [0.0] * 3 + [0.03 - (-0.08 / 0.06 * 0.03) if tells else 0.03 - 0.01] * 3)
 
 
-def test_of_feet_that_bear_alike_those_count_that_stand_widest_around_the_body() -> None:
+def test_widest_support_triangle_is_chosen_among_equal_loads() -> None:
     """Check that millimetres of unevenness of the feet add up to a small error.
 
     The mean error stays below 0.45 mm; with the feet closest to the body it would be 0.5 mm.
@@ -172,6 +174,8 @@ def test_of_feet_that_bear_alike_those_count_that_stand_widest_around_the_body()
     off = list[float]()
     for _ in range(300):
         uneven = np.where(stands, random.uniform(-0.001, 0.001, 6), 0.02)
-        lifted = by_loads(np.where(stands, 2.5, 0.0)).lifted(PROFILE.rest_feet() + uneven[:, None] * [0.0, 0.0, 1.0])
+        lifted = estimate_from_forces(np.where(stands, 2.5, 0.0)).lifted(
+            PROFILE.rest_feet() + uneven[:, None] * [0.0, 0.0, 1.0]
+        )
         off.append(np.abs(lifted - np.where(stands, 0.0, 0.02)).max())
     assert np.mean(off) < 0.00045

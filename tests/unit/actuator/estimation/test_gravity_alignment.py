@@ -21,7 +21,7 @@ WILD = settings(max_examples=8, deadline=None)
 leans = st.tuples(st.floats(-0.14, 0.14), st.floats(-0.14, 0.14))
 
 
-def told(R_level_body: Array, for_s: float = 15.0) -> tuple[GravityAlignment, int]:
+def alignment_at_rest(R_level_body: Array, for_s: float = 15.0) -> tuple[GravityAlignment, int]:
     """Return a `GravityAlignment` that has received a body at rest, and the time [ns]."""
     plumb, now_ns = GravityAlignment(), 0
     for now_ns in range(0, round(for_s * 1e9), 20 * MS):
@@ -35,9 +35,9 @@ def lean(T: Array) -> float:
 
 @WILD
 @given(leans, st.floats(-3.0, 3.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
-def test_the_legs_frame_becomes_level_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
+def test_odom_frame_is_levelled_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
     """Check that {odom} turns level: the body is level, but the legs report a tilt."""
-    plumb, now_ns = told(np.eye(3))
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     T = from_xyz_rpy([*at, 0.1], [*tilt, yaw])
     place, before = T[:3, 3].copy(), lean(T)
     for _ in range(2000):
@@ -54,13 +54,13 @@ def test_the_legs_frame_becomes_level_about_the_body(tilt: tuple[float, float], 
     assert abs(np.sin(yaw_of(T) - yaw)) < 0.05
 
 
-def test_what_the_sensor_is_not_sure_of_is_left_to_the_legs() -> None:
-    plumb, now_ns = told(np.eye(3))
+def test_tilt_below_imu_uncertainty_is_not_corrected() -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(0.3), 0.0, 0.0)), now_ns, 0.02) is None
     assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(2.0), 0.0, 0.0)), now_ns, 0.02) is not None
 
 
-def test_without_a_sensor_nothing_is_said() -> None:
+def test_missing_imu_gives_no_correction_and_no_problem() -> None:
     plumb, leaning = GravityAlignment(), from_xyz_rpy(np.zeros(3), (0.5, 0.0, 0.0))
     assert plumb.turn(leaning, 0, 0.02) is None
     assert plumb.tipped(leaning, 0) == ""
@@ -68,15 +68,15 @@ def test_without_a_sensor_nothing_is_said() -> None:
 
 
 @pytest.mark.parametrize(("off_deg", "said"), [(15.0, False), (25.0, True), (180.0, True)])
-def test_a_body_that_tips_over_is_told(off_deg: float, said: bool) -> None:
-    plumb, now_ns = told(rotation_from_rpy((np.radians(off_deg), 0.0, 0.0)))
+def test_tipping_is_reported_above_20_deg(off_deg: float, said: bool) -> None:
+    plumb, now_ns = alignment_at_rest(rotation_from_rpy((np.radians(off_deg), 0.0, 0.0)))
     words = plumb.tipped(np.eye(4), now_ns)
     assert bool(words) == said
     assert not said or f"{off_deg:.0f} deg from" in words
 
 
-def test_a_sensor_that_falls_silent_has_no_say() -> None:
-    plumb, now_ns = told(rotation_from_rpy((0.6, 0.0, 0.0)))
+def test_silent_imu_gives_no_attitude() -> None:
+    plumb, now_ns = alignment_at_rest(rotation_from_rpy((0.6, 0.0, 0.0)))
     later_ns = now_ns + 500 * MS
     assert plumb.attitude(now_ns) is not None
     assert plumb.attitude(later_ns) is None
@@ -84,16 +84,16 @@ def test_a_sensor_that_falls_silent_has_no_say() -> None:
     assert "no IMU readings for 0.5 s" in plumb.problem(later_ns)
 
 
-def test_after_a_gap_it_has_to_become_sure_again() -> None:
-    plumb, now_ns = told(np.eye(3))
+def test_attitude_is_uncertain_after_a_gap() -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     later_ns = now_ns + 500 * MS
     plumb.take(Imu(later_ns, np.zeros(3), G), later_ns)
     assert plumb.attitude(later_ns) is None
     assert "uncertain by" in plumb.problem(later_ns)
 
 
-def test_a_reading_that_was_overtaken_says_nothing() -> None:
-    plumb, now_ns = told(np.eye(3))
+def test_out_of_order_reading_is_ignored() -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     before = plumb.attitude(now_ns)
     assert before is not None
     plumb.take(Imu(now_ns - 50 * MS, np.ones(3), np.ones(3)), now_ns)
@@ -103,7 +103,7 @@ def test_a_reading_that_was_overtaken_says_nothing() -> None:
     assert after.doubt == before.doubt
 
 
-def test_a_sensor_that_counts_in_g_is_not_heeded_and_that_is_said() -> None:
+def test_accelerometer_in_units_of_g_is_ignored_and_reported() -> None:
     plumb, now_ns = GravityAlignment(), 0
     for now_ns in range(0, 5_000 * MS, 10 * MS):
         plumb.take(Imu(now_ns, np.zeros(3), np.array([0.0, 0.0, 1.0])), now_ns)
@@ -115,22 +115,22 @@ COMING = np.array([True, False, True, False, True, False])
 FEET = load_profile("phantomx_mk2").rest_feet()
 
 
-def heaved(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
+def heaving_feet(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
     """Return the feet reported as lifting a body that tilts while they come down.
 
     Before, the body's tilt is that of the legs' odometry.
     """
-    plumb, now_ns = told(T_odom_body[:3, :3])
+    plumb, now_ns = alignment_at_rest(T_odom_body[:3, :3])
     nothing = plumb.heaves(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
     assert not nothing.any()
-    sudden, later_ns = told(R_level_body)
+    sudden, later_ns = alignment_at_rest(R_level_body)
     plumb._attitude, plumb._heard_ns = sudden.attitude(later_ns), now_ns
     return plumb.heaves(T_odom_body, FEET, COMING, now_ns)
 
 
 @WILD
 @given(st.sampled_from([0, 2, 4]), st.floats(2.5, 8.0), st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
-def test_the_foot_over_which_the_body_rises_lifts_it(leg: int, angle_deg: float, lean: tuple[float, float]) -> None:
+def test_foot_under_rising_body_corner_is_reported_as_heaving(leg: int, angle_deg: float, lean: tuple[float, float]) -> None:
     """Check that only the foot whose corner of the body rises is reported.
 
     The result does not depend on the body's attitude before.
@@ -138,21 +138,21 @@ def test_the_foot_over_which_the_body_rises_lifts_it(leg: int, angle_deg: float,
     x, y = FEET[leg, :2] / np.hypot(*FEET[leg, :2])
     before = rotation_from_rpy([*lean, 0.0])
     R = before @ exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0]))
-    np.testing.assert_array_equal(heaved(R, from_xyz_rpy(np.zeros(3), [*lean, 0.0])), np.arange(6) == leg)
+    np.testing.assert_array_equal(heaving_feet(R, from_xyz_rpy(np.zeros(3), [*lean, 0.0])), np.arange(6) == leg)
 
 
 @pytest.mark.parametrize("angle_deg", [1.0, -5.0])
-def test_a_little_is_nothing_and_nobody_lifts_where_only_standing_feet_are(angle_deg: float) -> None:
+def test_heaving_requires_more_than_1_deg_and_a_descending_foot(angle_deg: float) -> None:
     x, y = (FEET[0] + FEET[5])[:2] / np.hypot(*(FEET[0] + FEET[5])[:2])
-    found = heaved(exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0])), np.eye(4))
+    found = heaving_feet(exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0])), np.eye(4))
     assert found.sum() == (angle_deg < -1.0)
     assert not found[~COMING].any()
 
 
 @pytest.mark.parametrize("slipped", [0.0, 0.05, -0.08])
-def test_heading_that_slipping_feet_have_lost_is_made_up_by_the_gyro(slipped: float) -> None:
+def test_gyro_corrects_heading_lost_by_slipping_feet(slipped: float) -> None:
     """Check that the gyro corrects heading: the body turns 0.5 rad, the legs see less."""
-    plumb, now_ns = told(np.eye(3))
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     T, steps = from_xyz_rpy((1.0, 2.0, 0.1), np.zeros(3)), 100
     for i in range(300):
         rate = 0.5 / steps if i < steps else 0.0
@@ -167,15 +167,17 @@ def test_heading_that_slipping_feet_have_lost_is_made_up_by_the_gyro(slipped: fl
 
 
 @pytest.mark.parametrize("yaw", [0.15, 1.2])
-def test_legs_that_count_anew_have_not_turned(yaw: float) -> None:
-    plumb, now_ns = told(np.eye(3))
+def test_restarted_leg_odometry_causes_no_heading_correction(yaw: float) -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     plumb.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, yaw)), now_ns, 0.02, step=1)
     plumb.restart()
     assert plumb.turn(np.eye(4), now_ns, 0.02, step=1) is None
     assert plumb.turn(np.eye(4), now_ns, 0.02, step=1) is None
 
 
-def spun(plumb: GravityAlignment, now_ns: int, rate: float, step: int | None, cycles: int) -> tuple[list[float], int]:
+def odom_turns_while_gyro_spins(
+    plumb: GravityAlignment, now_ns: int, rate: float, step: int | None, cycles: int
+) -> tuple[list[float], int]:
     """Return the turn [rad] of {odom} in each cycle, and the time [ns].
 
     The gyro reports `rate` [rad/s] and the legs do not turn.
@@ -191,38 +193,38 @@ def spun(plumb: GravityAlignment, now_ns: int, rate: float, step: int | None, cy
 
 @WILD
 @given(st.floats(-4.0, 4.0), st.integers(1, 200))
-def test_legs_that_hang_in_the_air_are_not_thrown_about_by_the_gyro(rate: float, cycles: int) -> None:
+def test_heading_correction_is_limited_in_rate_and_total(rate: float, cycles: int) -> None:
     """Check the limits of the correction for legs that do not see the turn.
 
     The correction is limited in rate and in total, and is zero at rest.
     """
-    plumb, now_ns = told(np.eye(3))
-    at_rest, now_ns = spun(plumb, now_ns, rate, None, cycles)
+    plumb, now_ns = alignment_at_rest(np.eye(3))
+    at_rest, now_ns = odom_turns_while_gyro_spins(plumb, now_ns, rate, None, cycles)
     assert not np.any(at_rest)
-    in_step, now_ns = spun(plumb, now_ns, rate, 1, cycles)
+    in_step, now_ns = odom_turns_while_gyro_spins(plumb, now_ns, rate, 1, cycles)
     assert np.abs(in_step).max() <= np.radians(3.0) * 0.02 + 1e-12
     assert abs(sum(in_step)) <= np.radians(5.0) + 1e-9
 
 
-def test_a_gyro_that_is_far_off_the_legs_is_not_followed_until_the_next_step_and_that_is_said() -> None:
-    plumb, now_ns = told(np.eye(3))
-    _, now_ns = spun(plumb, now_ns, 1.0, 1, 50)
+def test_inconsistent_gyro_heading_is_ignored_until_next_step() -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
+    _, now_ns = odom_turns_while_gyro_spins(plumb, now_ns, 1.0, 1, 50)
     assert "the legs' heading is used" in plumb.problem(now_ns)
-    left, now_ns = spun(plumb, now_ns, 0.0, 1, 50)
+    left, now_ns = odom_turns_while_gyro_spins(plumb, now_ns, 0.0, 1, 50)
     assert not np.any(left)
-    following, now_ns = spun(plumb, now_ns, 0.02, 2, 50)
+    following, now_ns = odom_turns_while_gyro_spins(plumb, now_ns, 0.02, 2, 50)
     assert np.all(following)
     assert plumb.problem(now_ns) == ""
 
 
 @WILD
 @given(st.floats(0.25, 0.34), st.floats(-3.0, 3.0))
-def test_levelling_ends_where_legs_cannot_lean_further_and_that_is_said(angle: float, way: float) -> None:
+def test_levelling_stops_at_12_deg_and_is_reported(angle: float, way: float) -> None:
     """Check the 12 deg limit: the legs move the body back by their own odometry.
 
     The legs do so in the air too, and the sensor does not see the motion.
     """
-    plumb, now_ns = told(exp_so3(angle * np.array([np.cos(way), np.sin(way), 0.0])))
+    plumb, now_ns = alignment_at_rest(exp_so3(angle * np.array([np.cos(way), np.sin(way), 0.0])))
     total = np.eye(3)
     for _ in range(1000):
         turn = plumb.turn(np.eye(4), now_ns, 0.02)
@@ -230,19 +232,19 @@ def test_levelling_ends_where_legs_cannot_lean_further_and_that_is_said(angle: f
     assert np.radians(11.5) < np.arccos(total[2, 2]) <= np.radians(12.0) + 1e-9
     assert plumb.turn(np.eye(4), now_ns, 0.02) is None
     assert "more than the 12 deg" in plumb.problem(now_ns)
-    righted, later_ns = told(np.eye(3))
+    righted, later_ns = alignment_at_rest(np.eye(3))
     plumb._attitude, leaning = righted.attitude(later_ns), from_xyz_rpy(np.zeros(3), (0.1, 0.0, 0.0))
     leaning[:3, :3] = total
     assert plumb.turn(leaning, now_ns, 0.02) is not None, "back is always a way"
     assert plumb.problem(now_ns) == ""
 
 
-def test_what_is_levelled_meanwhile_lifts_nobody() -> None:
+def test_levelling_is_not_taken_for_heaving() -> None:
     """Check that {odom}, wrong by some degrees, may turn while feet come down.
 
     The body does not move.
     """
-    plumb, now_ns = told(np.eye(3))
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     T = from_xyz_rpy(np.zeros(3), (0.15, 0.1, 0.0))
     plumb.heaves(T, FEET, np.zeros(6, dtype=bool), now_ns)
     for _ in range(300):
@@ -252,7 +254,7 @@ def test_what_is_levelled_meanwhile_lifts_nobody() -> None:
     assert lean(T) < np.radians(3.0)
 
 
-def test_only_a_robot_that_has_stood_for_a_while_tells_what_its_gyro_is_off() -> None:
+def test_vertical_gyro_bias_requires_sustained_standstill() -> None:
     plumb, bias = GravityAlignment(), np.array([0.0, 0.0, 0.004])
     for i in range(600):
         plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=i % 40 != 0)
@@ -263,7 +265,7 @@ def test_only_a_robot_that_has_stood_for_a_while_tells_what_its_gyro_is_off() ->
 
 
 @pytest.mark.parametrize("gap_ns", [150 * MS, 5_000 * MS, -5_000 * MS])
-def test_after_a_gap_one_reading_is_no_bias(gap_ns: int) -> None:
+def test_reading_after_a_gap_gives_no_gyro_bias(gap_ns: int) -> None:
     """Check that one reading after a gap gives no bias.
 
     A robot that stood before may turn now. A clock that jumps is a gap, too.
@@ -279,7 +281,7 @@ def test_after_a_gap_one_reading_is_no_bias(gap_ns: int) -> None:
 
 
 @pytest.mark.parametrize(("unit", "believed"), [(1.0, True), (180.0 / np.pi, False)])
-def test_a_gyro_that_counts_in_degrees_is_not_heeded_and_that_is_said(unit: float, believed: bool) -> None:
+def test_gyro_in_degrees_per_second_is_ignored_and_reported(unit: float, believed: bool) -> None:
     """Rock a body by two degrees while it turns slowly."""
     plumb, R, trusted, amplitude, beat = GravityAlignment(), np.eye(3), [], np.radians(2.0), 2.0 * np.pi
     for i in range(1500):
@@ -295,8 +297,8 @@ def test_a_gyro_that_counts_in_degrees_is_not_heeded_and_that_is_said(unit: floa
 
 @pytest.mark.parametrize("length", [150.0, 1e19, 1.2e154, 1e200, 1e308])
 @pytest.mark.parametrize("of", ["gyro", "force"])
-def test_what_no_sensor_can_have_measured_is_left_out_and_that_is_said(length: float, of: str) -> None:
-    plumb, now_ns = told(np.eye(3))
+def test_readings_beyond_sensor_range_are_ignored_and_reported(length: float, of: str) -> None:
+    plumb, now_ns = alignment_at_rest(np.eye(3))
     before = plumb.attitude(now_ns)
     gyro, force = (np.full(3, length), G) if of == "gyro" else (np.zeros(3), np.full(3, 20.0 * min(length, 1e306)))
     plumb.take(Imu(now_ns + MS, gyro, force), now_ns + MS)

@@ -38,7 +38,7 @@ def standing_joints(profile: RobotProfile, T: Array, feet_odom: Array) -> Array:
 
 @WILD
 @given(moves, st.sampled_from([ALL, TRIPOD, ~TRIPOD]))
-def test_stance_motion_is_found_again(move: tuple[float, float, float], standing: Flags) -> None:
+def test_body_motion_over_stance_feet_is_recovered(move: tuple[float, float, float], standing: Flags) -> None:
     feet = apply(START, POINTED.rest_feet())
     odometry = LegOdometry(POINTED, standing_joints(POINTED, START, feet), START)
     for T in way(*move):
@@ -49,7 +49,7 @@ def test_stance_motion_is_found_again(move: tuple[float, float, float], standing
     assert odometry.turned == pytest.approx(abs(move[2]), abs=1e-8)
 
 
-def test_legs_in_the_air_have_no_say() -> None:
+def test_swing_legs_do_not_affect_odometry() -> None:
     feet = apply(START, POINTED.rest_feet())
     odometry = LegOdometry(POINTED, standing_joints(POINTED, START, feet), START)
     odometry.update(standing_joints(POINTED, START, feet), TRIPOD, feet[:, 2])
@@ -58,7 +58,7 @@ def test_legs_in_the_air_have_no_say() -> None:
     np.testing.assert_allclose(found, START, atol=1e-9)
 
 
-def test_walking_on_alternating_tripods_adds_up() -> None:
+def test_odometry_over_alternating_tripods_accumulates_exactly() -> None:
     feet = apply(START, POINTED.rest_feet())
     odometry = LegOdometry(POINTED, standing_joints(POINTED, START, feet), START)
     T = START
@@ -75,7 +75,7 @@ def test_walking_on_alternating_tripods_adds_up() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_legs_hold_it_and_it_says_so(count: int) -> None:
+def test_odometry_holds_and_is_unreliable_below_three_stance_legs(count: int) -> None:
     feet = apply(START, POINTED.rest_feet())
     odometry = LegOdometry(POINTED, standing_joints(POINTED, START, feet), START)
     few = np.arange(6) < count
@@ -120,7 +120,7 @@ def _shanks(profile: RobotProfile, T: Array, q: Array) -> Array:
 
 @settings(max_examples=6)
 @given(moves)
-def test_rolling_feet_are_allowed_for(move: tuple[float, float, float]) -> None:
+def test_odometry_compensates_rolling_feet(move: tuple[float, float, float]) -> None:
     poses = way(*move)
     feet = apply(START, PROFILE.rest_feet())
     joints = rolling(PROFILE, poses, feet)
@@ -131,7 +131,7 @@ def test_rolling_feet_are_allowed_for(move: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(found[:3, 3], poses[-1][:3, 3], atol=1e-4 + 0.01 * size)
 
 
-def test_without_the_rolling_a_stride_comes_out_short() -> None:
+def test_uncompensated_rolling_underestimates_travel() -> None:
     """Check the sign: the body travels further than the joints of rolling feet show."""
     poses = way(0.05, 0.0, 0.0, n=40)
     feet = apply(START, PROFILE.rest_feet())
@@ -144,14 +144,14 @@ def test_without_the_rolling_a_stride_comes_out_short() -> None:
     assert with_it.T_odom_body[0, 3] == pytest.approx(0.05, rel=0.005)
 
 
-def test_height_comes_from_where_the_feet_were_set_down() -> None:
+def test_body_height_follows_foothold_heights() -> None:
     feet = apply(START, POINTED.rest_feet())
     odometry = LegOdometry(POINTED, standing_joints(POINTED, START, feet), START)
     found = odometry.update(standing_joints(POINTED, START, feet), ALL, feet[:, 2] + 0.03)
     np.testing.assert_allclose(found[:3, 3], START[:3, 3] + [0.0, 0.0, 0.03], atol=1e-9)
 
 
-def test_the_pose_stays_a_rigid_transform() -> None:
+def test_pose_stays_a_rigid_transform() -> None:
     rng = np.random.default_rng(3)
     feet = apply(START, PROFILE.rest_feet())
     odometry = LegOdometry(PROFILE, standing_joints(PROFILE, START, feet), START)
@@ -162,7 +162,7 @@ def test_the_pose_stays_a_rigid_transform() -> None:
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
 
 
-def test_a_foot_that_slips_is_noticed_and_the_others_are_not_blamed() -> None:
+def test_slip_is_attributed_to_the_slipping_foot() -> None:
     T = START
     feet = apply(T, PROFILE.rest_feet())
     odometry = LegOdometry(PROFILE, standing_joints(PROFILE, T, feet), T)
@@ -176,7 +176,7 @@ def test_a_foot_that_slips_is_noticed_and_the_others_are_not_blamed() -> None:
     assert np.delete(odometry.slip, 2).max() < 0.01
 
 
-def test_when_its_frame_turns_body_and_feet_turn_and_nothing_has_moved() -> None:
+def test_turn_of_odom_frame_adds_no_travel_and_no_slip() -> None:
     T, feet = START, apply(START, PROFILE.rest_feet())
     odometry = LegOdometry(PROFILE, standing_joints(PROFILE, T, feet), T)
     R = exp_so3(np.array([0.05, -0.08, 0.0]))

@@ -92,19 +92,17 @@ def stroke(height: float, cycles: int) -> Array:
 
 @given(st.floats(0.2, 0.8), st.integers(28, 60), st.floats(0.6, 1.6), st.floats(0.1, 0.9))
 @settings(max_examples=60)
-def test_free_motion_is_no_touch_whenever_in_the_cycle_goals_are_told(
-    height: float, cycles: int, armature: float, told: float
-) -> None:
+def test_free_motion_gives_no_contact_at_any_goal_delay(height: float, cycles: int, armature: float, told: float) -> None:
     assert not any(swing(stroke(height, cycles), armature, told=told).touches)
 
 
 @pytest.mark.parametrize("told", [0.2, 0.85, 0.95])
-def test_ticks_and_the_compliance_margin_are_no_touch(told: float) -> None:
+def test_quantization_and_compliance_margin_give_no_contact(told: float) -> None:
     for height, cycles in ((0.2, 40), (0.4, 34), (0.6, 34)):
         assert not any(swing(stroke(height, cycles), told=told, coarse=True).touches)
 
 
-def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
+def test_push_at_full_torque_is_independent_of_reading_delay() -> None:
     """Check that a femur far behind its goal has the same push at any reading delay."""
     pushes = list[float]()
     for since_ms in (0.5, 3.0, 6.0, 10.0, 18.0):
@@ -119,7 +117,7 @@ def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
     np.testing.assert_allclose(pushes, pushes[0])
 
 
-def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> None:
+def test_push_in_free_motion_is_nearly_independent_of_goal_delay() -> None:
     """Check that the push hardly depends on when goals are sent within a cycle.
 
     At 3 rad/s the femur's load falls by 0.03 N m per millisecond, a quarter of a newton at the foot.
@@ -129,7 +127,7 @@ def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> No
     assert np.abs(pushes).max() < 1.0
 
 
-def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
+def test_contact_threshold_scales_with_robot_weight() -> None:
     body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice the total mass
     for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
         feeler = TouchdownDetector(profile)
@@ -143,7 +141,7 @@ def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
 
 
 @pytest.mark.parametrize("since_ms", [0.0, 2.0, 4.0])
-def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(since_ms: float) -> None:
+def test_load_shows_if_servo_was_read_before_its_new_goal(since_ms: float) -> None:
     """Check that the pull shows whether a servo that was read had received its goal.
 
     The femur moves down at 3 rad/s. Its torque is that of the new goal, or of the previous one 20 ms later in its motion.
@@ -170,13 +168,13 @@ def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(si
 @pytest.mark.parametrize("armature", [0.7, 1.0, 1.4])
 @pytest.mark.parametrize("height", [0.4, 0.6])
 @pytest.mark.parametrize("told", [0.2, 0.3, 0.6])
-def test_ground_on_the_way_down_is_felt_within_three_readings(height: float, armature: float, told: float) -> None:
+def test_ground_contact_is_detected_within_three_readings(height: float, armature: float, told: float) -> None:
     found = swing(stroke(height, 34), armature, ground=Q[LEG, FEMUR] + 0.4 * height, told=told)
     assert found.met > 0
     assert found.touches.index(True) - found.met in (1, 2, 3)
 
 
-def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
+def test_full_torque_at_high_speed_gives_no_contact() -> None:
     """Check that full torque at high speed gives no contact.
 
     The model does not explain all of the full torque, but ground would have stopped the leg.
@@ -191,7 +189,7 @@ def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
         assert feeler.touches[LEG] == touches
 
 
-def test_a_push_at_rest_is_a_foot_that_bears() -> None:
+def test_push_at_rest_marks_foot_as_bearing_load() -> None:
     feeler = TouchdownDetector(PROFILE)
     held = link_torques(PROFILE, Q)
     for newton, bears in ((0.0, False), (1.5, True)):
@@ -209,7 +207,7 @@ def test_a_push_at_rest_is_a_foot_that_bears() -> None:
 @pytest.mark.parametrize(
     ("newton", "bears", "touches"), [(2.9, False, False), (3.1, True, False), (4.4, True, False), (4.6, True, True)]
 )
-def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches: bool) -> None:
+def test_single_strong_push_is_enough_for_contact(newton: float, bears: bool, touches: bool) -> None:
     feeler, held = TouchdownDetector(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
     for cycle in range(3):
         feeler.see(Q, Q)
@@ -221,7 +219,7 @@ def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches
     assert not feeler.bears[LEG], "after a gap what was felt before it counts no more"
 
 
-def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
+def test_foot_leans_after_one_reading_and_bears_after_two() -> None:
     feeler, arm = TouchdownDetector(PROFILE), 0.1
     held = link_torques(PROFILE, Q)
     for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
@@ -232,7 +230,7 @@ def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
         assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
 
 
-def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_not_heard() -> None:
+def test_load_within_compliance_margin_is_not_taken_for_missed_goal() -> None:
     """Check a goal that moved down by 1.5 ticks.
 
     The servo's compliance margin makes it pull as for the previous goal.
@@ -253,7 +251,7 @@ def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_n
     assert pushes[1] == pytest.approx(pushes[0], abs=0.1)
 
 
-def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
+def test_leg_is_silent_after_its_servo_stops_responding() -> None:
     feeler = TouchdownDetector(PROFILE)
     feeler.see(Q, Q)
     assert feeler.silent(1_000_000_000).all()
@@ -263,7 +261,7 @@ def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
 
 
 @pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
-def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(name: str) -> None:
+def test_leg_inertia_matches_simulation_with_knee_at_90_deg(name: str) -> None:
     robot = load_profile(name)
     world = World(robot, build_terrain(Scenario("flat", (Plane(),), Goal(1.0)), np.random.default_rng(0)))
     world.place(np.tile([0.0, 0.3, -np.pi / 2], (6, 1)), from_xyz_rpy((0.0, 0.0, 1.0), np.zeros(3)))
@@ -273,7 +271,7 @@ def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(
     np.testing.assert_allclose(inertia[femora, femora], TouchdownDetector(robot)._inertia, rtol=0.05)
 
 
-def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
+def test_leg_counts_as_responding_with_two_recent_readings() -> None:
     feeler = TouchdownDetector(PROFILE)
     feeler.see(Q, Q)
     expected = []
@@ -287,7 +285,7 @@ def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
     assert expected == [False, True, True, True, True, True, False, False, True]
 
 
-def test_readings_far_apart_say_nothing() -> None:
+def test_readings_far_apart_give_no_push() -> None:
     feeler = TouchdownDetector(PROFILE)
     for cycle in range(5):
         feeler.see(Q, Q)
@@ -295,7 +293,7 @@ def test_readings_far_apart_say_nothing() -> None:
         assert feeler.push[LEG] == 0.0
 
 
-def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
+def test_load_noise_at_short_lever_arm_gives_no_contact() -> None:
     """Check that 0.14 N m of noise, rare in free swings, gives no contact.
 
     It would be 5 N on a foot only 3 cm from its femur's axis.

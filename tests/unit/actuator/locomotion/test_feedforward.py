@@ -28,7 +28,7 @@ SHARES = st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6)
 TRIPODS = (np.arange(6) % 2 == 0, np.arange(6) % 2 == 1)
 
 
-def somewhere(seed: int) -> tuple[Array, Array]:
+def random_feet_and_centre(seed: int) -> tuple[Array, Array]:
     """Return feet (6, 3) [m] near rest, and a centre of mass (3,) [m] near the body's."""
     rng = np.random.default_rng(seed)
     return REST + rng.uniform(-0.02, 0.02, (6, 3)), np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
@@ -42,22 +42,22 @@ def balance(feet: Array, forces: Array, centre: Array) -> Array:
 
 @given(st.integers(0, 2**32 - 1), SHARES)
 def test_forces_balance_weight_and_moments(seed: int, share: list[float]) -> None:
-    feet, centre = somewhere(seed)
+    feet, centre = random_feet_and_centre(seed)
     forces = foot_forces(feet, np.array(share), WEIGHT, centre)
     assert (forces >= 0).all()
     np.testing.assert_allclose(balance(feet, forces, centre), [WEIGHT, 0.0, 0.0], atol=1e-2)
 
 
 @pytest.mark.parametrize("standing", TRIPODS)
-def test_a_tripod_carries_all_and_the_legs_in_the_air_nothing(standing: Flags) -> None:
+def test_tripod_carries_full_weight_and_swing_legs_none(standing: Flags) -> None:
     forces = foot_forces(REST, standing.astype(float), WEIGHT, np.zeros(3))
     np.testing.assert_array_equal(forces[~standing], 0.0)
     np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
 
 
 @given(st.integers(0, 2**32 - 1), SHARES)
-def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> None:
-    feet, centre = somewhere(seed)
+def test_outward_forces_have_no_net_force_or_moment(seed: int, share: list[float]) -> None:
+    feet, centre = random_feet_and_centre(seed)
     vertical = foot_forces(feet, np.array(share), WEIGHT, centre)
     forces = outward_forces(feet, vertical, centre)
     arms = feet[:, :2] - centre[:2]
@@ -68,7 +68,7 @@ def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> No
 
 @pytest.mark.parametrize("standing", TRIPODS)
 @pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
-def test_the_femora_of_a_tripod_that_pushes_outwards_bear_less(name: str, standing: Flags) -> None:
+def test_outward_forces_reduce_femur_torque_of_a_tripod(name: str, standing: Flags) -> None:
     profile = load_profile(name)
     feet = profile.rest_feet()
     q = body_inverse(profile, feet)
@@ -81,7 +81,7 @@ def test_the_femora_of_a_tripod_that_pushes_outwards_bear_less(name: str, standi
     assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # and no other joint bears more
 
 
-def test_a_leg_takes_less_with_a_smaller_share() -> None:
+def test_foot_force_falls_with_load_share() -> None:
     share = np.ones(6)
     forces = []
     for share[2] in (1.0, 0.6, 0.3, 0.0):
@@ -91,7 +91,7 @@ def test_a_leg_takes_less_with_a_smaller_share() -> None:
 
 
 @given(st.lists(st.floats(0, 1), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
-def test_forces_stay_bounded_whatever_the_shares(share: list[float], seed: int) -> None:
+def test_forces_stay_bounded_for_any_load_shares(share: list[float], seed: int) -> None:
     feet = REST + np.random.default_rng(seed).uniform(-0.1, 0.1, (6, 3))
     forces = foot_forces(feet, np.array(share), WEIGHT, np.zeros(3))
     assert np.isfinite(forces).all()
@@ -99,7 +99,7 @@ def test_forces_stay_bounded_whatever_the_shares(share: list[float], seed: int) 
     assert forces.max() < 1e3 * WEIGHT
 
 
-def test_the_goal_of_a_loaded_femur_lies_below_where_it_is_to_rest() -> None:
+def test_sag_feedforward_lowers_goal_of_loaded_femur() -> None:
     q = body_inverse(PROFILE, REST)
     sag = sag_feed_forward(PROFILE, q, REST, np.ones(6), np.eye(3))
     assert (sag[:, 1] < 0).all()  # down: the ground pushes the foot, and the femur with it, up
@@ -107,7 +107,7 @@ def test_the_goal_of_a_loaded_femur_lies_below_where_it_is_to_rest() -> None:
     assert (beyond[:, 2] < REST[:, 2]).all()  # so the commanded feet lie below the ground
 
 
-def test_without_a_load_the_legs_hold_up_themselves() -> None:
+def test_unloaded_legs_need_only_link_torques() -> None:
     """Compare with virtual work: the torque lifts the links' midpoints."""
     rng = np.random.default_rng(2)
     q = rng.uniform(PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1])
@@ -127,7 +127,7 @@ def test_without_a_load_the_legs_hold_up_themselves() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
+def test_sag_feedforward_balances_spring_and_load(seed: int) -> None:
     """Check that a spring from goal to joint holds exactly the load at rest.
 
     The equation is stiffness * (goal - q) = -J^T f.
@@ -146,27 +146,27 @@ def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
         np.testing.assert_allclose(torque[:, joint], -work, atol=1e-4)
 
 
-def test_on_a_slope_the_downhill_legs_carry_more() -> None:
+def test_downhill_legs_carry_more_on_slope() -> None:
     R_level_body = from_xyz_rpy(np.zeros(3), (0.0, np.radians(10.0), 0.0))[:3, :3]  # nose down: the front feet are downhill
     flat, tilted = (foot_forces(REST @ R.T, np.ones(6), WEIGHT, np.zeros(3)) for R in (np.eye(3), R_level_body))
     assert (tilted[:2] > flat[:2]).all()
     assert (tilted[3:5] < flat[3:5]).all()
 
 
-def test_it_never_asks_for_more_than_full_torque() -> None:
+def test_sag_feedforward_is_limited_to_stall_torque() -> None:
     feet = REST * [2.0, 2.0, 1.0]
     sag = sag_feed_forward(PROFILE, np.zeros((6, 3)), feet, np.array([1.0, 0, 1.0, 0, 0, 0]), np.eye(3))
     assert np.abs(sag).max() <= PROFILE.servo.stall_torque / PROFILE.servo.stiffness + 1e-12
 
 
 @given(st.floats(0.0, 1.0))
-def test_while_standing_up_the_load_is_taken_up_gradually(share: float) -> None:
+def test_sag_feedforward_scales_with_load_share(share: float) -> None:
     q = body_inverse(PROFILE, REST)
     none, whole, part = (sag_feed_forward(PROFILE, q, REST, np.full(6, s), np.eye(3)) for s in (0.0, 1.0, share))
     np.testing.assert_allclose(part - none, share * (whole - none), atol=1e-3)
 
 
-def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
+def test_link_torques_are_gradient_of_potential_energy() -> None:
     """Compare with virtual work: a small turn of a joint lifts the centre of mass.
 
     The lift is the work of the joint's torque divided by the weight.
@@ -184,7 +184,7 @@ def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
     np.testing.assert_allclose(link_torques(PROFILE, q), slopes, atol=1e-7)
 
 
-def test_a_tripod_that_swings_forward_takes_the_centre_of_mass_along() -> None:
+def test_swinging_tripod_forward_moves_centre_of_mass_forward() -> None:
     at_rest = centre_of_mass(PROFILE, body_inverse(PROFILE, REST))
     np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # because rear feet stand further out than front feet
     ahead = REST + np.where(TRIPODS[0][:, None], [0.04, 0.0, 0.02], 0.0)
@@ -192,7 +192,7 @@ def test_a_tripod_that_swings_forward_takes_the_centre_of_mass_along() -> None:
     assert 0.002 < moved[0] < 0.02
 
 
-def test_a_servo_draws_the_torque_that_its_speed_costs_from_the_lead_of_its_goal() -> None:
+def test_lag_feedforward_matches_damping_torque_up_to_stall() -> None:
     rate = np.random.default_rng(0).uniform(-3.0, 3.0, (6, 3))
     torque = PROFILE.servo.stiffness * lag_feed_forward(PROFILE, rate, 0.0)
     np.testing.assert_allclose(torque, PROFILE.servo.damping * rate)

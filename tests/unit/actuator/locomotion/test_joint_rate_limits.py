@@ -28,7 +28,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
     st.floats(0, 0.1),
 )
 @settings(max_examples=200)
-def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(wanted: list[Array], seed: int, dt: float) -> None:
+def test_goals_are_finite_within_joint_limits_and_servo_speed(wanted: list[Array], seed: int, dt: float) -> None:
     limits = JointRateLimits(PROFILE)
     last = np.random.default_rng(seed).uniform(LIMITS[..., 0], LIMITS[..., 1])
     for q in wanted:
@@ -43,7 +43,7 @@ def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(wan
         last = goal
 
 
-def test_a_leg_out_of_reach_is_named() -> None:
+def test_warning_names_legs_out_of_reach() -> None:
     q = REST.copy()
     q[2, 1] = np.nan
     goal, warning = JointRateLimits(PROFILE).safe(q, REST, DT)
@@ -60,7 +60,7 @@ def test_goals_in_reach_pass_unchanged() -> None:
     assert warning == ""
 
 
-def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
+def test_acceleration_is_limited_but_deceleration_is_not() -> None:
     limits, last, far = JointRateLimits(PROFILE), REST, np.clip(REST + 0.5, LIMITS[..., 0], LIMITS[..., 1])
     steps = list[float]()
     for _ in range(4):
@@ -75,7 +75,7 @@ def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
     np.testing.assert_allclose(np.abs(fast - slow).max(), 0.01 + 0.5 * FASTEST * DT)
 
 
-def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> None:
+def test_limited_joint_moves_gently_until_it_has_caught_up() -> None:
     limits, wanted = JointRateLimits(PROFILE), REST + 0.1
     limits.limit_joint(3, 1)
     last, slow, others = REST, 0, True
@@ -91,7 +91,7 @@ def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> No
     np.testing.assert_allclose(goal, wanted + 0.04)  # it has caught up and is as fast as the others again
 
 
-def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_from_it() -> None:
+def test_limited_joint_is_behind_while_over_5_deg_from_its_goal() -> None:
     limits, last = JointRateLimits(PROFILE), REST
     wanted = REST.copy()
     wanted[3, 1] += 0.2
@@ -104,7 +104,7 @@ def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_
     assert not limits.behind.any()
 
 
-def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_nothing_to_catch_up() -> None:
+def test_all_joints_of_leg_stay_gentle_while_one_is_behind() -> None:
     limits, wanted, last = JointRateLimits(PROFILE), REST.copy(), REST
     wanted[3, 1] += 0.3
     limits.limit_joint(3, 1)
@@ -116,7 +116,7 @@ def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_n
         last = goal
 
 
-def test_it_says_that_joints_are_gentle_until_the_last_is_where_it_is_wanted() -> None:
+def test_is_limiting_until_the_last_joint_reaches_its_goal() -> None:
     limits, wanted, last = JointRateLimits(PROFILE), REST + 0.05, REST
     assert not limits.is_limiting
     limits.limit_joint(3, 1)
@@ -129,7 +129,7 @@ def test_it_says_that_joints_are_gentle_until_the_last_is_where_it_is_wanted() -
     assert not limits.is_limiting
 
 
-def test_nobody_takes_up_work_where_torque_is_off() -> None:
+def test_forget_clears_joint_limits_with_torque_off() -> None:
     limits = JointRateLimits(PROFILE)
     limits.limit_joint(3, 1)
     assert limits.behind.any()
@@ -139,7 +139,7 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
     assert (goal - REST)[3, 1] > GENTLE * DT
 
 
-def test_a_goal_that_turns_back_gathers_speed_from_rest() -> None:
+def test_reversed_goal_accelerates_from_zero_speed() -> None:
     limits, fastest = JointRateLimits(PROFILE), PROFILE.servo.no_load_speed
     last, rates = REST.copy(), []
     for way in (1.0,) * 5 + (-1.0,) * 5:
@@ -149,12 +149,12 @@ def test_a_goal_that_turns_back_gathers_speed_from_rest() -> None:
     np.testing.assert_allclose(rates, [0.25, 0.5, 0.75, 1.0, 1.0, -0.25, -0.5, -0.75, -1.0, -1.0], atol=1e-9)
 
 
-def test_gentle_speeds_are_those_that_the_docs_promise() -> None:
+def test_gentle_speeds_match_documentation() -> None:
     np.testing.assert_allclose(np.degrees([GENTLE, LOWERED, FETCHED]), [25.0, 35.0, 95.0])
 
 
 @pytest.mark.parametrize(("short_deg", "pace"), [(0.0, 1.0), (1.5, 0.5), (3.0, 0.0), (9.0, 0.0)])
-def test_the_pace_falls_to_nothing_three_degrees_short_of_what_is_wanted(short_deg: float, pace: float) -> None:
+def test_pace_falls_to_zero_at_3_deg_behind_the_goal(short_deg: float, pace: float) -> None:
     limits, wanted = JointRateLimits(PROFILE), REST.copy()
     wanted[3, 1] += GENTLE * DT + np.radians(short_deg)
     limits.limit_joint(3, 1)
@@ -162,7 +162,7 @@ def test_the_pace_falls_to_nothing_three_degrees_short_of_what_is_wanted(short_d
     assert limits.pace == pytest.approx(pace)
 
 
-def test_a_leg_may_be_gentle_at_another_speed() -> None:
+def test_speed_limit_can_be_set_per_leg() -> None:
     limits = JointRateLimits(PROFILE)
     limits.limit_joint(2, 0)
     limits.limit_joint(3, 1, LOWERED)
@@ -174,7 +174,7 @@ def test_a_leg_may_be_gentle_at_another_speed() -> None:
     np.testing.assert_allclose(np.abs(last - REST)[3], GENTLE * DT)
 
 
-def test_a_motion_that_waits_for_gentle_joints_is_followed_closely_and_at_their_speed() -> None:
+def test_pace_keeps_motion_within_3_deg_of_limited_joints() -> None:
     """Check that `pace` slows a motion until the joints' goals keep up with it.
 
     The motion may ask for any speed.

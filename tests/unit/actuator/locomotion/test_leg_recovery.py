@@ -23,7 +23,7 @@ def joints(*which: int) -> NDArray[np.bool_]:
     return legs(*which)[:, None] & [False, True, False]
 
 
-def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
+def test_leg_without_torque_is_put_back_gently_after_torque_returns() -> None:
     hung = LegRecovery()
     assert not hung.update(joints(2), joints(2), NONE).any()
     assert not hung.dangling.any(), "it stood"
@@ -39,7 +39,7 @@ def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
     assert not hung.waiting.any()
 
 
-def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster() -> None:
+def test_silent_swing_leg_counts_as_hanging_and_returns_faster() -> None:
     hung = LegRecovery()
     assert not hung.update(FREE, joints(1, 4), legs(0, 2, 4)).any()
     np.testing.assert_array_equal(hung.hung, legs(4))
@@ -50,7 +50,7 @@ def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster()
     assert hung.put_back() == FETCHED
 
 
-def test_of_two_legs_one_that_is_still_limp_waits() -> None:
+def test_leg_without_torque_waits_while_another_is_put_back() -> None:
     hung = LegRecovery()
     hung.update(joints(0, 3), joints(0, 3), legs(0, 2, 4))
     np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
@@ -61,7 +61,7 @@ def test_of_two_legs_one_that_is_still_limp_waits() -> None:
     assert hung.put_back() == GENTLE
 
 
-def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_others() -> None:
+def test_leg_without_torque_is_not_reported_as_waiting() -> None:
     hung = LegRecovery()
     hung.update(joints(3), joints(0, 3), legs(0, 2, 4))
     np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
@@ -74,7 +74,7 @@ def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_oth
 
 
 @given(st.lists(st.tuples(SETS, SETS, SETS, st.booleans()), max_size=20))
-def test_no_leg_comes_back_that_cannot_be_led_and_none_is_forgotten(
+def test_random_recovery_returns_only_torqued_legs_and_forgets_none(
     story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
 ) -> None:
     hung, owed = LegRecovery(), NONE.copy()

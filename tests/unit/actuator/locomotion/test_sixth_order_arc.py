@@ -25,7 +25,7 @@ def fly(targets: Array, clearance: float = 0.04) -> Array:
 
 @given(places, places, places, st.floats(0.3, 2.0))
 @WILD
-def test_the_coefficients_of_5_22_are_right_as_printed(q_i: float, q_m: float, q_f: float, t_f: float) -> None:
+def test_coefficients_of_equation_5_22_meet_boundary_conditions(q_i: float, q_m: float, q_f: float, t_f: float) -> None:
     a = arc_coefficients(np.array(q_i), np.array(q_m), np.array(q_f), t_f)
     speed = polynomial.polyder(a)
     for t, q in ((0.0, q_i), (t_f / 2, q_m), (t_f, q_f)):
@@ -37,7 +37,7 @@ def test_the_coefficients_of_5_22_are_right_as_printed(q_i: float, q_m: float, q
 
 @given(places, places, places, st.floats(0.0, 1.0))
 @WILD
-def test_it_is_a_rest_to_rest_quintic_and_a_hump(q_i: float, q_m: float, q_f: float, s: float) -> None:
+def test_arc_equals_rest_to_rest_quintic_plus_midpoint_term(q_i: float, q_m: float, q_f: float, s: float) -> None:
     """Check that seven conditions determine the polynomial of sixth order."""
     way = q_f - q_i
     q = q_i + way * (10 * s**3 - 15 * s**4 + 6 * s**5) + (q_m - q_i - way / 2) * 64 * s**3 * (1 - s) ** 3
@@ -45,21 +45,21 @@ def test_it_is_a_rest_to_rest_quintic_and_a_hump(q_i: float, q_m: float, q_f: fl
 
 
 @pytest.mark.parametrize("clearance", [0.025, 0.04, 0.08])
-def test_on_level_ground_it_peaks_in_the_middle_at_the_clearance(clearance: float) -> None:
+def test_arc_peaks_at_midpoint_with_clearance_on_level_ground(clearance: float) -> None:
     way = fly(np.tile([0.1, 0.0, 0.0], (CYCLES, 1)), clearance)
     assert way[:, 2].argmax() == CYCLES // 2
     assert way[CYCLES // 2] == pytest.approx([0.05, 0.0, clearance])
 
 
 @pytest.mark.parametrize("rise", [-0.04, 0.04])
-def test_over_a_step_it_passes_the_middle_at_the_clearance_and_peaks_on_the_higher_side(rise: float) -> None:
+def test_arc_over_a_step_has_clearance_at_midpoint_and_peaks_uphill(rise: float) -> None:
     way = fly(np.tile([0.1, 0.0, rise], (CYCLES, 1)), 0.04)
     assert way[CYCLES // 2] == pytest.approx([0.05, 0.0, max(rise, 0.0) + 0.04])
     assert (way[:, 2].argmax() > CYCLES // 2) == (rise > 0)
     assert way[:, 2].max() < max(rise, 0.0) + 1.1 * 0.04
 
 
-def test_it_does_not_rise_before_a_riser_as_the_flow_does() -> None:
+def test_arc_does_not_clear_a_riser_early_in_the_swing() -> None:
     """Check a riser of 4 cm in the first quarter of the path: the foot is lower there.
 
     This is why the arc serves only as a reference.
@@ -70,7 +70,7 @@ def test_it_does_not_rise_before_a_riser_as_the_flow_does() -> None:
 
 @WILD
 @given(st.lists(st.tuples(st.integers(0, CYCLES - 1), shifts), max_size=6), st.floats(0.03, 0.16), st.floats(-0.05, 0.05))
-def test_it_arrives_wherever_the_target_has_gone(moves, length, rise) -> None:  # type: ignore[no-untyped-def]
+def test_arc_ends_at_moved_target(moves, length, rise) -> None:  # type: ignore[no-untyped-def]
     targets = np.tile([length, 0.0, rise], (CYCLES, 1))
     for cycle, shift in moves:
         targets[cycle:] += shift
@@ -81,7 +81,7 @@ def test_it_arrives_wherever_the_target_has_gone(moves, length, rise) -> None:  
 
 @WILD
 @given(shifts, st.integers(1, CYCLES // 2))
-def test_a_moved_target_is_no_leap_and_no_second_rise(shift: tuple[float, float, float], cycle: int) -> None:
+def test_moved_target_causes_no_jump_and_no_second_peak(shift: tuple[float, float, float], cycle: int) -> None:
     targets = np.tile([0.1, 0.0, 0.0], (CYCLES, 1))
     still = np.linalg.norm(np.diff(fly(targets), axis=0), axis=1)
     targets[cycle:] += shift
@@ -93,7 +93,7 @@ def test_a_moved_target_is_no_leap_and_no_second_rise(shift: tuple[float, float,
     assert (turns < 0).sum() <= 1  # it has one maximum
 
 
-def test_feet_fly_independently() -> None:
+def test_feet_move_independently() -> None:
     targets, clearance = np.array([[0.1, 0.0, 0.0], [0.05, 0.05, 0.03], [-0.08, 0.02, -0.02]]), np.array([0.03, 0.04, 0.05])
     together = SixthOrderArc(np.zeros((3, 3)), targets, clearance)
     ways = [fly(np.tile(t, (CYCLES, 1)), c) for t, c in zip(targets, clearance, strict=True)]

@@ -32,7 +32,7 @@ STARTS = [FOLDED, REST + np.array([0.01, -0.01, 0.005]), REST * [1.2, 1.2, 0.4]]
 
 
 @pytest.mark.parametrize("feet", STARTS)
-def test_it_ends_standing_under_full_load(feet: Array) -> None:
+def test_stand_up_ends_at_rest_height_with_full_load(feet: Array) -> None:
     way, shares = stand_up(feet)
     np.testing.assert_allclose(way[-1][:, 2], REST[:, 2], atol=1e-12)
     np.testing.assert_array_equal(shares[-1], np.ones(6))
@@ -50,7 +50,7 @@ def test_it_ends_standing_under_full_load(feet: Array) -> None:
 
 @pytest.mark.parametrize("feet", STARTS)
 @pytest.mark.parametrize("dt", [0.02, 0.013])
-def test_it_begins_where_the_feet_are_and_never_leaps(feet: Array, dt: float) -> None:
+def test_stand_up_starts_at_current_feet_without_jumps(feet: Array, dt: float) -> None:
     way, shares = stand_up(feet, dt)
     steps = np.linalg.norm(np.diff(np.concatenate([feet[None], way]), axis=0), axis=2)
     whole = np.linalg.norm(feet - REST, axis=1).max() + 0.1
@@ -59,7 +59,7 @@ def test_it_begins_where_the_feet_are_and_never_leaps(feet: Array, dt: float) ->
     assert np.abs(jumps).max() <= 4.0 * dt / DURATION
 
 
-def test_a_lying_robot_places_its_feet_before_it_pushes() -> None:
+def test_lying_robot_places_its_feet_before_loading_them() -> None:
     way, shares = stand_up(FOLDED)
     placing = shares[:, 0] == 0.0
     assert placing.any()
@@ -72,7 +72,7 @@ def test_a_lying_robot_places_its_feet_before_it_pushes() -> None:
     assert within_limits(PROFILE, np.array([body_inverse(PROFILE, feet) for feet in rising])).all()
 
 
-def test_a_standing_robot_does_not_lie_down_first() -> None:
+def test_stand_up_of_standing_robot_does_not_lower_the_body() -> None:
     way, _ = stand_up(REST + np.array([0.0, 0.01, 0.01]))
     assert way[..., 2].max() <= REST[0, 2] + 0.01 + 1e-12
 
@@ -95,7 +95,7 @@ def lie_down(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
 
 
 @given(st.integers(0, 1 << 32), st.floats(0.06, 0.12))
-def test_who_has_stopped_on_his_way_rises_where_his_feet_are(seed: int, height: float) -> None:
+def test_stand_up_after_aborted_step_keeps_feet_positions(seed: int, height: float) -> None:
     """Check that the robot rises over feet that a broken-off step left far from rest.
 
     If all feet moved to rest at once, the body would drop.
@@ -111,13 +111,13 @@ def test_who_has_stopped_on_his_way_rises_where_his_feet_are(seed: int, height: 
     np.testing.assert_allclose(way[-1][:, 2], REST[:, 2])
 
 
-def test_feet_that_dangle_far_from_rest_are_brought_there() -> None:
+def test_feet_hanging_far_from_rest_are_moved_to_rest() -> None:
     dangling = REST + np.array([0.0, 0.0, -0.03]) - 0.1 * OUT
     assert np.linalg.norm((stand_up(dangling)[0][-1] - REST)[:, :2], axis=1).max() < 0.05
 
 
 @pytest.mark.parametrize("feet", STANCES)
-def test_the_belly_comes_to_lie_and_the_legs_let_go_of_the_load(feet: Array) -> None:
+def test_lie_down_ends_on_belly_with_unloaded_legs(feet: Array) -> None:
     way, shares = lie_down(feet)
     assert np.median(way[-1][:, 2]) == pytest.approx(GROUND, abs=1e-3)
     np.testing.assert_allclose(way[-1][:, 2] - feet[:, 2], GROUND - np.median(feet[:, 2]), atol=1e-3)
@@ -127,7 +127,7 @@ def test_the_belly_comes_to_lie_and_the_legs_let_go_of_the_load(feet: Array) -> 
 
 
 @pytest.mark.parametrize("feet", STANCES)
-def test_feet_stay_in_their_places_as_far_as_folded_legs_reach(feet: Array) -> None:
+def test_lie_down_slides_feet_only_if_out_of_reach(feet: Array) -> None:
     way, _ = lie_down(feet)
     below = feet.copy()
     below[:, 2] = way[-1][:, 2]
@@ -142,7 +142,7 @@ def test_feet_stay_in_their_places_as_far_as_folded_legs_reach(feet: Array) -> N
         assert not within_limits(PROFILE, body_inverse(PROFILE, nearer))[leg].all(), "and no further than it must"
 
 
-def test_who_rose_lies_down_straight() -> None:
+def test_lie_down_after_stand_up_moves_feet_vertically() -> None:
     way, _ = lie_down(RISEN)
     np.testing.assert_allclose(way[..., :2], np.broadcast_to(RISEN[:, :2], way[..., :2].shape), atol=1e-6)
     assert within_limits(PROFILE, np.array([body_inverse(PROFILE, feet) for feet in way])).all()
@@ -150,7 +150,7 @@ def test_who_rose_lies_down_straight() -> None:
 
 @pytest.mark.parametrize("feet", STANCES)
 @pytest.mark.parametrize("dt", [0.02, 0.013])
-def test_lying_down_begins_where_the_feet_are_and_never_leaps(feet: Array, dt: float) -> None:
+def test_lie_down_starts_at_current_feet_without_jumps(feet: Array, dt: float) -> None:
     way, shares = lie_down(feet, dt)
     steps = np.linalg.norm(np.diff(np.concatenate([feet[None], way]), axis=0), axis=2)
     whole = np.linalg.norm(way[-1] - feet, axis=1).max()
@@ -159,7 +159,7 @@ def test_lying_down_begins_where_the_feet_are_and_never_leaps(feet: Array, dt: f
     assert len(way) == int(np.ceil(DURATION / dt - 1e-9))
 
 
-def test_who_lies_already_stays() -> None:
+def test_lie_down_of_lying_robot_moves_nothing() -> None:
     lying = stand_up(FOLDED)[0]
     lying = lying[np.abs(lying[..., 2] - GROUND).max(axis=1).argmin()]
     lying[:, 2] += GROUND - np.median(lying[:, 2]) + 1e-3

@@ -34,7 +34,7 @@ from tests.support.walker_steps import (
 
 @given(st.lists(st.tuples(st.floats(-0.05, 0.07), st.floats(-0.04, 0.04), st.floats(-0.12, 0.12)), min_size=1, max_size=3))
 @settings(max_examples=10)
-def test_feet_never_jump_in_the_bodys_frame(moves: list[tuple[float, float, float]]) -> None:
+def test_feet_do_not_jump_in_body_frame(moves: list[tuple[float, float, float]]) -> None:
     walker, goal, plans = new_walker(), START, []
     for number, (x, y, yaw) in enumerate(moves, 1):
         goal = goal @ from_xyz_rpy((x, y, 0.0), (0.0, 0.0, yaw))
@@ -67,7 +67,7 @@ def landed(number: int, goal: Array) -> Array:
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.019, 0.0199, 0.0213])
-def test_the_body_does_not_stumble_between_steps(dt: float) -> None:
+def test_body_speed_is_even_between_equal_steps(dt: float) -> None:
     """Check that equal steps in a row give one even motion for any cycle time."""
     walker = new_walker()
     _, places = walk(walker, [plan_to(n, body_at(0.06 * n)) for n in range(1, 6)], dt)
@@ -78,7 +78,7 @@ def test_the_body_does_not_stumble_between_steps(dt: float) -> None:
     assert whole.max() < 1.1 * speed
 
 
-def test_after_the_last_plan_it_comes_to_rest_and_holds() -> None:
+def test_body_comes_to_rest_after_last_plan() -> None:
     walker = new_walker()
     walk(walker, [plan_to(n, body_at(0.06 * n)) for n in (1, 2)], rest_s=1.0)
     before = cycle(walker)
@@ -99,7 +99,7 @@ def test_a_stop_plan_ends_at_rest() -> None:
 
 @given(st.floats(0.0, 0.9), st.sampled_from([0.6, 0.8, 1.1]))
 @settings(max_examples=25)
-def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration: float) -> None:
+def test_set_down_stands_on_known_footholds_within_500_ms(at: float, duration: float) -> None:
     walker, goal = new_walker(), body_at(0.04)
     walker.accept(plan_to(1, goal, duration=duration))
     stood, targets = walker.feet_odom, [cycle(walker)]
@@ -127,7 +127,7 @@ def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration
 
 @given(st.floats(0.1, 0.9), st.sampled_from([0.6, 0.8, 1.1]))
 @settings(max_examples=25)
-def test_the_body_comes_to_rest_before_feet_that_are_set_down(at: float, duration: float) -> None:
+def test_body_stops_before_feet_are_set_down(at: float, duration: float) -> None:
     walker, places = new_walker(), []
     walk(walker, [plan_to(1, body_at(0.04), ahead=0.02, duration=duration)])
     walker.accept(plan_to(2, body_at(0.08), ahead=0.02, duration=duration))
@@ -150,7 +150,7 @@ def test_the_body_comes_to_rest_before_feet_that_are_set_down(at: float, duratio
     assert walker.body_ref[0, 3] == pytest.approx(places[-1], abs=0.003)
 
 
-def test_a_body_goes_on_until_its_legs_reach_where_they_come_down() -> None:
+def test_set_down_moves_body_until_touchdowns_are_in_reach() -> None:
     walker, goal = new_walker(), body_at(0.08)
     plan = plan_to(1, goal, ahead=0.05)
     walker.accept(plan)
@@ -179,7 +179,7 @@ def test_a_body_goes_on_until_its_legs_reach_where_they_come_down() -> None:
 
 
 @pytest.mark.parametrize("at", [0.2, 0.22])
-def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> None:
+def test_reversal_in_mid_air_is_not_taken_for_ground_contact(at: float) -> None:
     walker = new_walker()
     stood = walker.feet_odom
     walker.accept(plan_to(1, body_at(0.04), duration=1.0))
@@ -194,7 +194,7 @@ def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> N
     np.testing.assert_allclose(walker.feet_odom[TRIPOD], stood[TRIPOD], atol=1e-3)
 
 
-def test_set_down_leaves_alone_what_is_no_plan() -> None:
+def test_set_down_does_not_affect_motions_without_swing_plan() -> None:
     walker = new_walker()
     walker.set_down(reaches)
     assert walker.resting
@@ -217,9 +217,7 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(st.lists(st.floats(-0.08, 0.08), min_size=3, max_size=3), st.integers(0, 5), st.floats(0.2, 1.0))
-def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_stand(
-    off: list[float], leg: int, pace: float
-) -> None:
+def test_displaced_leg_is_put_back_through_the_air(off: list[float], leg: int, pace: float) -> None:
     walker = new_walker()
     belongs, body, legs = walker.feet_odom, walker.body_ref, np.arange(6) == leg
     off[0] += math.copysign(0.02, off[0])
@@ -249,7 +247,7 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
 
 
 @pytest.mark.parametrize("late", [0.0, 0.03])
-def test_what_a_foot_feels_that_turns_round_in_the_air_is_ground_only_where_the_foot_itself_is_nearly_back(late: float) -> None:
+def test_contact_of_reversed_foot_counts_only_near_its_foothold(late: float) -> None:
     """Check that contact counts only where the measured foot is nearly back.
 
     Joints lag: the foot may be centimetres above its command.
@@ -267,7 +265,7 @@ def test_what_a_foot_feels_that_turns_round_in_the_air_is_ground_only_where_the_
     assert bool(walker.take_findings()) == (late == 0.0)
 
 
-def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
+def test_foot_with_unknown_contact_gives_no_finding() -> None:
     walker = new_walker()
     walk(walker, [plan_to(1, body_at(0.03))])
     walker.take_findings()
@@ -278,7 +276,7 @@ def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
     assert not walker.take_findings()
 
 
-def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:
+def test_plan_may_be_replaced_until_feet_are_lifted() -> None:
     """Check that a newer plan may replace a step that has just begun.
 
     The new plan lifts the feet higher and takes longer.
@@ -302,7 +300,7 @@ def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:
     np.testing.assert_allclose(walker.body_ref[:3, 3], high.body_goal[:3, 3], atol=1e-3)
 
 
-def test_of_feet_that_are_lifted_it_says_how_high_they_go() -> None:
+def test_clearance_is_reported_only_while_feet_are_lifted() -> None:
     walker = new_walker()
     plan = plan_to(1, body_at(0.03))
     walker.accept(plan)
@@ -320,7 +318,7 @@ def test_of_feet_that_are_lifted_it_says_how_high_they_go() -> None:
     st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05)),
 )
 @settings(max_examples=10)
-def test_a_revision_moves_the_touchdowns_and_nothing_else(
+def test_revision_moves_only_the_touchdowns(
     revisions: list[tuple[int, tuple[float, float, float]]], correction: tuple[float, float, float]
 ) -> None:
     """Check that a revision moves only touchdowns, even if {world} has shifted since.
@@ -350,7 +348,7 @@ def test_a_revision_moves_the_touchdowns_and_nothing_else(
         np.testing.assert_allclose(revised.feet_odom[TRIPOD], wanted[TRIPOD], atol=1e-9)
 
 
-def test_feet_land_by_the_arc_that_is_chosen() -> None:
+def test_arc_setting_selects_swing_trajectory() -> None:
     ways = {}
     for arc in ("flow", "sixth_order"):
         walker = StepExecutor(replace(SETTINGS, arc=arc), REST.copy(), START)
@@ -361,7 +359,7 @@ def test_feet_land_by_the_arc_that_is_chosen() -> None:
     assert np.abs(ways["flow"] - ways["sixth_order"]).max() > 0.005
 
 
-def test_shares_are_shares_and_three_legs_always_carry_all() -> None:
+def test_load_shares_are_bounded_and_three_legs_carry_full_load() -> None:
     targets, _ = walk(new_walker(), [plan_to(n, body_at(0.05 * n)) for n in range(1, 5)], rest_s=0.2)
     shares = np.array([t.share for t in targets])
     assert (shares >= 0.0).all()
@@ -370,7 +368,7 @@ def test_shares_are_shares_and_three_legs_always_carry_all() -> None:
     assert np.abs(np.diff(shares, axis=0)).max() <= max(DT / SETTINGS.unload_s, DT / SETTINGS.load_s) + 1e-9
 
 
-def test_a_leg_in_the_air_carries_nothing_and_one_that_carries_stands() -> None:
+def test_moving_foot_carries_no_load() -> None:
     walker, before = new_walker(), REST.copy()
     walker.accept(plan_to(1, body_at(0.0)))
     while walker.phase < 1.0 or walker.step == 0:
@@ -380,7 +378,7 @@ def test_a_leg_in_the_air_carries_nothing_and_one_that_carries_stands() -> None:
         before = targets.feet
 
 
-def test_standing_feet_stay_put_while_the_body_moves() -> None:
+def test_stance_feet_do_not_move_while_the_body_moves() -> None:
     walker = new_walker()
     feet = walker.feet_odom
     walker.accept(plan_to(1, body_at(0.06, 0.02, 0.1)))
@@ -390,7 +388,7 @@ def test_standing_feet_stay_put_while_the_body_moves() -> None:
         np.testing.assert_allclose(apply(walker.body_ref, targets.feet)[~TRIPOD], feet[~TRIPOD], atol=1e-9)
 
 
-def test_command_follows_what_is_measured_in_the_plane() -> None:
+def test_command_converges_to_measured_pose_in_the_plane() -> None:
     """Check that the commanded body converges to the measured pose in the plane.
 
     Feet roll and slip.
@@ -406,7 +404,7 @@ def test_command_follows_what_is_measured_in_the_plane() -> None:
 
 
 @pytest.mark.parametrize(("axis", "size"), [(0, 0.006), (1, np.radians(1.0)), (2, np.radians(1.0))])
-def test_sag_is_pushed_against(axis: int, size: float) -> None:
+def test_sag_roll_and_pitch_are_corrected_up_to_a_limit(axis: int, size: float) -> None:
     """Check that the feet oppose a low, rolled or pitched body, up to a limit."""
     offset = np.zeros(3)
     offset[axis] = size
@@ -429,7 +427,7 @@ def test_sag_is_pushed_against(axis: int, size: float) -> None:
 
 @given(st.floats(-0.008, 0.008), st.floats(-0.025, 0.025), st.floats(-0.025, 0.025))
 @settings(max_examples=10, deadline=None)
-def test_feet_come_down_where_the_plan_says_whatever_the_others_make_up_for(sag: float, roll: float, pitch: float) -> None:
+def test_swing_feet_land_without_stance_correction(sag: float, roll: float, pitch: float) -> None:
     """Check that the correction of the standing feet does not apply to swinging feet.
 
     Otherwise they would land too low or too high.
@@ -447,7 +445,7 @@ def test_feet_come_down_where_the_plan_says_whatever_the_others_make_up_for(sag:
     assert np.abs(told[~TRIPOD]).max() > 0.5 * max(abs(sag), abs(roll) * arms, abs(pitch) * arms) - 1e-9
 
 
-def test_a_foot_lands_without_what_it_was_pressed_by_in_its_last_stance() -> None:
+def test_foot_lands_without_height_correction_of_last_stance() -> None:
     """Check that a foot lands without the height correction of its last stance.
 
     The correction of one stance does not predict the next, on other ground.
@@ -465,7 +463,7 @@ def test_a_foot_lands_without_what_it_was_pressed_by_in_its_last_stance() -> Non
     assert (pressed[~TRIPOD] > 0.005).all()
 
 
-def test_yaw_takes_the_short_way_across_half_a_turn() -> None:
+def test_yaw_wraps_at_180_deg() -> None:
     start = from_xyz_rpy(START[:3, 3], (0.0, 0.0, np.pi - 0.02))
     walker = StepExecutor(SETTINGS, REST.copy(), start)
     goal = from_xyz_rpy(START[:3, 3], (0.0, 0.0, -np.pi + 0.03))
@@ -478,7 +476,7 @@ def test_yaw_takes_the_short_way_across_half_a_turn() -> None:
     np.testing.assert_allclose(walker.body_ref, goal, atol=1e-9)
 
 
-def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
+def test_predicted_end_stance_matches_final_stance() -> None:
     walker = new_walker()
     np.testing.assert_allclose(walker.stance_at_end[1], walker.feet_odom)
     walker.accept(plan_to(1, body_at(0.06)))
@@ -492,7 +490,7 @@ def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
 
 
 @pytest.mark.parametrize("leg", [0, 2, 4])
-def test_a_foot_that_something_holds_has_the_step_taken_back(leg: int) -> None:
+def test_blocked_foot_reverses_the_step(leg: int) -> None:
     """Check that the step is taken back: the servo would push with full torque.
 
     It would drag the robot over its standing feet.
@@ -520,7 +518,7 @@ def test_a_foot_that_something_holds_has_the_step_taken_back(leg: int) -> None:
 
 
 @pytest.mark.parametrize(("behind", "for_s"), [(0.04, 9.0), (0.08, 0.3)])
-def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: float) -> None:
+def test_small_or_brief_foot_lag_does_not_reverse_the_step(behind: float, for_s: float) -> None:
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.06), duration=2.0))
     flown = 0.0
@@ -536,7 +534,7 @@ def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: floa
     assert not walker.trouble
 
 
-def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
+def test_leg_at_joint_limits_is_not_taken_for_blocked() -> None:
     """Check that a foot far from the plan is free if its servos are at their goals."""
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.06), duration=2.0))
@@ -552,7 +550,7 @@ def test_a_folded_leg_at_the_limits_of_its_joints_is_not_held() -> None:
     assert not walker.trouble
 
 
-def test_legs_in_doubt_prove_that_they_stand_before_others_are_lifted() -> None:
+def test_doubtful_stance_leg_is_tested_before_others_lift() -> None:
     """Check the rise on uneven ground, where only some of the feet carry load."""
     walker = new_walker()
     hangs = np.arange(6) == 1

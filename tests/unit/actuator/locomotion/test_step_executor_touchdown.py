@@ -26,7 +26,7 @@ from tests.support.walker_steps import (
 )
 
 
-def stepping(walker: StepExecutor, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
+def execute_step(walker: StepExecutor, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
     """Execute one step and return its targets.
 
     Feet follow their commands, except where they meet ground at a height [m] {odom} and report contact.
@@ -42,20 +42,20 @@ def stepping(walker: StepExecutor, ground: dict[int, float], plan: StepPlan) -> 
     return targets
 
 
-def test_legs_that_feel_nothing_walk_as_the_plan_says() -> None:
+def test_step_without_contact_follows_the_plan() -> None:
     plan = plan_to(1, body_at(0.06))
     by_plan, _ = walk(new_walker(), [plan])
-    for a, b in zip(by_plan, stepping(new_walker(), {}, plan), strict=False):
+    for a, b in zip(by_plan, execute_step(new_walker(), {}, plan), strict=False):
         np.testing.assert_array_equal(a.feet, b.feet)
         np.testing.assert_array_equal(a.share, b.share)
 
 
 @given(st.floats(0.01, 0.035), st.sampled_from([0, 2, 4]))
 @settings(max_examples=15)
-def test_a_foot_that_meets_ground_early_stays_there_and_takes_up_load(height: float, leg: int) -> None:
+def test_early_touchdown_stops_foot_and_loads_it(height: float, leg: int) -> None:
     walker, plan = new_walker(), plan_to(1, body_at(0.06))
     low = float(plan.touchdown[leg, 2])
-    targets = stepping(walker, {leg: low + height}, plan)
+    targets = execute_step(walker, {leg: low + height}, plan)
     others = TRIPOD & (np.arange(6) != leg)
     np.testing.assert_allclose(walker.feet_odom[others], plan.touchdown[others], atol=1e-9)
     assert walker.feet_odom[leg, 2] == pytest.approx(low + height, abs=1e-3)
@@ -67,7 +67,7 @@ def test_a_foot_that_meets_ground_early_stays_there_and_takes_up_load(height: fl
     assert np.abs(np.diff(loads)).max() <= max(DT / SETTINGS.unload_s, DT / SETTINGS.load_s) + 1e-9
 
 
-def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
+def test_predicted_end_stance_includes_early_touchdown() -> None:
     walker, plan = new_walker(), plan_to(1, body_at(0.06))
     walker.accept(plan)
     low, expected = float(plan.touchdown[2, 2]), None
@@ -84,11 +84,11 @@ def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_at_rest_the_height_of_a_new_foothold_is_measured_and_a_foot_that_goes_on_sinking_is_not_followed_far(
+def test_foothold_height_follows_sinking_foot_by_at_most_10_mm(
     known: bool,
 ) -> None:
     walker, plan, leg = new_walker(), plan_to(1, body_at(0.06)), 2
-    stepping(walker, {leg: float(plan.touchdown[leg, 2]) + 0.02}, plan)
+    execute_step(walker, {leg: float(plan.touchdown[leg, 2]) + 0.02}, plan)
     stands, other = walker.feet_odom[leg, 2], walker.feet_odom[1, 2]
     sure = ALL & ((np.arange(6) != leg) | known)
     for sinks, follows in ((0.004, 0.004), (0.2, 0.010)):
@@ -101,7 +101,7 @@ def test_at_rest_the_height_of_a_new_foothold_is_measured_and_a_foot_that_goes_o
     assert walker.feet_odom[1, 2] == pytest.approx(other, abs=1e-6)
 
 
-def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
+def test_contact_while_rising_or_at_target_does_not_stop_the_foot() -> None:
     plan = plan_to(1, body_at(0.06))
     walker = new_walker()
     walker.accept(plan)
@@ -114,7 +114,7 @@ def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
     np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
 
 
-def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
+def test_touchdown_is_awaited_only_while_foot_descends() -> None:
     walker = new_walker()
     assert not walker.awaiting.any()
     walker.accept(plan_to(1, body_at(0.06)))
@@ -130,7 +130,9 @@ def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
     assert not np.array(awaited)[landed:].any()
 
 
-def over_holes(walker: StepExecutor, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
+def walk_over_holes(
+    walker: StepExecutor, holes: dict[int, float], plans: list[StepPlan]
+) -> tuple[list[Targets], list[list[str]]]:
     """Execute steps and half a second of rest; return targets and reported troubles.
 
     Feet bear load where they stand, except those whose ground lies lower than planned by the given depth [m].
@@ -155,10 +157,10 @@ def over_holes(walker: StepExecutor, holes: dict[int, float], plans: list[StepPl
 STEPS_2 = [plan_to(1, body_at(0.05)), plan_to(2, body_at(0.10))]
 
 
-def test_feet_that_bear_walk_as_the_plan_says() -> None:
+def test_loaded_feet_follow_the_plan() -> None:
     plain, proven = new_walker(), new_walker()
     by_plan, _ = walk(plain, STEPS_2[:1], rest_s=0.1)
-    felt, said = over_holes(proven, {}, STEPS_2[:1])
+    felt, said = walk_over_holes(proven, {}, STEPS_2[:1])
     for a, b in zip(by_plan, felt, strict=False):
         np.testing.assert_array_equal(a.feet, b.feet)
         np.testing.assert_array_equal(a.share, b.share)
@@ -167,9 +169,9 @@ def test_feet_that_bear_walk_as_the_plan_says() -> None:
 
 @given(st.floats(0.004, 0.036), st.sampled_from([0, 2, 4]))
 @settings(max_examples=10)
-def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: float, leg: int) -> None:
+def test_foot_reaches_down_to_lower_ground_before_others_lift(depth: float, leg: int) -> None:
     walker = new_walker()
-    targets, said = over_holes(walker, {leg: depth}, STEPS_2)
+    targets, said = walk_over_holes(walker, {leg: depth}, STEPS_2)
     low = float(STEPS_2[0].touchdown[leg, 2])
     assert walker.feet_odom[leg, 2] == pytest.approx(low - depth, abs=2e-3)
     assert any("lower than expected" in words for (words,) in said)
@@ -180,7 +182,7 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # no other leg was lifted
 
 
-def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
+def cycles_until_step_is_aborted(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
     """Return the cycles of waiting for a leg before the step is called off, or None.
 
     The leg leans, or bears from cycle `bears_from` on. During the first `unheard` cycles its servo does not answer.
@@ -201,34 +203,34 @@ def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -
 
 
 @pytest.mark.parametrize("leg", [0, 2, 4])
-def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int) -> None:
+def test_foot_with_partial_contact_gets_longer_wait(leg: int) -> None:
     """Check that a foot that may stand by its last reading gets time for the next one.
 
     For a foot without contact the wait stays short.
     """
-    short, long = called_off_after(leg, False, 99), called_off_after(leg, True, 99)
+    short, long = cycles_until_step_is_aborted(leg, False, 99), cycles_until_step_is_aborted(leg, True, 99)
     assert short is not None
     assert long is not None
     assert short * DT < 0.12
     assert short < long < short + 4
-    assert called_off_after(leg, False, short) is None
-    assert called_off_after(leg, False, short + 1) == short
-    assert called_off_after(leg, True, long) is None
-    assert called_off_after(leg, True, long + 1) == long
+    assert cycles_until_step_is_aborted(leg, False, short) is None
+    assert cycles_until_step_is_aborted(leg, False, short + 1) == short
+    assert cycles_until_step_is_aborted(leg, True, long) is None
+    assert cycles_until_step_is_aborted(leg, True, long + 1) == long
 
 
 @pytest.mark.parametrize("leans", [False, True])
-def test_a_foot_that_is_asked_in_vain_is_waited_for_as_long_as_it_is_so_but_not_for_ever(leans: bool) -> None:
-    usual = called_off_after(2, leans, 99)
+def test_wait_for_silent_servo_is_extended_by_at_most_200_ms(leans: bool) -> None:
+    usual = cycles_until_step_is_aborted(2, leans, 99)
     assert usual is not None
     for cycles in (1, 4, 9):  # in the first cycle the foot does not wait yet
-        assert called_off_after(2, leans, 99, unheard=cycles) == usual + cycles - 1
-    for_ever = called_off_after(2, leans, 99, unheard=99)
+        assert cycles_until_step_is_aborted(2, leans, 99, unheard=cycles) == usual + cycles - 1
+    for_ever = cycles_until_step_is_aborted(2, leans, 99, unheard=99)
     assert for_ever is not None
     assert (for_ever - usual) * DT == pytest.approx(0.2)
 
 
-def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
+def test_undetected_stance_foot_pushes_down_by_less_than_8_mm() -> None:
     """Check a foot below its femur's axis, where the femur's load shows no contact.
 
     All joints together show it once the leg hardly moves.
@@ -250,7 +252,7 @@ def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_a
 
 @given(st.floats(0.5, 0.8), st.sampled_from([0, 2, 4]))
 @settings(max_examples=10)
-def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: float, leg: int) -> None:
+def test_foot_stopped_by_false_contact_descends_before_others_lift(at: float, leg: int) -> None:
     """Check that a foot stopped by a false touch has to bear load first.
 
     A leg that accelerates gives a similar signal.
@@ -275,10 +277,10 @@ def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: fl
 
 @given(st.sampled_from([0, 2, 4]))
 @settings(max_examples=3)
-def test_without_ground_the_step_is_taken_back(leg: int) -> None:
+def test_missing_ground_reverses_the_step(leg: int) -> None:
     walker = new_walker()
     stood = walker.feet_odom
-    targets, said = over_holes(walker, {leg: 1.0}, STEPS_2)
+    targets, said = walk_over_holes(walker, {leg: 1.0}, STEPS_2)
     assert walker.resting
     np.testing.assert_allclose(walker.feet_odom[:, :2], stood[:, :2], atol=1e-6)
     np.testing.assert_allclose(walker.body_ref[:2, 3], START[:2, 3], atol=1e-6)
@@ -293,7 +295,7 @@ def test_without_ground_the_step_is_taken_back(leg: int) -> None:
 
 
 @pytest.mark.parametrize("at", [0.0, 0.2, 0.7])
-def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where_it_went(at: float) -> None:
+def test_turn_of_odom_frame_rotates_feet_but_not_body_motion(at: float) -> None:
     """Check a turn of {odom} before a step and during it, with a waiting plan too."""
     walker, plans = new_walker(), [plan_to(1, body_at(0.03)), plan_to(2, body_at(0.06), stop=True)]
     walker.accept(plans[0])
@@ -319,7 +321,7 @@ def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where
     np.testing.assert_allclose(walker.feet_odom[last.swing], landed[last.swing], atol=2e-3)
 
 
-def test_a_foot_that_heaves_stays_where_it_is_and_has_to_prove_that_it_stands() -> None:
+def test_heaving_foot_stops_and_must_prove_contact_before_next_step() -> None:
     walker = new_walker()
     walker.accept(plan_to(1, body_at(0.03)))
     while walker.resting or walker.phase < 0.7:

@@ -42,7 +42,7 @@ def steps_of(way: Array) -> Array:
 
 @WILD
 @given(st.lists(st.tuples(st.integers(0, CYCLES - 1), shifts), max_size=6), lengths, rises, clearances)
-def test_it_arrives_wherever_the_target_has_gone(moves, length, rise, clearance) -> None:  # type: ignore[no-untyped-def]
+def test_swing_ends_at_moved_target(moves, length, rise, clearance) -> None:  # type: ignore[no-untyped-def]
     targets = np.tile([length, 0.0, rise], (CYCLES, 1))
     for cycle, shift in moves:
         targets[cycle:] += shift
@@ -53,7 +53,7 @@ def test_it_arrives_wherever_the_target_has_gone(moves, length, rise, clearance)
 
 @WILD
 @given(lengths, rises, clearances, headings)
-def test_it_stays_over_the_straight_line_between_its_ends(length: float, rise: float, clearance: float, heading: float) -> None:
+def test_swing_stays_above_straight_line(length: float, rise: float, clearance: float, heading: float) -> None:
     way = fly_to(length, rise, clearance, heading)
     share = np.hypot(way[:, 0], way[:, 1]) / length
     before = share < 0.9
@@ -62,9 +62,7 @@ def test_it_stays_over_the_straight_line_between_its_ends(length: float, rise: f
 
 @WILD
 @given(lengths, rises, clearances, headings)
-def test_it_moves_in_the_plane_through_both_ends_and_never_back(
-    length: float, rise: float, clearance: float, heading: float
-) -> None:
+def test_swing_is_planar_and_never_moves_backwards(length: float, rise: float, clearance: float, heading: float) -> None:
     way = fly_to(length, rise, clearance, heading)
     aside = way[:, 1] * np.cos(heading) - way[:, 0] * np.sin(heading)
     along = way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
@@ -75,13 +73,13 @@ def test_it_moves_in_the_plane_through_both_ends_and_never_back(
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("rise", RISES)
 @pytest.mark.parametrize("clearance", [0.03, 0.04, 0.06])
-def test_it_clears_the_higher_end_by_about_the_clearance(length: float, rise: float, clearance: float) -> None:
+def test_swing_clears_higher_end_by_the_clearance(length: float, rise: float, clearance: float) -> None:
     top = fly_to(length, rise, clearance)[:, 2].max() - max(0.0, rise)
     assert 0.8 * clearance <= top <= 1.35 * clearance
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-def test_before_a_riser_it_rises_first(length: float) -> None:
+def test_swing_rises_before_a_riser(length: float) -> None:
     way = fly_to(length, 0.04, 0.04)
     later = way[:, 0] >= 0.3 * length
     assert (way[later, 2][:-1] > 0.04 - 1e-3).all()
@@ -89,7 +87,7 @@ def test_before_a_riser_it_rises_first(length: float) -> None:
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-def test_behind_an_edge_it_comes_down_last(length: float) -> None:
+def test_swing_descends_after_a_downward_edge(length: float) -> None:
     way = fly_to(length, -0.04, 0.04)
     assert (way[way[:, 0] < 0.5 * length, 2] >= 0.0).all()
 
@@ -97,7 +95,7 @@ def test_behind_an_edge_it_comes_down_last(length: float) -> None:
 @pytest.mark.parametrize("length", [0.06, 0.10, 0.15, 0.20])
 @pytest.mark.parametrize("rise", [-0.04, 0.0, 0.04])
 @pytest.mark.parametrize("clearance", [0.025, 0.04])
-def test_it_starts_and_ends_softly_and_turns_no_corner(length: float, rise: float, clearance: float) -> None:
+def test_swing_starts_and_ends_slowly_without_corners(length: float, rise: float, clearance: float) -> None:
     way = fly_to(length, rise, clearance)
     steps = steps_of(way)
     mean = steps.mean()
@@ -110,7 +108,7 @@ def test_it_starts_and_ends_softly_and_turns_no_corner(length: float, rise: floa
 
 @WILD
 @given(shifts, st.integers(1, CYCLES // 2), lengths)
-def test_a_moved_target_is_no_jump(shift: tuple[float, float, float], cycle: int, length: float) -> None:
+def test_moved_target_causes_no_jump(shift: tuple[float, float, float], cycle: int, length: float) -> None:
     """Check a target that moves by centimetres in the first half of the swing.
 
     The foot moves faster only by the distance that it has to make up.
@@ -124,7 +122,7 @@ def test_a_moved_target_is_no_jump(shift: tuple[float, float, float], cycle: int
     assert moved.max() <= still.max() + 3.0 * 4.0 * farther / (CYCLES - cycle)
 
 
-def test_feet_fly_independently() -> None:
+def test_feet_move_independently() -> None:
     targets = np.array([[0.1, 0.0, 0.0], [0.05, 0.05, 0.03], [-0.08, 0.02, -0.02]])
     clearance = np.array([0.03, 0.04, 0.05])
     together = Swing(np.zeros((3, 3)), targets, clearance)
@@ -136,7 +134,7 @@ def test_feet_fly_independently() -> None:
 
 @pytest.mark.parametrize("length", [0.0, 1e-4, 0.005])
 @pytest.mark.parametrize("rise", RISES)
-def test_a_step_on_the_spot_arrives_without_a_leap(length: float, rise: float) -> None:
+def test_step_in_place_arrives_without_a_jump(length: float, rise: float) -> None:
     way = fly_to(length, rise, 0.04)
     np.testing.assert_array_equal(way[-1], [length, 0.0, rise])
     assert steps_of(way).max() <= 4.0 * (abs(rise) + length + 2 * 0.04) / CYCLES + 1e-3
@@ -144,9 +142,7 @@ def test_a_step_on_the_spot_arrives_without_a_leap(length: float, rise: float) -
 
 @WILD
 @given(st.floats(-0.08, 0.0), st.lists(st.tuples(st.integers(0, CYCLES - 1), st.floats(-0.005, 0.005)), max_size=4))
-def test_a_foot_that_is_lowered_without_clearance_comes_down_wherever_the_ground_has_gone(
-    drop: float, moves: list[tuple[int, float]]
-) -> None:
+def test_lowering_with_zero_clearance_reaches_moved_ground(drop: float, moves: list[tuple[int, float]]) -> None:
     targets = np.tile([0.0, 0.0, drop], (CYCLES, 1))
     for cycle, shift in moves:
         targets[cycle:, 0] += shift

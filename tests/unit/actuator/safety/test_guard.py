@@ -56,7 +56,7 @@ class Everything(RuleBasedStateMachine):
         off_ns=st.sampled_from([-10 * ORDER_AGE_NS, -ORDER_AGE_NS - 1, ORDER_AGE_NS + 1]),
         number=st.integers(0, 10**18),
     )
-    def an_order_that_is_not_of_now(self, mode: str, holder: str, take: bool, off_ns: int, number: int) -> None:
+    def give_stale_or_future_order(self, mode: str, holder: str, take: bool, off_ns: int, number: int) -> None:
         """Give an order that is too old or ahead: it stops at most, without later effects."""
         order = ModeCommand(self.robot.now + off_ns, mode, number, holder, take)  # type: ignore[arg-type]
         was, lease = self.robot.mode, self.leader
@@ -79,7 +79,7 @@ class Everything(RuleBasedStateMachine):
             self.ordered_to_walk = self.seats = False
 
     @rule(mode=st.sampled_from(ORDERS), holder=st.sampled_from(HOLDERS), take=st.booleans(), skip=st.integers(1, 3))
-    def a_new_order(self, mode: str, holder: str, take: bool, skip: int) -> None:
+    def give_new_order(self, mode: str, holder: str, take: bool, skip: int) -> None:
         number = max(self.newest.get(holder, 0) + skip, self.robot.now)
         order = ModeCommand(self.robot.now, mode, number, holder, take)  # type: ignore[arg-type]
         self.orders.append(order)
@@ -91,7 +91,7 @@ class Everything(RuleBasedStateMachine):
         take=st.booleans(),
         age_ns=st.sampled_from([ORDER_AGE_NS, ORDER_AGE_NS + 1, AWAY_NS, AWAY_NS + 1]),
     )
-    def an_order_that_was_given_a_while_ago(self, mode: str, holder: str, take: bool, age_ns: int) -> None:
+    def give_delayed_order(self, mode: str, holder: str, take: bool, age_ns: int) -> None:
         """Give an order that its client has repeated since, but the link was cut."""
         given_ns = self.robot.now - age_ns
         if given_ns > self.newest.get(holder, -1):
@@ -116,7 +116,7 @@ class Everything(RuleBasedStateMachine):
             assert (acts, self.robot.mode) == ((), was)
             assert age_ns > ORDER_AGE_NS or given_ns < self.off_at or given_ns < self.begun or given_ns <= self.woke_ns
             return
-        self.obeyed(order, was, acts)
+        self.check_obeyed_order(order, was, acts)
         if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
             assert (acts, self.robot.mode) == ((), was)
             assert self.robot.guard.objection
@@ -130,7 +130,7 @@ class Everything(RuleBasedStateMachine):
         if mode == "off":
             self.off_at = max(self.off_at, min(given_ns, self.robot.now))
 
-    def obeyed(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
+    def check_obeyed_order(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
         guard, mode = self.robot.guard, order.mode
         if mode not in ("off", "stop") or order.take:
             self.ordered_to_walk &= self.holder == order.holder
@@ -160,7 +160,7 @@ class Everything(RuleBasedStateMachine):
 
     @precondition(lambda self: self.orders)
     @rule(data=st.data())
-    def an_order_again(self, data: st.DataObject) -> None:
+    def repeat_order(self, data: st.DataObject) -> None:
         order = replace(data.draw(st.sampled_from(self.orders)), stamp_ns=self.robot.now)
         if order.sequence > self.newest.get(order.holder, -1):
             self.give(order)  # the guard has restarted
@@ -176,7 +176,7 @@ class Everything(RuleBasedStateMachine):
             assert "older" in guard.objection
 
     @rule(kept=st.booleans())
-    def it_begins_anew(self, kept: bool) -> None:
+    def restart_guard(self, kept: bool) -> None:
         """Restart the guard: clients repeat their orders, and the robot keeps its posture.
 
         The walk order that was in force may be known.
@@ -194,7 +194,7 @@ class Everything(RuleBasedStateMachine):
         self.ordered_to_walk = self.late = self.halted = self.seats = False
 
     @rule()
-    def the_computer_wakes(self) -> None:
+    def wake_computer(self) -> None:
         robot, was = self.robot, self.robot.mode
         acts = robot.perform(robot.guard.resume_from_suspend(60.0, robot.now))
         assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(was, ())
@@ -204,13 +204,13 @@ class Everything(RuleBasedStateMachine):
         self.seats &= bool(robot.verdict.sit)
 
     @rule()
-    def nobody_says_anything_for_long(self) -> None:
-        self.time_passes(AWAY_NS, 1, ends=False)
+    def receive_nothing_for_30_s(self) -> None:
+        self.advance_time(AWAY_NS, 1, ends=False)
 
     # --------------------------------------------------------------------------------------------------------- plans
 
     @rule(kind=st.sampled_from(PLANS))
-    def a_plan(self, kind: str) -> None:
+    def send_plan(self, kind: str) -> None:
         robot = self.robot
         robot.now += 1
         match kind:
@@ -223,7 +223,7 @@ class Everything(RuleBasedStateMachine):
 
     @precondition(lambda self: self.considered)
     @rule(data=st.data())
-    def a_plan_again(self, data: st.DataObject) -> None:
+    def repeat_plan(self, data: st.DataObject) -> None:
         self.accept_plan(data.draw(st.sampled_from(self.considered)), good=False)
 
     def accept_plan(self, plan: StepPlan, good: bool) -> None:
@@ -256,11 +256,11 @@ class Everything(RuleBasedStateMachine):
         count=st.integers(1, 4),
         ends=st.booleans(),
     )
-    def time_passes(self, after: int, count: int, ends: bool) -> None:
+    def advance_time(self, after: int, count: int, ends: bool) -> None:
         for k in range(count):
-            self.one_cycle(after, ends and k == count - 1)
+            self.run_cycle(after, ends and k == count - 1)
 
-    def one_cycle(self, after: int, ends: bool) -> None:
+    def run_cycle(self, after: int, ends: bool) -> None:
         robot = self.robot
         was, walked = robot.mode, robot.mode is Mode.WALK
         acts = robot.cycle(after, ends)
@@ -289,20 +289,20 @@ class Everything(RuleBasedStateMachine):
             assert robot.mode is not Mode.FAULT or robot.guard.reason == robot.verdict.broken
 
     @rule(verdict=st.sampled_from([Verdict(), Verdict(), BROKEN, SPENT, replace(SPENT, broken="a servo is silent")]))
-    def servos_fare(self, verdict: Verdict) -> None:
+    def change_servo_health(self, verdict: Verdict) -> None:
         self.robot.verdict = verdict
-        self.one_cycle(CYCLE, ends=False)
+        self.run_cycle(CYCLE, ends=False)
 
     @precondition(lambda self: self.robot.mode in (Mode.HOLD, Mode.WALK))
     @rule()
-    def it_tips(self) -> None:
+    def tip_over(self) -> None:
         was = self.robot.mode
         assert self.robot.perform(self.robot.guard.tip("it leans")) == ((Act.SET_DOWN,) if was is Mode.WALK else ())
         self.ordered_to_walk, self.last = False, None
 
     @precondition(lambda self: self.robot.running)
     @rule(what=st.sampled_from(["own", "searching"]))
-    def the_walk_has_its_troubles(self, what: str) -> None:
+    def disturb_step(self, what: str) -> None:
         """Take a step back, or let a foot search for ground."""
         self.robot.own, self.robot.searching = True, what == "searching"
         self.robot.running = not self.robot.searching
@@ -310,15 +310,15 @@ class Everything(RuleBasedStateMachine):
     # ------------------------------------------------------------------------------------------------------ at any time
 
     @invariant()
-    def torque_is_on_but_when_it_is_off(self) -> None:
+    def torque_is_on_except_in_mode_off(self) -> None:
         assert self.robot.torque is (self.robot.mode is not Mode.OFF)
 
     @invariant()
-    def one_leads(self) -> None:
+    def lease_matches_model(self) -> None:
         assert self.robot.guard.lease(self.robot.now) == self.leader
 
     @invariant()
-    def it_says_why(self) -> None:
+    def reason_is_never_empty(self) -> None:
         assert self.robot.guard.reason
 
     def teardown(self) -> None:

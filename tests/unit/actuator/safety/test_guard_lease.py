@@ -16,7 +16,7 @@ MODES = list(Mode)
 # ------------------------------------------------------------------------------------------------- orders and the lease
 
 
-def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> None:
+def test_lease_lasts_3_s_from_last_new_or_repeated_order() -> None:
     robot = in_mode(Mode.HOLD)
     begin = robot.now
     robot.order("walk")
@@ -33,7 +33,7 @@ def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> Non
 
 
 @pytest.mark.parametrize("mode", [mode for mode in ORDERS if mode not in ("off", "stop")])
-def test_one_leads_and_others_are_told_who(mode: str) -> None:
+def test_order_of_other_client_is_refused_naming_lease_holder(mode: str) -> None:
     robot = in_mode(Mode.WALK)
     assert robot.order(mode, "b") == ()
     assert robot.guard.objection == f"`{mode}` of b refused: a holds the lease; take it over, or wait until it expires"
@@ -43,7 +43,7 @@ def test_one_leads_and_others_are_told_who(mode: str) -> None:
     assert robot.cycle() == ()
 
 
-def test_who_takes_over_leads_and_the_other_one_does_not_by_repeating() -> None:
+def test_takeover_moves_lease_and_repeated_old_orders_do_not_regain_it() -> None:
     robot = in_mode(Mode.WALK)
     before = ModeCommand(robot.now, "walk", robot.number, "a")
     robot.order("walk", "b", take=True)
@@ -62,7 +62,7 @@ def test_who_takes_over_leads_and_the_other_one_does_not_by_repeating() -> None:
 
 
 @pytest.mark.parametrize("take", [True, False])
-def test_the_walk_does_not_pass_on_with_the_lease(take: bool) -> None:
+def test_walk_order_is_not_inherited_with_the_lease(take: bool) -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     robot.now += 0 if take else LEASE_NS + 1
@@ -76,7 +76,7 @@ def test_the_walk_does_not_pass_on_with_the_lease(take: bool) -> None:
     assert "not ordered to walk" in robot.guard.refused
 
 
-def test_who_leads_goes_on_leading_by_new_orders() -> None:
+def test_walk_order_of_lease_holder_during_fault_applies_afterwards() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     robot.verdict = BROKEN
@@ -88,7 +88,7 @@ def test_who_leads_goes_on_leading_by_new_orders() -> None:
 
 
 @pytest.mark.parametrize("mode", ORDERS)
-def test_an_order_counts_once_and_an_older_one_that_moves_the_legs_not_at_all(mode: str) -> None:
+def test_repeated_or_older_order_is_not_obeyed(mode: str) -> None:
     robot = in_mode(Mode.HOLD)
     older = ModeCommand(robot.now, "sit", 0, "a")
     robot.order(mode)
@@ -102,7 +102,7 @@ def test_an_order_counts_once_and_an_older_one_that_moves_the_legs_not_at_all(mo
     assert robot.handle_order(ModeCommand(robot.now, "off", robot.number, "a")) == ()
 
 
-def test_an_order_to_stop_that_comes_after_a_newer_one_to_walk_is_obeyed_once() -> None:
+def test_late_torque_off_after_newer_walk_order_is_obeyed_once() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     late = [ModeCommand(robot.now, "off", robot.number - k, "a") for k in (1, 2, 3)]
@@ -118,7 +118,7 @@ def test_an_order_to_stop_that_comes_after_a_newer_one_to_walk_is_obeyed_once() 
 
 
 @pytest.mark.parametrize("mode", ["off", "stop"])
-def test_an_older_stop_that_was_recorded_and_is_put_again_is_refused(mode: str) -> None:
+def test_replayed_older_stop_is_refused(mode: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     assert robot.accept_plan(robot.plan())
@@ -127,7 +127,7 @@ def test_an_older_stop_that_was_recorded_and_is_put_again_is_refused(mode: str) 
     assert robot.mode is Mode.WALK
 
 
-def test_of_a_repetition_that_is_not_of_now_it_says_so_where_it_would_move_the_legs() -> None:
+def test_stale_repetition_is_reported_only_for_motion_orders() -> None:
     for mode, objection in (("stop", ""), ("walk", "`walk` of a refused: it is 3.0 s old, at most 2 s allowed")):
         robot = in_mode(Mode.HOLD)
         robot.order(mode)
@@ -135,7 +135,7 @@ def test_of_a_repetition_that_is_not_of_now_it_says_so_where_it_would_move_the_l
         assert robot.guard.objection.split(";")[0] == objection
 
 
-def test_a_stop_of_now_that_is_older_gives_nobody_the_lease() -> None:
+def test_out_of_order_stop_does_not_take_over_the_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk", "b")
     robot.order("walk", "a", take=True)
@@ -145,7 +145,7 @@ def test_a_stop_of_now_that_is_older_gives_nobody_the_lease() -> None:
     assert "not ordered to walk" in robot.guard.refused
 
 
-def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_objection() -> None:
+def test_objection_persists_on_repetition_and_clears_on_obeyed_order() -> None:
     robot = in_mode(Mode.OFF)
     robot.order("walk")
     words = robot.guard.objection
@@ -156,7 +156,7 @@ def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_obj
     assert robot.guard.objection == ""
 
 
-def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
+def test_17th_client_may_only_stop() -> None:
     robot = in_mode(Mode.HOLD)
     robot.now += AWAY_NS
     for k in range(16):
@@ -171,7 +171,7 @@ def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
     assert robot.guard.objection == ""
 
 
-def test_who_has_ordered_nothing_for_long_makes_room_for_others_and_moves_nothing_by_what_was_forgotten() -> None:
+def test_inactive_client_is_forgotten_and_its_old_orders_are_refused() -> None:
     robot = in_mode(Mode.HOLD)
     for k in range(16):
         robot.order("stop", f"holder {k}")
@@ -190,7 +190,7 @@ def test_who_has_ordered_nothing_for_long_makes_room_for_others_and_moves_nothin
     assert robot.order("off", "holder 16") == (Act.TORQUE_OFF,)
 
 
-def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -> None:
+def test_last_16_stop_only_clients_are_remembered() -> None:
     robot = in_mode(Mode.HOLD)
     words = [StopOrder(robot.now, "off", 1, f"onlooker {k}") for k in range(17)]
     for order in words[:16]:
@@ -205,7 +205,7 @@ def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_who_may_only_stop_does_so_from_anywhere_and_takes_nothing(mode: Mode) -> None:
+def test_stop_order_works_in_each_mode_without_taking_the_lease(mode: Mode) -> None:
     robot = in_mode(mode)
     lease, leading = robot.guard.lease(robot.now), in_mode(mode)
     leading.order("stop", "viewer")
@@ -216,7 +216,7 @@ def test_who_may_only_stop_does_so_from_anywhere_and_takes_nothing(mode: Mode) -
     assert robot.mode is Mode.OFF
 
 
-def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
+def test_stop_order_counts_once_and_does_not_block_lease_holder() -> None:
     robot = in_mode(Mode.WALK)
     for k in range(1000):
         robot.guard.handle_stop(StopOrder(0, "stop", k, f"stranger {k}"), robot.now)

@@ -13,7 +13,7 @@ MODES = list(Mode)
 
 
 @pytest.mark.parametrize("torque", [True, False])
-def test_it_begins_as_the_servos_stand_and_says_so(torque: bool) -> None:
+def test_initial_mode_and_reason_follow_servo_torque(torque: bool) -> None:
     guard = Guard(PROFILE, 0.6, EPOCH, torque)
     assert guard.mode is (Mode.HOLD if torque else Mode.OFF)
     assert guard.reason == ("torque was on at the start" if torque else "torque is off; order `stand` to begin")
@@ -23,7 +23,7 @@ def test_it_begins_as_the_servos_stand_and_says_so(torque: bool) -> None:
 
 
 @pytest.mark.parametrize("torque", [True, False])
-def test_it_walks_by_nobodys_order(torque: bool) -> None:
+def test_plan_without_any_order_is_refused(torque: bool) -> None:
     robot = in_mode(Mode.HOLD if torque else Mode.OFF)
     assert not robot.accept_plan(robot.plan())
     assert robot.guard.refused == f"plan of step 1 refused: the mode is {robot.mode}, not ordered to walk"
@@ -31,7 +31,7 @@ def test_it_walks_by_nobodys_order(torque: bool) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("holder", ["a", "b"])
-def test_anybody_lets_go_from_anywhere_in_one_order(mode: Mode, holder: str) -> None:
+def test_any_client_turns_torque_off_in_each_mode(mode: Mode, holder: str) -> None:
     robot = in_mode(mode)
     assert robot.order("off", holder) == (Act.TORQUE_OFF,)
     assert robot.mode is Mode.OFF
@@ -41,7 +41,7 @@ def test_anybody_lets_go_from_anywhere_in_one_order(mode: Mode, holder: str) -> 
     assert robot.guard.refused.endswith("refused: the mode is off, not ordered to walk")
 
 
-def test_off_is_latched() -> None:
+def test_torque_off_is_latched_against_orders_and_events() -> None:
     robot = in_mode(Mode.WALK)
     robot.order("off")
     for mode in ("off", "stop", "walk", "sit"):
@@ -57,7 +57,7 @@ def test_off_is_latched() -> None:
     assert robot.mode is Mode.OFF
 
 
-def test_an_order_turns_torque_on_and_leads_out() -> None:
+def test_ready_and_stand_orders_turn_torque_on_after_off() -> None:
     robot = in_mode(Mode.OFF)
     assert robot.order("ready") == (Act.TORQUE_ON,)
     assert robot.mode is Mode.READY
@@ -71,7 +71,7 @@ def test_an_order_turns_torque_on_and_leads_out() -> None:
 
 @pytest.mark.parametrize("verdict", [BROKEN, SPENT])
 @pytest.mark.parametrize("mode", ["ready", "stand"])
-def test_torque_stays_off_while_something_is_wrong_and_the_order_is_not_kept_for_later(mode: str, verdict: Verdict) -> None:
+def test_torque_on_order_during_fault_is_refused_and_not_kept(mode: str, verdict: Verdict) -> None:
     robot = in_mode(Mode.OFF)
     robot.verdict = verdict
     robot.cycle()
@@ -85,7 +85,7 @@ def test_torque_stays_off_while_something_is_wrong_and_the_order_is_not_kept_for
 
 
 @pytest.mark.parametrize("mode", [Mode.READY, Mode.FAULT])
-def test_ready_takes_up_servos_that_have_lost_their_torque(mode: Mode) -> None:
+def test_ready_order_restores_torque_of_servos(mode: Mode) -> None:
     robot = in_mode(mode)
     assert robot.order("ready") == (Act.TORQUE_ON,)
     assert robot.mode is Mode.READY
@@ -132,7 +132,7 @@ REACTIONS: list[tuple[Mode, str, tuple[Act, ...], Mode]] = [
 
 
 @pytest.mark.parametrize(("mode", "order", "acts", "then"), REACTIONS)
-def test_what_an_order_does_in_each_mode(mode: Mode, order: str, acts: tuple[Act, ...], then: Mode) -> None:
+def test_reaction_to_each_order_in_each_mode(mode: Mode, order: str, acts: tuple[Act, ...], then: Mode) -> None:
     robot = in_mode(mode)
     assert (*robot.order(order), *robot.cycle()) == acts
     assert robot.mode is then
@@ -150,13 +150,13 @@ def test_what_an_order_does_in_each_mode(mode: Mode, order: str, acts: tuple[Act
         (Mode.FAULT, "stand", "`stand` refused: a servo is silent"),
     ],
 )
-def test_what_is_refused_is_refused_in_words(mode: Mode, order: str, words: str) -> None:
+def test_refused_order_states_its_reason(mode: Mode, order: str, words: str) -> None:
     robot = in_mode(mode)
     robot.order(order)
     assert robot.guard.objection == words
 
 
-def test_it_stands_and_sits_when_that_is_done() -> None:
+def test_mode_changes_after_stand_up_and_sit_down_finish() -> None:
     robot = in_mode(Mode.STAND)
     robot.cycle(ends=True)
     assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "standing")
@@ -174,7 +174,7 @@ def test_it_stands_and_sits_when_that_is_done() -> None:
     assert robot.mode is Mode.READY
 
 
-def test_it_sits_down_from_a_walk_when_its_feet_are_down() -> None:
+def test_sit_order_while_walking_waits_for_feet_set_down() -> None:
     robot = in_mode(Mode.WALK)
     assert robot.order("sit") == (Act.SET_DOWN,)
     assert not robot.accept_plan(robot.renewal())
@@ -185,7 +185,7 @@ def test_it_sits_down_from_a_walk_when_its_feet_are_down() -> None:
 
 
 @pytest.mark.parametrize(("order", "then"), [("stop", Mode.HOLD), ("stand", Mode.HOLD), ("walk", Mode.WALK)])
-def test_the_newest_order_counts_while_the_feet_come_down(order: str, then: Mode) -> None:
+def test_newest_order_applies_while_feet_are_set_down(order: str, then: Mode) -> None:
     robot = in_mode(Mode.WALK)
     robot.order("sit")
     robot.order(order)
@@ -197,7 +197,7 @@ def test_the_newest_order_counts_while_the_feet_come_down(order: str, then: Mode
 
 @pytest.mark.parametrize("mode", [Mode.STAND, Mode.HOLD, Mode.WALK])
 @pytest.mark.parametrize("order", ["stop", "ready", "stand", "sit", "off"])
-def test_every_other_order_ends_the_walk(mode: Mode, order: str) -> None:
+def test_each_order_except_walk_ends_the_walk(mode: Mode, order: str) -> None:
     robot = in_mode(mode)
     robot.order("walk")
     robot.order(order)
@@ -210,7 +210,7 @@ def test_every_other_order_ends_the_walk(mode: Mode, order: str) -> None:
     assert robot.guard.refused.endswith("refused: the mode is hold, not ordered to walk")
 
 
-def test_a_robot_that_was_ordered_to_walk_while_it_rises_walks_when_it_stands() -> None:
+def test_walk_order_during_stand_up_applies_after_standing() -> None:
     robot = in_mode(Mode.STAND)
     robot.order("walk")
     assert not robot.accept_plan(robot.plan())
@@ -222,7 +222,7 @@ def test_a_robot_that_was_ordered_to_walk_while_it_rises_walks_when_it_stands() 
 # ----------------------------------------------------------------------------------------------------------- tipping
 
 
-def test_a_body_that_tips_stops_until_a_new_order() -> None:
+def test_tipping_stops_walk_until_new_order() -> None:
     robot = in_mode(Mode.WALK)
     assert robot.guard.tip("it leans") == (Act.SET_DOWN,)
     assert not robot.accept_plan(robot.renewal())
@@ -240,7 +240,7 @@ def test_a_body_that_tips_stops_until_a_new_order() -> None:
 
 
 @pytest.mark.parametrize("way", [("stand",), ("off", "stand")])
-def test_who_stands_up_has_not_tipped(way: tuple[str, ...]) -> None:
+def test_stand_order_clears_tipping(way: tuple[str, ...]) -> None:
     robot = in_mode(Mode.HOLD)
     robot.guard.tip("it leans")
     for order in way:
@@ -252,7 +252,7 @@ def test_who_stands_up_has_not_tipped(way: tuple[str, ...]) -> None:
     assert robot.accept_plan(robot.plan())
 
 
-def test_off_forgets_that_it_tipped() -> None:
+def test_off_order_clears_tipping() -> None:
     robot = in_mode(Mode.HOLD)
     robot.guard.tip("it leans")
     robot.order("off")
@@ -260,7 +260,7 @@ def test_off_forgets_that_it_tipped() -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_stop_that_takes_over_leads_and_moves_nothing(mode: Mode) -> None:
+def test_stop_with_takeover_takes_lease_without_motion(mode: Mode) -> None:
     robot = in_mode(mode)
     robot.order("stop", "b")
     before = robot.guard.lease(robot.now)
@@ -273,7 +273,7 @@ def test_a_stop_that_takes_over_leads_and_moves_nothing(mode: Mode) -> None:
     assert "b holds the lease" in robot.guard.objection
 
 
-def test_a_plan_for_a_walk_that_is_being_stopped_is_refused_as_such() -> None:
+def test_plan_is_refused_while_walk_is_stopping() -> None:
     robot = in_mode(Mode.WALK)
     robot.order("stop")
     assert robot.mode is Mode.WALK
@@ -281,7 +281,7 @@ def test_a_plan_for_a_walk_that_is_being_stopped_is_refused_as_such() -> None:
     assert robot.guard.refused.endswith("refused: the walk was ordered to stop; its last step is being finished")
 
 
-def test_a_walk_that_is_ordered_to_stop_says_so_when_it_stands() -> None:
+def test_stopped_walk_ends_with_reason_ordered_to_stop() -> None:
     robot = in_mode(Mode.WALK)
     robot.order("stop", "b")
     rested(robot)

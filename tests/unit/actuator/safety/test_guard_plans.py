@@ -17,7 +17,7 @@ POWERED = [mode for mode in Mode if mode is not Mode.OFF]
 # ---------------------------------------------------------------------------------------------------------------- plans
 
 
-def test_a_plan_is_walked_to_its_end_and_then_it_holds() -> None:
+def test_finished_plan_is_followed_by_hold() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     assert robot.accept_plan(robot.plan())
@@ -29,7 +29,7 @@ def test_a_plan_is_walked_to_its_end_and_then_it_holds() -> None:
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_a_bad_plan_is_refused_in_words_and_changes_nothing(bad: str) -> None:
+def test_invalid_plan_is_refused_with_reason_and_keeps_deadline(bad: str) -> None:
     robot = in_mode(Mode.WALK)
     make, words = BAD[bad]
     plan = make(robot)
@@ -45,13 +45,13 @@ def test_a_bad_plan_is_refused_in_words_and_changes_nothing(bad: str) -> None:
 
 @pytest.mark.parametrize("nonsense", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["touchdown", "body_goal", "T_world_odom", "clearance", "duration"])
-def test_a_plan_of_no_numbers_does_not_come_into_being(field: str, nonsense: float) -> None:
+def test_plan_with_nan_or_infinite_values_raises_value_error(field: str, nonsense: float) -> None:
     robot = in_mode(Mode.HOLD)
     with pytest.raises(ValueError, match=rf"StepPlan\.{field}"):
         robot.plan(**{field: np.asarray(getattr(robot.plan(), field)) * 0 + nonsense if field != "duration" else nonsense})
 
 
-def test_a_revision_is_judged_from_where_the_robot_is_and_the_next_step_from_where_this_one_ends() -> None:
+def test_revision_is_checked_from_current_pose_next_step_from_end_pose() -> None:
     robot = in_mode(Mode.WALK)
     away = from_xyz_rpy((1.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
     there = FEET + np.array([1.0, 0.0, 0.0])
@@ -64,7 +64,7 @@ def test_a_revision_is_judged_from_where_the_robot_is_and_the_next_step_from_whe
     assert robot.guard.accept_plan(revision, robot.now, is_there)
 
 
-def test_a_revision_for_higher_feet_is_refused_once_they_are_in_the_air() -> None:
+def test_revision_with_more_clearance_is_refused_after_lift_off() -> None:
     robot = in_mode(Mode.WALK)
     higher = robot.renewal(clearance=np.full(6, 0.06))
     robot.lifted = robot.renewal().clearance
@@ -75,7 +75,7 @@ def test_a_revision_for_higher_feet_is_refused_once_they_are_in_the_air() -> Non
     assert robot.accept_plan(higher)
 
 
-def test_a_step_of_its_own_is_not_revised() -> None:
+def test_plan_cannot_revise_a_reversed_step() -> None:
     """Check that no plan revises a step that the actuator takes back."""
     robot = in_mode(Mode.WALK)
     robot.own = True
@@ -83,7 +83,7 @@ def test_a_step_of_its_own_is_not_revised() -> None:
     assert "does not follow step 1" in robot.guard.refused
 
 
-def test_while_a_foot_looks_for_ground_no_plan_is_taken() -> None:
+def test_plan_is_refused_while_foot_searches_for_ground() -> None:
     robot = in_mode(Mode.WALK)
     robot.searching, robot.trouble = True, "no ground under a foot"
     assert not robot.accept_plan(robot.plan())
@@ -94,7 +94,7 @@ def test_while_a_foot_looks_for_ground_no_plan_is_taken() -> None:
     assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "no ground under a foot")
 
 
-def test_a_new_odometry_has_plans_of_its_own() -> None:
+def test_plan_of_previous_odometry_epoch_is_refused() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     plan = robot.plan()
@@ -104,7 +104,7 @@ def test_a_new_odometry_has_plans_of_its_own() -> None:
     assert robot.accept_plan(replace(plan, epoch=EPOCH + 1))
 
 
-def test_without_a_living_lease_no_plan_is_taken() -> None:
+def test_plan_is_refused_after_lease_expired() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     robot.now += LEASE_NS + 1
@@ -117,7 +117,7 @@ def test_without_a_living_lease_no_plan_is_taken() -> None:
 # -------------------------------------------------------------------------------------------------------- the deadline
 
 
-def test_a_walk_without_a_new_plan_ends_after_the_deadline_and_goes_on_when_the_feet_are_down() -> None:
+def test_plan_deadline_sets_feet_down_before_walk_resumes() -> None:
     robot = in_mode(Mode.WALK)
     assert DEADLINE_NS == 180_000_000
     robot.now += DEADLINE_NS - 2 * CYCLE
@@ -138,7 +138,7 @@ def test_a_walk_without_a_new_plan_ends_after_the_deadline_and_goes_on_when_the_
     assert robot.guard.reason == "walking"
 
 
-def test_a_new_plan_puts_the_deadline_off() -> None:
+def test_new_plan_extends_the_deadline() -> None:
     robot = in_mode(Mode.WALK)
     for _ in range(20):
         assert robot.cycle() == robot.cycle() == ()
@@ -148,14 +148,14 @@ def test_a_new_plan_puts_the_deadline_off() -> None:
     assert robot.cycle(1) == (Act.SET_DOWN,)
 
 
-def test_a_step_of_its_own_has_no_deadline() -> None:
+def test_reversed_step_has_no_deadline() -> None:
     robot = in_mode(Mode.WALK)
     robot.own = True
     assert robot.cycle(2 * DEADLINE_NS) == ()
     assert robot.guard.reason == "walking"
 
 
-def test_a_walk_that_was_ordered_to_stop_is_not_stopped_once_more_for_want_of_a_plan() -> None:
+def test_plan_deadline_does_not_apply_after_stop_order() -> None:
     robot = in_mode(Mode.WALK)
     assert robot.order("stop") == (Act.SET_DOWN,)
     assert robot.cycle(2 * DEADLINE_NS) == ()
@@ -164,7 +164,7 @@ def test_a_walk_that_was_ordered_to_stop_is_not_stopped_once_more_for_want_of_a_
 
 
 @pytest.mark.parametrize("way", ["a fault", "off"])
-def test_a_deadline_that_was_missed_is_forgotten_with_the_walk(way: str) -> None:
+def test_missed_deadline_is_cleared_when_walk_ends(way: str) -> None:
     robot = in_mode(Mode.WALK)
     robot.cycle(2 * DEADLINE_NS)
     if way == "off":
@@ -192,7 +192,7 @@ def test_a_deadline_that_was_missed_is_forgotten_with_the_walk(way: str) -> None
         (Mode.SIT, (Act.FREEZE,), Mode.FAULT),
     ],
 )
-def test_what_is_broken_stops_it_until_it_is_whole(mode: Mode, acts: tuple[Act, ...], then: Mode) -> None:
+def test_fault_stops_robot_until_it_clears(mode: Mode, acts: tuple[Act, ...], then: Mode) -> None:
     robot = in_mode(mode)
     robot.verdict = BROKEN
     assert robot.cycle() == acts
@@ -224,7 +224,7 @@ def test_what_is_broken_stops_it_until_it_is_whole(mode: Mode, acts: tuple[Act, 
     assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "the fault has cleared")
 
 
-def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() -> None:
+def test_fault_lasts_until_feet_are_down_then_walk_resumes() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = BROKEN
     robot.cycle()
@@ -239,7 +239,7 @@ def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() 
 
 
 @pytest.mark.parametrize("way", ["ready", "sit", "a fault while it rises"])
-def test_however_it_came_to_stand_a_fault_lasts_until_its_feet_are_down(way: str) -> None:
+def test_fault_lasts_until_feet_are_down_after_any_stand_up(way: str) -> None:
     robot = in_mode(Mode.OFF if way == "ready" else Mode.SIT if way == "sit" else Mode.STAND)
     if way != "a fault while it rises":
         robot.order("ready")
@@ -263,7 +263,7 @@ def test_however_it_came_to_stand_a_fault_lasts_until_its_feet_are_down(way: str
 
 
 @pytest.mark.parametrize("order", ["off", "ready"])
-def test_legs_that_stopped_in_mid_step_are_in_nobodys_way(order: str) -> None:
+def test_unfinished_step_does_not_block_fault_end_or_sit_order(order: str) -> None:
     """Check that an unfinished step blocks neither a fault's end nor an order to sit."""
     robot = in_mode(Mode.WALK)
     robot.verdict = BROKEN
@@ -282,7 +282,7 @@ def test_legs_that_stopped_in_mid_step_are_in_nobodys_way(order: str) -> None:
     assert robot.cycle() == (Act.LIE_DOWN,)
 
 
-def test_ordered_to_sit_in_a_fault_it_lies_down_whatever_is_broken_and_lets_go() -> None:
+def test_sit_order_in_fault_lies_down_and_turns_torque_off() -> None:
     robot = in_mode(Mode.FAULT)
     robot.order("sit")
     assert robot.cycle() == (Act.LIE_DOWN,)
@@ -293,7 +293,7 @@ def test_ordered_to_sit_in_a_fault_it_lies_down_whatever_is_broken_and_lets_go()
 
 
 @pytest.mark.parametrize(("order", "then"), [("stop", Mode.FAULT), ("ready", Mode.READY)])
-def test_an_order_to_sit_in_a_fault_can_be_taken_back(order: str, then: Mode) -> None:
+def test_sit_order_in_fault_can_be_cancelled(order: str, then: Mode) -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = BROKEN
     robot.cycle()
@@ -314,7 +314,7 @@ def test_an_order_to_sit_in_a_fault_can_be_taken_back(order: str, then: Mode) ->
 
 @pytest.mark.parametrize("mode", POWERED)
 @pytest.mark.parametrize("broken", [True, False])
-def test_what_cannot_be_borne_lays_it_down_and_lets_go(mode: Mode, broken: bool) -> None:
+def test_unsustainable_condition_lies_down_and_turns_torque_off(mode: Mode, broken: bool) -> None:
     robot = in_mode(mode)
     robot.verdict = replace(SPENT, broken="a servo is silent" if broken else "")
     acts = robot.cycle()
@@ -332,7 +332,7 @@ def test_what_cannot_be_borne_lays_it_down_and_lets_go(mode: Mode, broken: bool)
     assert (robot.mode, robot.guard.reason) == (Mode.OFF, "the battery is low")
 
 
-def test_once_decided_it_is_done() -> None:
+def test_forced_sit_down_during_walk_is_not_cancelled_by_orders() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = SPENT
     assert robot.cycle() == (Act.SET_DOWN,)
@@ -345,7 +345,7 @@ def test_once_decided_it_is_done() -> None:
     assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
 
 
-def test_what_breaks_while_its_feet_come_down_is_named_first() -> None:
+def test_fault_during_set_down_is_reported_before_low_battery() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = SPENT
     robot.cycle()
@@ -356,7 +356,7 @@ def test_what_breaks_while_its_feet_come_down_is_named_first() -> None:
     assert (robot.mode, robot.guard.reason) == (Mode.SIT, "the battery is low")
 
 
-def test_an_order_to_sit_does_not_hide_why_it_must() -> None:
+def test_sit_order_does_not_replace_reason_of_forced_sit() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = SPENT
     robot.cycle()
@@ -365,7 +365,7 @@ def test_an_order_to_sit_does_not_hide_why_it_must() -> None:
     assert (robot.mode, robot.guard.reason) == (Mode.SIT, "the battery is low")
 
 
-def test_servos_that_are_taken_up_again_do_not_save_it_from_lying_down() -> None:
+def test_ready_order_does_not_prevent_forced_sit_down() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = replace(SPENT, broken="a servo is silent")
     robot.cycle()
@@ -374,7 +374,7 @@ def test_servos_that_are_taken_up_again_do_not_save_it_from_lying_down() -> None
     assert robot.cycle(ends=True) == (Act.TORQUE_OFF,)
 
 
-def test_an_order_counts_again_when_the_cause_is_gone() -> None:
+def test_walk_order_is_accepted_after_low_battery_clears() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = SPENT
     robot.cycle()
@@ -386,7 +386,7 @@ def test_an_order_counts_again_when_the_cause_is_gone() -> None:
     assert robot.cycle() == (Act.SET_DOWN,)
 
 
-def test_anybody_stops_it_even_then_and_it_is_not_taken_up_by_itself() -> None:
+def test_stop_during_forced_sit_is_obeyed_and_sit_needs_new_order() -> None:
     robot = in_mode(Mode.HOLD)
     robot.verdict = SPENT
     assert robot.cycle() == (Act.LIE_DOWN,)
@@ -401,7 +401,7 @@ def test_anybody_stops_it_even_then_and_it_is_not_taken_up_by_itself() -> None:
 
 
 @pytest.mark.parametrize("order", ["stand", "ready"])
-def test_stopped_then_whole_it_begins_anew(order: str) -> None:
+def test_forced_sit_recurs_after_stop_and_cleared_condition(order: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.verdict = SPENT
     robot.cycle()
@@ -423,7 +423,7 @@ def test_stopped_then_whole_it_begins_anew(order: str) -> None:
     assert robot.cycle() == (Act.LIE_DOWN,)
 
 
-def test_risen_from_a_seat_that_was_no_longer_needed_it_walks_and_sits_again_when_it_must() -> None:
+def test_stand_order_cancels_outdated_forced_sit_which_may_recur() -> None:
     robot = in_mode(Mode.HOLD)
     robot.verdict = SPENT
     robot.cycle()

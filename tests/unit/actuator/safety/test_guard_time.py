@@ -21,7 +21,7 @@ ALLOWED = "at most 2 s allowed; stamp orders by the robot's clock"
     ("off_ns", "words"),
     [(-ORDER_AGE_NS - 1, "2.0 s old"), (-60_000_000_000, "60.0 s old"), (ORDER_AGE_NS + 1, "stamped 2.0 s in the future")],
 )
-def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take: bool, off_ns: int, words: str) -> None:
+def test_motion_order_with_stale_or_future_stamp_is_refused(mode: str, take: bool, off_ns: int, words: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.now += LEASE_NS + 1  # no client holds the lease
     put_again = ModeCommand(robot.now + off_ns, mode, robot.now, "b", take)  # type: ignore[arg-type]
@@ -36,7 +36,7 @@ def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take:
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.HOLD])
 @pytest.mark.parametrize("order", ["ready", "stand", "sit"])
-def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_nothing(mode: Mode, order: str) -> None:
+def test_old_order_received_for_the_first_time_is_refused(mode: Mode, order: str) -> None:
     """Check that an old order is refused that the client repeats after a restart.
 
     The actuator, or the link, has restarted since.
@@ -67,9 +67,7 @@ def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_noth
         (31, 29, False, True),  # received late, over a link that was cut
     ],
 )
-def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else_by_a_new_one(
-    begun_s: int, given_s: int, in_force: bool, walks: bool
-) -> None:
+def test_restarted_guard_resumes_only_authorized_walk_order(begun_s: int, given_s: int, in_force: bool, walks: bool) -> None:
     robot = in_mode(Mode.HOLD)
     robot.now = EPOCH + begun_s * 1_000_000_000
     given_ns = robot.now - given_s * 1_000_000_000
@@ -84,7 +82,7 @@ def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else
 @pytest.mark.parametrize(
     "ending", ["stop", "viewer stops", "sit", "stand", "off", "ready", "tips", "spent", "taken over", "away"]
 )
-def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_anew(ending: str) -> None:
+def test_ended_walk_order_is_not_resumed_after_restart(ending: str) -> None:
     for heard in (True, False):  # by a guard that received the order, and by one that has restarted and has not received it yet
         robot = in_mode(Mode.HOLD)
         robot.order("walk", take=True)
@@ -117,14 +115,14 @@ def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_ane
         assert not robot.accept_plan(robot.plan(epoch=robot.now))
 
 
-def test_who_ordered_to_stand_just_before_the_guard_began_is_obeyed() -> None:
+def test_stand_order_given_just_before_restart_is_obeyed() -> None:
     robot = in_mode(Mode.HOLD)
     robot.guard = Guard(PROFILE, 0.6, robot.now, torque=True)
     robot.now += CYCLE
     assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - ORDER_AGE_NS, "b")) == (Act.RISE,)
 
 
-def test_a_walk_that_broke_off_is_over_with_ready() -> None:
+def test_ready_order_in_fault_ends_walk_order() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = Verdict(broken="the bus is silent")
     robot.cycle()
@@ -134,7 +132,7 @@ def test_a_walk_that_broke_off_is_over_with_ready() -> None:
     assert robot.guard.walk_order(robot.now) is None
 
 
-def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
+def test_order_older_than_torque_off_does_not_turn_torque_on() -> None:
     robot = in_mode(Mode.HOLD)
     off_ns = robot.now + 500_000_000
     robot.now = off_ns + 100_000_000
@@ -150,7 +148,7 @@ def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
     assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.TORQUE_ON,)
 
 
-def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
+def test_stop_order_does_not_block_older_stand_order() -> None:
     for stops_only in (False, True):
         robot = in_mode(Mode.OFF)
         robot.now += LEASE_NS
@@ -161,13 +159,13 @@ def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
         assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == (Act.TORQUE_ON, Act.RISE)
 
 
-def test_a_stop_whose_number_is_no_time_is_obeyed_and_bars_no_later_ones_way() -> None:
+def test_stop_with_implausible_sequence_does_not_block_later_stops() -> None:
     robot = in_mode(Mode.HOLD)
     for number in (10**18, robot.now, robot.now + AHEAD_NS + 1):
         assert robot.handle_order(ModeCommand(robot.now, "off", number, "b")) == (Act.TORQUE_OFF,)
 
 
-def test_a_robot_that_has_let_go_by_itself_rises_for_no_order_of_before() -> None:
+def test_orders_older_than_automatic_torque_off_are_refused() -> None:
     robot = in_mode(Mode.HOLD)
     robot.verdict = SPENT
     while robot.mode is not Mode.OFF:
@@ -180,7 +178,7 @@ def test_a_robot_that_has_let_go_by_itself_rises_for_no_order_of_before() -> Non
     assert robot.torque
 
 
-def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothing() -> None:
+def test_returning_lease_holder_without_walk_order_gets_no_objection() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("stop", take=True)
     robot.now += AWAY_NS + 1
@@ -189,7 +187,7 @@ def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothi
     assert robot.guard.objection == ""
 
 
-def test_an_order_to_let_go_that_comes_by_a_late_clock_takes_back_what_was_ordered_before_it() -> None:
+def test_torque_off_with_slow_clock_cancels_earlier_orders() -> None:
     robot = in_mode(Mode.OFF)
     robot.order("stand")
     given_ns = robot.number
@@ -201,14 +199,14 @@ def test_an_order_to_let_go_that_comes_by_a_late_clock_takes_back_what_was_order
     assert not robot.torque
 
 
-def test_a_latch_that_was_closed_counts_for_a_guard_that_begins_anew() -> None:
+def test_restarted_guard_refuses_orders_older_than_latch() -> None:
     robot = in_mode(Mode.OFF)
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.now)
     assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == ()
     assert robot.handle_order(ModeCommand(robot.now, "stand", robot.now, "a")) == (Act.TORQUE_ON, Act.RISE)
 
 
-def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() -> None:
+def test_returning_lease_holder_must_order_walk_again_after_30_s() -> None:
     for away_ns, walks in ((AWAY_NS, True), (AWAY_NS + 1, False)):
         robot = in_mode(Mode.HOLD)
         robot.order("walk")
@@ -221,7 +219,7 @@ def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() ->
     assert robot.accept_plan(robot.plan())
 
 
-def test_an_order_given_ahead_of_now_is_refused() -> None:
+def test_order_with_sequence_in_the_future_is_refused() -> None:
     robot = in_mode(Mode.HOLD)
     ahead = robot.now + AHEAD_NS
     robot.handle_order(ModeCommand(robot.now, "sit", ahead + 1, "b"))
@@ -231,14 +229,14 @@ def test_an_order_given_ahead_of_now_is_refused() -> None:
 
 
 @pytest.mark.parametrize("off_ns", [-ORDER_AGE_NS, ORDER_AGE_NS])
-def test_an_order_may_be_two_seconds_under_way(off_ns: int) -> None:
+def test_order_with_2_s_delay_is_accepted(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
     robot.handle_order(ModeCommand(robot.now + off_ns, "sit", robot.now + min(off_ns, 0), "b"))
     assert robot.guard.objection == ""
     assert robot.cycle() == (Act.LIE_DOWN,)
 
 
-def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
+def test_replayed_walk_order_does_not_extend_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     recorded = ModeCommand(robot.now, "walk", robot.number, "a")
@@ -248,7 +246,7 @@ def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
 
-def test_a_stop_that_was_recorded_and_is_put_again_keeps_no_lease() -> None:
+def test_replayed_stop_order_does_not_extend_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk")
     robot.order("stop")
@@ -260,7 +258,7 @@ def test_a_stop_that_was_recorded_and_is_put_again_keeps_no_lease() -> None:
 
 
 @pytest.mark.parametrize("mode", ["off", "stop"])
-def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: str) -> None:
+def test_stale_stop_is_obeyed_without_taking_or_extending_lease(mode: str) -> None:
     robot = in_mode(Mode.WALK)
     robot.order("walk")
     given_ns, later = robot.now, robot.now + 1
@@ -276,7 +274,7 @@ def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: 
 
 
 @pytest.mark.parametrize("off_ns", [-10 * ORDER_AGE_NS, 10 * ORDER_AGE_NS])
-def test_a_stop_that_is_not_of_now_locks_nobody_out(off_ns: int) -> None:
+def test_stop_with_wrong_stamp_does_not_block_its_client(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
     robot.handle_order(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take=True))
     assert robot.guard.lease(robot.now) == ""
@@ -291,7 +289,7 @@ def test_a_stop_that_is_not_of_now_locks_nobody_out(off_ns: int) -> None:
 
 
 @pytest.mark.parametrize("begun_anew", [False, True])
-def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> None:
+def test_replayed_orders_move_nothing(begun_anew: bool) -> None:
     robot = in_mode(Mode.OFF)
     said: list[ModeCommand] = []
     for mode in ("stand", "walk", "sit", "stand", "walk", "off"):
@@ -312,7 +310,7 @@ def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> N
     assert robot.guard.lease(robot.now) == ""
 
 
-def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
+def test_replayed_plans_are_refused() -> None:
     robot = in_mode(Mode.WALK)
     old = [robot.plan(step=step, stamp_ns=robot.now) for step in range(1, 201)]
     robot.now += 10 * LEASE_NS
@@ -325,7 +323,7 @@ def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.STAND, Mode.HOLD, Mode.WALK, Mode.SIT])
-def test_whatever_was_ordered_before_the_computer_slept_is_over(mode: Mode) -> None:
+def test_suspend_cancels_all_earlier_orders(mode: Mode) -> None:
     robot = in_mode(mode)
     before = robot.number
     acts = robot.guard.resume_from_suspend(3600.0, robot.now)

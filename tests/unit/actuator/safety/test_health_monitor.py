@@ -64,13 +64,13 @@ def name(servo: int) -> str:
     return f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {PROFILE.servo_ids[leg, joint]})"
 
 
-def test_who_is_well_hears_nothing() -> None:
+def test_healthy_servos_give_empty_verdict() -> None:
     patient = Patient()
     assert set(patient.live(2.0)) == {Verdict()}
     assert set(patient.live(2.0, torque=False)) == {Verdict()}
 
 
-def test_before_the_first_readings_nothing_is_known_and_nothing_is_said() -> None:
+def test_missing_readings_give_empty_verdict() -> None:
     unknown = replace(WELL, voltage=np.full(18, np.nan), temperature=np.full(18, np.nan))
     patient = Patient()
     assert set(patient.live(1.0, unknown)) == {Verdict()}
@@ -80,7 +80,7 @@ def test_before_the_first_readings_nothing_is_known_and_nothing_is_said() -> Non
 
 
 @pytest.mark.parametrize("servo", range(18))
-def test_a_weak_servo_is_named_and_stops_a_robot_that_stands_on_it(servo: int) -> None:
+def test_reduced_torque_limit_is_fault_only_with_torque_on(servo: int) -> None:
     words = f"{name(servo)} has only 30% of its torque; order `ready` to restore it"
     verdict = Patient().cycle(one(servo, strength=0.3))
     assert (verdict.broken, verdict.warnings) == (words, (words,))
@@ -100,13 +100,13 @@ def test_a_silent_servo_is_named_by_leg_joint_and_id(servo: int) -> None:
     assert patient.cycle().broken == ""
 
 
-def test_of_several_the_first_is_named_and_the_others_are_counted() -> None:
+def test_fault_names_first_silent_servo_and_counts_others() -> None:
     missed = WELL.missed.copy()
     missed[[3, 7, 8]] = SILENT
     assert f"{name(3)}, with 2 more, does not answer" in Patient().cycle(replace(WELL, missed=missed)).broken
 
 
-def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
+def test_silent_bus_is_reported_after_timeout_of_all_servos() -> None:
     silent = replace(WELL, missed=np.full(18, SILENT), newest=0.15)
     assert Patient().cycle(silent).broken == "no servo answers; check the power of the bus, its cable and the adapter"
     assert Patient().cycle(replace(silent, newest=np.inf)).broken.startswith("no servo answers")
@@ -114,20 +114,20 @@ def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
     assert Patient().cycle(replace(WELL, newest=np.inf)).broken == "", "no servo has enough requests"
 
 
-def test_too_many_lost_answers_are_nothing_to_walk_on() -> None:
+def test_packet_loss_above_30_percent_is_a_fault() -> None:
     assert Patient().cycle(replace(WELL, loss=0.30)).broken == ""
     words = "more than 30% of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
     assert Patient().cycle(replace(WELL, loss=0.31)).broken == words
 
 
-def test_trouble_on_the_way_to_the_servos_comes_first() -> None:
+def test_port_trouble_takes_precedence_over_silent_servos() -> None:
     gone = replace(WELL, trouble="the port is gone", missed=np.full(18, SILENT), newest=np.inf)
     assert Patient().cycle(gone).broken == "the port is gone"
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 8)), min_size=1, max_size=12))
 @WILD
-def test_five_late_cycles_in_a_row_and_no_fewer_stop_it_as_long_as_they_last(runs: list[tuple[bool, int]]) -> None:
+def test_five_consecutive_late_cycles_are_a_fault(runs: list[tuple[bool, int]]) -> None:
     patient, row = Patient(), 0
     for slow in (slow for slow, cycles in runs for _ in range(cycles)):
         row = row + 1 if slow else 0
@@ -137,7 +137,7 @@ def test_five_late_cycles_in_a_row_and_no_fewer_stop_it_as_long_as_they_last(run
 
 
 @pytest.mark.parametrize("gap_s", [0.21, 3.5])
-def test_a_robot_that_nobody_has_led_for_a_while_stops(gap_s: float) -> None:
+def test_process_pause_above_200_ms_is_a_fault(gap_s: float) -> None:
     assert Patient().cycle(dt=0.2).broken == ""
     patient = Patient()
     assert patient.cycle(dt=gap_s).broken == f"the actuator process did not run for {gap_s:.1f} s"
@@ -145,18 +145,18 @@ def test_a_robot_that_nobody_has_led_for_a_while_stops(gap_s: float) -> None:
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
-def test_a_servo_that_has_missed_goals_is_waited_for(servo: int) -> None:
+def test_servo_catching_up_is_a_fault(servo: int) -> None:
     assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} is catching up with its goal, slowly"
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
-def test_a_servo_without_torque_is_broken_only_where_torque_is_meant_to_be(servo: int) -> None:
+def test_lost_torque_is_a_fault_only_if_torque_is_ordered_on(servo: int) -> None:
     torque_disabled = one(servo, torque_disabled=True)
     assert Patient().cycle(torque_disabled).broken == f"{name(servo)} has lost its torque; order `ready` to turn it on again"
     assert Patient().cycle(torque_disabled, torque=False).broken == ""
 
 
-def test_other_errors_are_named_but_the_voltage_tells_of_itself() -> None:
+def test_servo_errors_are_named_except_input_voltage() -> None:
     odd = one(5, errors=int(ServoError.ANGLE_LIMIT | ServoError.INPUT_VOLTAGE))
     assert Patient().cycle(odd).broken == f"{name(5)} reports angle limit"
     assert Patient().cycle(one(5, errors=int(ServoError.INPUT_VOLTAGE))) == Verdict()
@@ -188,9 +188,7 @@ class Overloaded(Patient):
 @given(servos, st.lists(st.floats(0.5, 200.0), min_size=4, max_size=10))
 @example(servo=0, pauses=[1.0, 1.0, 93.5, 199.5, 1.0])  # the first reset is five minutes old during the fourth shutdown
 @WILD
-def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_then_it_sits(
-    servo: int, pauses: list[float]
-) -> None:
+def test_overload_is_reset_at_most_3_times_in_5_minutes_then_robot_sits(servo: int, pauses: list[float]) -> None:
     patient = Overloaded(servo)
     for pause in pauses:
         before = patient.now
@@ -210,7 +208,7 @@ def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_th
 
 
 @pytest.mark.parametrize(("after", "counts"), [(299.0, True), (300.5, False)])
-def test_a_reset_counts_for_five_minutes(after: float, counts: bool) -> None:
+def test_overload_reset_counts_for_5_minutes(after: float, counts: bool) -> None:
     patient = Overloaded(4)
     for _ in range(3):
         patient.shut_down()
@@ -219,7 +217,7 @@ def test_a_reset_counts_for_five_minutes(after: float, counts: bool) -> None:
     assert bool(patient.shut_down(1.1).restore_torque) != counts
 
 
-def test_of_two_servos_that_cannot_be_reset_any_more_the_first_is_the_reason() -> None:
+def test_reason_names_first_servo_without_resets_left() -> None:
     errors = WELL.errors.copy()
     errors[[2, 9]] = int(ServoError.OVERLOAD)
     patient = Patient()
@@ -228,7 +226,7 @@ def test_of_two_servos_that_cannot_be_reset_any_more_the_first_is_the_reason() -
     assert patient.verdict.sit == f"{name(2)} has shut down because of overload 4 times in 5 minutes"
 
 
-def test_every_servo_has_resets_of_its_own() -> None:
+def test_overload_resets_are_counted_per_servo() -> None:
     errors = WELL.errors.copy()
     errors[[2, 9]] = int(ServoError.OVERLOAD)
     patient = Patient()
@@ -237,13 +235,13 @@ def test_every_servo_has_resets_of_its_own() -> None:
     assert patient.verdict.broken == f"{name(2)} has shut down because of overload"
 
 
-def test_without_torque_nobody_is_reset() -> None:
+def test_servos_are_not_reset_with_torque_off() -> None:
     patient = Patient()
     assert set(patient.live(3.0, one(2, errors=int(ServoError.OVERLOAD)), torque=False)) == {Verdict()}
 
 
 @pytest.mark.parametrize("torque", [True, False])
-def test_a_servo_that_shut_down_for_its_heat_is_never_reset(torque: bool) -> None:
+def test_overheated_servo_is_never_reset(torque: bool) -> None:
     patient = Patient()
     hot = one(2, errors=int(ServoError.OVERHEATING | ServoError.OVERLOAD))
     words = f"{name(2)} has shut down because of overheating"
@@ -263,7 +261,7 @@ _SETTLES_S = 16.0  # [s] after which a temperature far above all limits is accep
 @pytest.mark.slow
 @given(servos, st.floats(20.0, 90.0), st.floats(0.0, 10.0))
 @WILD
-def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: int, temperature: float, more: float) -> None:
+def test_pace_falls_with_temperature_and_robot_sits_5_k_below_limit(servo: int, temperature: float, more: float) -> None:
     cool = Patient().live(_SETTLES_S, one(servo, temperature=temperature))[-1]
     warm = Patient().live(_SETTLES_S, one(servo, temperature=temperature + more))[-1]
     assert 0.4 <= warm.pace <= cool.pace <= 1.0
@@ -277,9 +275,7 @@ def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: in
 
 
 @pytest.mark.parametrize(("below", "pace", "sits"), [(12.0, 1.0, False), (8.5, 0.7, False), (5.0, 0.4, True), (0.0, 0.4, True)])
-def test_between_twelve_and_five_kelvin_below_its_limit_the_walk_is_slower_in_proportion(
-    below: float, pace: float, sits: bool
-) -> None:
+def test_pace_is_proportional_from_12_to_5_k_below_limit(below: float, pace: float, sits: bool) -> None:
     words = f"{name(7)} is {LIMIT - below:.0f} deg C hot"
     verdict = Patient().live(_SETTLES_S, one(7, temperature=LIMIT - below))[-1]
     assert verdict.pace == pytest.approx(pace)
@@ -287,7 +283,7 @@ def test_between_twelve_and_five_kelvin_below_its_limit_the_walk_is_slower_in_pr
     assert verdict.warnings == ((f"{words}; walking slower",) if below < 12.0 else ())
 
 
-def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
+def test_slow_heating_makes_robot_sit_before_shutdown() -> None:
     patient, temperature = Patient(), 30.0
     while not patient.cycle(one(7, temperature=temperature)).sit:
         temperature += 1.0 * PERIOD
@@ -297,7 +293,7 @@ def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
 
 @given(servos, st.floats(20.0, LIMIT - 13.0), st.floats(0.02, 1.0), st.floats(60.0, 255.0))
 @WILD
-def test_a_wrong_temperature_that_passes_does_not_make_it_sit(servo: int, before: float, lasts: float, wrong: float) -> None:
+def test_transient_false_temperature_does_not_make_robot_sit(servo: int, before: float, lasts: float, wrong: float) -> None:
     patient = Patient()
     patient.live(1.0, one(servo, temperature=before))
     for _ in range(5):
@@ -305,13 +301,13 @@ def test_a_wrong_temperature_that_passes_does_not_make_it_sit(servo: int, before
         assert set(patient.live(0.02, one(servo, temperature=before))) == {Verdict()}
 
 
-def test_a_wrong_temperature_that_comes_first_does_not_make_it_sit() -> None:
+def test_false_first_temperature_does_not_make_robot_sit() -> None:
     assert {v.sit for v in Patient().live(0.25, one(7, temperature=LIMIT + 15.0))} == {""}
 
 
 @given(servos, st.floats(LIMIT - 20.0, LIMIT - 13.0), st.floats(0.3, 2.9))
 @WILD
-def test_heat_is_known_without_delay(servo: int, temperature: float, rate: float) -> None:
+def test_rising_temperature_is_detected_without_delay(servo: int, temperature: float, rate: float) -> None:
     patient = Patient()
     while not patient.cycle(one(servo, temperature=temperature)).sit:
         temperature += rate * PERIOD
@@ -320,7 +316,7 @@ def test_heat_is_known_without_delay(servo: int, temperature: float, rate: float
 
 @given(st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 @WILD
-def test_a_load_that_tires_slows_the_walk_and_rest_restores_it(share: float, sign: float) -> None:
+def test_sustained_load_reduces_pace_until_rest(share: float, sign: float) -> None:
     patient = Patient()
     load = np.zeros(18)
     load[3] = np.copysign(share * STALL, sign)
@@ -337,14 +333,14 @@ def test_a_load_that_tires_slows_the_walk_and_rest_restores_it(share: float, sig
 
 
 @pytest.mark.parametrize("seconds", [5.0, 15.0, 30.0])
-def test_it_tires_as_its_motors_heat_up_within_half_a_minute(seconds: float) -> None:
+def test_pace_follows_rms_load_with_30_s_time_constant(seconds: float) -> None:
     patient, load = Patient(), replace(WELL, load=np.full(18, 0.55 * STALL))
     verdict = patient.live(seconds, load)[-1]
     rms = 0.55 * np.sqrt(1.0 - np.exp(-seconds / 30.0))
     assert verdict.pace == pytest.approx(np.clip(1.0 - 0.6 * (rms - 0.36) / 0.14, 0.4, 1.0))
 
 
-def test_a_short_exertion_does_not_tire() -> None:
+def test_short_high_load_does_not_reduce_pace() -> None:
     patient = Patient()
     assert {verdict.pace for verdict in patient.live(1.0, replace(WELL, load=np.full(18, 0.8 * STALL)))} == {1.0}
 
@@ -354,7 +350,7 @@ def test_a_short_exertion_does_not_tire() -> None:
 
 @given(st.floats(0.0, EMPTY), st.floats(PERIOD, 0.97))
 @WILD
-def test_a_sag_shorter_than_a_second_lays_nobody_down(voltage: float, seconds: float) -> None:
+def test_voltage_sag_below_1_s_does_not_make_robot_sit(voltage: float, seconds: float) -> None:
     patient = Patient()
     patient.live(1.0)
     verdicts = [*patient.live(seconds, replace(WELL, voltage=np.full(18, voltage))), *patient.live(3.0)]
@@ -363,7 +359,7 @@ def test_a_sag_shorter_than_a_second_lays_nobody_down(voltage: float, seconds: f
 
 @given(st.floats(0.03, 2.0), servos)
 @WILD
-def test_an_empty_battery_always_does_before_the_servos_cut_off(rate: float, servo: int) -> None:
+def test_empty_battery_makes_robot_sit_before_servo_cutoff(rate: float, servo: int) -> None:
     """Check any rate [V/s] at which a battery falls without a short circuit."""
     patient, voltage = Patient(), EMPTY + 0.5
     warned = False
@@ -375,7 +371,7 @@ def test_an_empty_battery_always_does_before_the_servos_cut_off(rate: float, ser
     assert voltage > EMPTY - 1.6 * rate - 0.05, "a second, and what smoothing takes"
 
 
-def test_a_low_battery_is_said_and_no_reason_to_sit() -> None:
+def test_low_battery_gives_warning_without_sitting() -> None:
     patient = Patient()
     low = replace(WELL, voltage=np.full(18, (EMPTY + WARN) / 2))
     verdict = patient.live(5.0, low)[-1]
@@ -384,7 +380,7 @@ def test_a_low_battery_is_said_and_no_reason_to_sit() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 3.0])
-def test_the_voltage_that_is_told_follows_the_servos_within_a_third_of_a_second(seconds: float) -> None:
+def test_reported_voltage_is_filtered_with_0_3_s_time_constant(seconds: float) -> None:
     patient = Patient()
     patient.live(1.0)
     verdict = patient.live(seconds, replace(WELL, voltage=np.full(18, EMPTY - 2.0)))[-1]
@@ -392,14 +388,14 @@ def test_the_voltage_that_is_told_follows_the_servos_within_a_third_of_a_second(
     assert verdict.warnings == ((f"the battery is low: {told:.1f} V",) if told < WARN else ())
 
 
-def test_sags_that_come_again_and_again_count_one_by_one() -> None:
+def test_repeated_voltage_sags_do_not_accumulate() -> None:
     patient = Patient()
     for _ in range(10):
         verdicts = [*patient.live(0.4, replace(WELL, voltage=np.full(18, 8.0))), *patient.live(1.0)]
         assert {verdict.sit for verdict in verdicts} == {""}
 
 
-def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
+def test_fault_and_low_battery_are_reported_together() -> None:
     patient = Patient()
     verdict = patient.live(2.0, replace(one(4, missed=SILENT), voltage=np.full(18, EMPTY - 1.0)))[-1]
     assert name(4) in verdict.broken
@@ -408,7 +404,7 @@ def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
     assert "shut down because of overheating" in Patient().live(1.0, hot)[-1].sit, "the worst comes first"
 
 
-def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
+def with_silent_servos(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
     """Return the vitals with the given servos silent: their last readings stay."""
     missed = WELL.missed.copy()
     missed[servos] = questions
@@ -416,38 +412,38 @@ def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
 
 
 @pytest.mark.parametrize(("low", "quiet"), [(slice(None), 0.2), (slice(7, 8), 0.0)])
-def test_a_sag_in_which_servos_fall_silent_empties_no_battery(low: slice, quiet: float) -> None:
+def test_brown_out_with_silent_servos_is_not_taken_for_empty_battery(low: slice, quiet: float) -> None:
     """Check a brown-out: the last reading is low, but the voltage is normal again."""
     voltage = WELL.voltage.copy()
     voltage[low] = EMPTY - 1.0
     patient, sagging = Patient(), replace(WELL, voltage=voltage)
     patient.live(1.0)
-    found = patient.live(0.3, sagging) + patient.live(3.0, replace(silenced(sagging, low), newest=quiet))
+    found = patient.live(0.3, sagging) + patient.live(3.0, replace(with_silent_servos(sagging, low), newest=quiet))
     assert not any(verdict.sit for verdict in found)
     assert not any(verdict.sit for verdict in patient.live(2.0))
 
 
-def test_but_one_that_goes_on_to_be_low_when_it_is_heard_again_is_empty() -> None:
+def test_low_voltage_after_silence_counts_as_empty_battery() -> None:
     empty = replace(WELL, voltage=np.full(18, EMPTY - 0.5))
     patient = Patient()
     patient.live(1.0)
-    patient.live(2.0, replace(silenced(empty, slice(None)), newest=0.2))
+    patient.live(2.0, replace(with_silent_servos(empty, slice(None)), newest=0.2))
     assert patient.live(2.5, empty)[-1].sit
 
 
 @pytest.mark.parametrize("quiet", [0.0, 0.2])
-def test_a_servo_that_cannot_be_heard_is_not_reset_and_that_counts_for_nothing(quiet: float) -> None:
+def test_silent_overloaded_servo_is_reset_only_after_it_responds(quiet: float) -> None:
     shut = one(7, errors=int(ServoError.OVERLOAD))
     patient = Patient()
     patient.live(0.5, shut)
-    away = replace(silenced(shut, slice(7, 8)), newest=quiet)
+    away = replace(with_silent_servos(shut, slice(7, 8)), newest=quiet)
     for verdict in patient.live(10.0, away):
         assert not verdict.restore_torque
         assert not verdict.sit
     assert any(verdict.restore_torque == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it answers again"
 
 
-def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down() -> None:
+def test_resets_of_permanently_shut_down_servo_expire_after_5_minutes() -> None:
     shut, patient = one(7, errors=int(ServoError.OVERLOAD)), Patient()
     for _ in range(3):
         assert any(verdict.restore_torque for verdict in patient.live(1.2, shut))
@@ -462,11 +458,11 @@ def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down
     assert not any(verdict.sit for verdict in found)
 
 
-def test_two_sags_with_a_silence_between_them_are_two() -> None:
+def test_voltage_sags_separated_by_silence_are_not_joined() -> None:
     sagging = replace(WELL, voltage=np.full(18, EMPTY - 1.5))
     patient = Patient()
     patient.live(1.0)
-    silent = replace(silenced(sagging, slice(None)), newest=0.2)
+    silent = replace(with_silent_servos(sagging, slice(None)), newest=0.2)
     found = patient.live(0.5, sagging) + patient.live(2.0, silent) + patient.live(0.5, sagging)
     assert not any(verdict.sit for verdict in found)
     assert patient.live(1.0, sagging)[-1].sit

@@ -59,7 +59,7 @@ def goal(x: float = 0.0, roll: float = 0.0, yaw: float = 0.0, z: float = 0.1) ->
     return from_xyz_rpy((x, 0.0, z), (roll, 0.0, yaw))
 
 
-def test_a_good_plan_passes() -> None:
+def test_valid_plan_is_accepted() -> None:
     assert refusal(plan()) == ""
 
 
@@ -108,7 +108,7 @@ FOUR = np.array([True, True, True, True, False, False])
         ),
     ],
 )
-def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
+def test_refusal_states_its_reason(changes: dict[str, object], words: str) -> None:
     assert refusal(plan(**changes)) == words
 
 
@@ -123,7 +123,7 @@ def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
         {"clearance": np.full(6, 0.12), "duration": 0.9},
     ],
 )
-def test_what_is_allowed_at_most_passes(changes: dict[str, object]) -> None:
+def test_plan_at_the_limits_is_accepted(changes: dict[str, object]) -> None:
     assert refusal(plan(**changes)) == ""
 
 
@@ -144,12 +144,12 @@ QUICK: dict[str, Any] = {"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0
         (QUICK, "tibia of the right rear leg would turn by 60 deg in 0.30 s, at most 58"),  # a standing leg
     ],
 )
-def test_no_joint_is_asked_to_go_or_gather_speed_faster_than_its_servo_does(changes: dict[str, object], words: str) -> None:
+def test_plan_exceeding_joint_speed_or_acceleration_is_refused(changes: dict[str, object], words: str) -> None:
     assert refusal(plan(**changes)) == f"the {words} deg allowed"
     assert refusal(plan(**changes | {"duration": 1.2})) == ""
 
 
-def test_legs_that_stand_under_a_step_that_is_under_way_are_on_the_way_that_was_accepted() -> None:
+def test_revision_does_not_recheck_speed_of_stance_legs() -> None:
     landing, left = plan(**QUICK | {"swing": TRIPOD}), np.where(TRIPOD, 0.2, np.inf)
     check = PlanCheck(PROFILE, AGE)
     assert check.unwalkable(landing, START, FEET, revises=True, air_s=left) == ""
@@ -161,7 +161,7 @@ def test_legs_that_stand_under_a_step_that_is_under_way_are_on_the_way_that_was_
         assert found == words, "it has not been lifted, or is no revision: its whole way counts"
 
 
-def test_the_world_may_be_a_thousand_kilometres_wide_and_no_more() -> None:
+def test_world_frame_offset_is_limited_to_1000_km() -> None:
     for away, words in ((1e6, ""), (1e6 + 0.5, "the plan's T_world_odom is more than 1000 km away")):
         T_world_odom = from_xyz_rpy((0.0, -away, 0.0), np.zeros(3))
         there = plan(touchdown=apply(T_world_odom, plan().touchdown), body_goal=T_world_odom @ plan().body_goal)
@@ -169,7 +169,7 @@ def test_the_world_may_be_a_thousand_kilometres_wide_and_no_more() -> None:
         assert bool(words) == bool(refusal(replace(there, T_world_odom=T_world_odom)))
 
 
-def test_a_body_that_is_nowhere_near_its_feet_is_told_by_how_much() -> None:
+def test_refusal_states_margin_of_body_far_from_its_feet() -> None:
     found = PlanCheck(PROFILE, AGE).unwalkable(plan(), START, FEET + np.array([0.0, 1.5, 0.0]))
     centre = apply(START, resting_centre_of_mass(PROFILE))[:2]
     margin = support_margin((FEET + np.array([0.0, 1.5, 0.0]))[~TRIPOD][:, :2], centre)
@@ -177,13 +177,13 @@ def test_a_body_that_is_nowhere_near_its_feet_is_told_by_how_much() -> None:
     assert found == f"the centre of mass would be {margin * 1e3:.0f} mm inside the support polygon at the start, 5 mm needed"
 
 
-def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
+def test_handover_time_is_excluded_from_swing_time() -> None:
     quick = plan(duration=0.4, clearance=np.full(6, 0.03))
     assert refusal(quick) == ""
     assert "in 0.25 s, at most" in refusal(quick, PlanCheck(PROFILE, AGE, handover_s=0.15))
 
 
-def test_a_revision_may_move_a_foot_no_faster_than_the_time_in_the_air_that_is_left_allows() -> None:
+def test_revision_is_checked_against_remaining_air_time() -> None:
     """Check joint speeds against the remaining time in the air.
 
     A foot that has met ground does not move, so it may be far from its planned place.
@@ -199,15 +199,15 @@ def test_a_revision_may_move_a_foot_no_faster_than_the_time_in_the_air_that_is_l
 
 
 @pytest.mark.parametrize("stamp_ns", [NOW - 600_000_001, NOW + 600_000_001])
-def test_and_not_a_nanosecond_more(stamp_ns: int) -> None:
+def test_plan_age_limit_is_exact_to_1_ns(stamp_ns: int) -> None:
     assert refusal(plan(stamp_ns=stamp_ns)) != ""
 
 
-def test_time_may_begin_with_the_plan() -> None:
+def test_plan_with_zero_stamp_at_time_zero_is_accepted() -> None:
     assert PlanCheck(PROFILE, AGE).untimely(plan(stamp_ns=0), 0, 0, True, NOBODY, ANY) == ""
 
 
-def test_the_whole_way_of_a_step_may_be_gone_and_no_more() -> None:
+def test_body_travel_limit_is_0_2_m() -> None:
     """Check the limit of the travel of a step, 0.2 m.
 
     The test ignores other reasons of refusal.
@@ -222,7 +222,7 @@ def test_the_whole_way_of_a_step_may_be_gone_and_no_more() -> None:
 @pytest.mark.parametrize(
     ("towards", "words"), [(0.01, ""), (0.0, "exceeds the reach of its"), (-0.01, "exceeds the reach of its")]
 )
-def test_a_foot_that_sank_beyond_its_legs_reach_may_be_approached_but_not_left(towards: float, words: str) -> None:
+def test_body_may_only_move_towards_foot_out_of_reach(towards: float, words: str) -> None:
     feet = FEET.copy()
     feet[0] += (0.16, 0.0, -0.03)
     body = START @ from_xyz_rpy((towards, 0.0, 0.0), np.zeros(3))
@@ -231,7 +231,7 @@ def test_a_foot_that_sank_beyond_its_legs_reach_may_be_approached_but_not_left(t
     assert found == "" if not words else words in found
 
 
-def test_a_swinging_foot_comes_down_within_reach_wherever_it_came_from() -> None:
+def test_touchdown_must_be_in_reach_even_from_foot_out_of_reach() -> None:
     feet, nearer, first = FEET.copy(), FEET.copy(), np.arange(6) == 0
     feet[0] += (0.16, 0.0, -0.03)
     nearer[0] += (0.15, 0.0, -0.02)
@@ -265,7 +265,7 @@ def with_a_foot_beyond(short: float, turned: float) -> Array:
         (0.10, 0.0, False),
     ],
 )
-def test_in_mid_step_a_standing_foot_may_have_moved_a_little_beyond_its_leg(short: float, turned: float, walked: bool) -> None:
+def test_revision_tolerates_stance_foot_5_mm_out_of_reach(short: float, turned: float, walked: bool) -> None:
     feet = with_a_foot_beyond(short, turned)
     a_plan = plan(body_goal=START, swing=~TRIPOD, touchdown=feet)
     words = "the standing foot of the left front leg exceeds the reach of its coxa joint"
@@ -276,20 +276,20 @@ def test_in_mid_step_a_standing_foot_may_have_moved_a_little_beyond_its_leg(shor
     assert found == "the touchdown of the left front leg exceeds the reach of its coxa joint", "a swinging foot has a choice"
 
 
-def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
+def test_plan_with_unstable_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
     words = PlanCheck(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)
     assert words == "the centre of mass would be -72 mm inside the support polygon at the start, 5 mm needed"
 
 
 @pytest.mark.parametrize(("centre", "refused"), [(0.0, False), (0.04, False), (0.24, True)])
-def test_support_is_that_of_the_centre_of_mass(centre: float, refused: bool) -> None:
+def test_support_margin_uses_centre_of_mass(centre: float, refused: bool) -> None:
     profile = replace(PROFILE, body=replace(PROFILE.body, size=(0.5, 0.12, 0.04), centre_of_mass=(centre, 0.0, 0.0)))
     words = PlanCheck(profile, AGE).unwalkable(plan(), START, FEET)
     assert words.startswith("the centre of mass would be -") == refused
 
 
-def test_a_plan_is_accepted_once_and_only_forward() -> None:
+def test_plan_is_accepted_once_and_only_with_newer_stamp() -> None:
     check = PlanCheck(PROFILE, AGE)
     assert refusal(plan(), check) == ""
     assert refusal(plan(), check) == "plan of step 1 is not newer than the last accepted one"
@@ -297,25 +297,25 @@ def test_a_plan_is_accepted_once_and_only_forward() -> None:
     assert refusal(plan(stamp_ns=NOW + 1), check) == ""
 
 
-def test_a_refused_plan_leaves_no_trace() -> None:
+def test_refused_plan_does_not_affect_later_plans() -> None:
     check = PlanCheck(PROFILE, AGE)
     assert refusal(plan(duration=9.0, stamp_ns=NOW + 1), check)
     assert refusal(plan(stamp_ns=NOW + 5_000_000_000), check)
     assert refusal(plan(), check) == ""
 
 
-def test_a_step_that_is_over_is_not_revised() -> None:
+def test_finished_step_cannot_be_revised() -> None:
     assert refusal(plan(step=4), running=4, resting=True) == "plan of step 4 does not follow step 4"
     assert refusal(plan(step=6), running=4, resting=False) == "plan of step 6 does not follow step 4"
     assert refusal(plan(step=4), running=4, resting=False, swing=TRIPOD) == ""
 
 
-def test_a_revision_may_not_change_its_mind_about_the_legs() -> None:
+def test_revision_with_other_swing_legs_is_refused() -> None:
     words = "a revision of step 4 swings other legs than the running step"
     assert refusal(plan(step=4), running=4, resting=False, swing=~TRIPOD) == words
 
 
-def test_a_revision_may_not_ask_for_more_clearance_than_the_feet_were_lifted_with() -> None:
+def test_revision_with_more_clearance_than_lifted_is_refused() -> None:
     """Check a revision made before the planner knew which plan of the step was begun.
 
     Its touchdowns may lie behind higher obstacles than the feet can clear.
@@ -345,7 +345,7 @@ matrices = hnp.arrays(np.float64, (4, 4), elements=st.floats(-1e3, 1e3))
     hnp.arrays(np.float64, 6, elements=st.floats(-0.1, 0.2)),
 )
 @settings(max_examples=150)
-def test_whatever_is_accepted_ends_in_reach_and_stable(
+def test_accepted_random_plans_end_in_reach_and_stable(
     body_goal: Array, T_world_odom: Array, swing: Flags, shift: Array, duration: float, clearance: Array
 ) -> None:
     wild = plan(
@@ -366,7 +366,7 @@ def test_whatever_is_accepted_ends_in_reach_and_stable(
     assert support_margin(FEET[~swing][:, :2], START[:2, 3]) > 0
 
 
-def test_the_property_meets_plans_that_pass() -> None:
+def test_random_plan_property_is_not_vacuous() -> None:
     """Check that the property above is not vacuous: many plans pass."""
     rng = np.random.default_rng(5)
     passed = 0
@@ -377,7 +377,7 @@ def test_the_property_meets_plans_that_pass() -> None:
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_legs_reach_their_feet_if_every_one_does(leg: int) -> None:
+def test_reaches_is_false_if_one_leg_is_out_of_reach(leg: int) -> None:
     assert reaches(PROFILE, REST)
     for way in ([0.0, 0.0, -0.3], [0.0, 0.0, 0.3], 2.0 * REST[leg]):
         far = REST.copy()

@@ -76,7 +76,7 @@ def of(target: FaultTarget, kind: FaultKind, at_s: float = 0.0, **parameters: ob
     return BusFault(target, kind, at_s, **parameters)  # type: ignore[arg-type]
 
 
-def test_on_a_clean_bus_nothing_is_doubted() -> None:
+def test_clean_bus_loses_no_readings() -> None:
     rig = Rig()
     assert rig.run(100) >= 300
     assert not rig.driver.lost
@@ -92,9 +92,7 @@ LIARS = (("servo", "stuck"), ("servo", "wrong"), ("packets", "stuck"), ("bus", "
 
 @pytest.mark.parametrize("echo", [False, True], ids=["plain", "echo"])
 @pytest.mark.parametrize("cell", CELLS, ids=" ".join)
-def test_every_fault_leaves_calls_in_time_and_readings_right_and_is_over_when_it_is_over(
-    cell: tuple[FaultTarget, FaultKind], echo: bool
-) -> None:
+def test_each_fault_keeps_time_budget_and_bus_recovers_afterwards(cell: tuple[FaultTarget, FaultKind], echo: bool) -> None:
     extra = {"share": 0.1 if cell[0] == "packets" else 0.0075} if "share" in GRID[cell].takes else {}
     rig = Rig(of(*cell, at_s=0.2, for_s=1.0, **extra), echo=echo)
     rig.run(9)
@@ -122,7 +120,7 @@ def test_every_fault_leaves_calls_in_time_and_readings_right_and_is_over_when_it
     st.integers(0, 5),
     st.booleans(),
 )
-def test_whatever_happens_calls_end_in_time_and_raise_nothing_but_that_the_bus_is_gone(
+def test_random_faults_raise_only_bus_disconnected_and_keep_time_budget(
     faults: list[tuple[tuple[FaultTarget, FaultKind], float, float, float]], seed: int, echo: bool
 ) -> None:
     made = []
@@ -140,7 +138,7 @@ def test_whatever_happens_calls_end_in_time_and_raise_nothing_but_that_the_bus_i
         assert 0.0 <= rig.driver.loss <= 1.0
 
 
-def test_answers_that_are_wrong_though_their_checksum_is_right_are_refused_by_reason() -> None:
+def test_wrong_values_with_valid_checksum_are_rejected_by_reason() -> None:
     rig = Rig(of("packets", "wrong", share=0.1, for_s=60.0))
     assert rig.run(1500) > 3000
     assert set(rig.off) == {0}
@@ -153,7 +151,7 @@ def test_answers_that_are_wrong_though_their_checksum_is_right_are_refused_by_re
 
 
 @pytest.mark.parametrize(("part", "reason"), [("id", Lost.STRANGER), ("length", Lost.SIZE)])
-def test_answers_of_the_wrong_id_or_length_are_none(part: str, reason: Lost) -> None:
+def test_replies_with_wrong_id_or_length_are_rejected(part: str, reason: Lost) -> None:
     rig = Rig(of("packets", "wrong", share=0.1, for_s=60.0, part=part))
     rig.run(500)
     assert set(rig.off) == {0}
@@ -161,7 +159,7 @@ def test_answers_of_the_wrong_id_or_length_are_none(part: str, reason: Lost) -> 
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5])
-def test_the_loss_is_the_share_of_questions_lost(share: float) -> None:
+def test_packet_loss_matches_share_of_lost_requests(share: float) -> None:
     rig = Rig(of("packets", "silent", share=share, for_s=1000.0))
     found = []
     for _ in range(300):
@@ -170,7 +168,7 @@ def test_the_loss_is_the_share_of_questions_lost(share: float) -> None:
     assert 0.6 * share < np.mean(found[20:]) < 1.6 * share  # a loss takes the time of several requests
 
 
-def test_a_silent_bus_is_lost_within_200_ms_and_a_silent_servo_is_not_the_bus() -> None:
+def test_silent_bus_is_detected_in_200_ms_but_silent_servo_is_no_bus_loss() -> None:
     rig = Rig(of("bus", "silent", at_s=1.0))
     rig.run(50)
     assert rig.driver.loss == 0.0
@@ -185,14 +183,14 @@ def test_a_silent_bus_is_lost_within_200_ms_and_a_silent_servo_is_not_the_bus() 
     assert np.delete(ages, 6).max() < 0.2
 
 
-def test_a_silent_bus_that_is_back_is_read_again_within_a_second() -> None:
+def test_returning_bus_is_read_again_within_1_s() -> None:
     rig = Rig(of("bus", "silent", at_s=0.2, for_s=5.0))
     rig.run(round(5.2 / 0.02) + 1)
     rig.run(50)
     assert rig.driver.ages().max() < 0.2
 
 
-def test_one_percent_lost_or_broken_makes_readings_no_older_than_two_rotations() -> None:
+def test_1_percent_packet_loss_keeps_readings_within_two_rotations() -> None:
     clean = Rig()
     rotation = max(clean.driver.ages().max() for _ in range(100) if clean.cycle() and np.isfinite(clean.driver.ages()).all())
     for fault in (of("packets", "silent", share=0.01, for_s=60.0), of("bytes", "garbage", share=0.0007, for_s=60.0)):
@@ -206,7 +204,7 @@ def test_one_percent_lost_or_broken_makes_readings_no_older_than_two_rotations()
         assert set(rig.off) == {0}
 
 
-def taken(rig: Rig, cycles: int) -> float:
+def share_of_cycles_with_goals_received(rig: Rig, cycles: int) -> float:
     """Return the share of cycles after which all servos hold the goals that were sent."""
     good = 0
     for _ in range(cycles):
@@ -217,14 +215,14 @@ def taken(rig: Rig, cycles: int) -> float:
     return good / cycles
 
 
-def test_while_answers_break_goals_are_sent_twice() -> None:
+def test_goals_are_sent_twice_while_replies_are_corrupted() -> None:
     clean, broken = Rig(), Rig(of("bytes", "garbage", share=0.001, for_s=60.0))
-    assert taken(clean, 100) == 1.0
+    assert share_of_cycles_with_goals_received(clean, 100) == 1.0
     assert clean.bus._bus.counts.instructions[dxl.Instruction.SYNC_WRITE] == 101  # one of them for torque
-    assert taken(broken, 1000) > 0.97  # 9 % of these packets are broken, and 3 % of the requests
+    assert share_of_cycles_with_goals_received(broken, 1000) > 0.97  # 9 % of these packets are broken, and 3 % of the requests
 
 
-def test_torque_off_reaches_servos_that_have_read_a_wrong_length_and_wait_for_the_rest() -> None:
+def test_torque_off_reaches_servos_that_await_a_truncated_packet() -> None:
     rig = Rig(of("packets", "silent", for_s=0.04, share=1.0))
     rig.run(3)
     rig.bus.receive(b"\xff\xff\x01\xff\x03", rig.now_ns)  # its length field announces 253 more bytes

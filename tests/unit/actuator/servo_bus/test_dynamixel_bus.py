@@ -84,7 +84,7 @@ def rig(request: pytest.FixtureRequest) -> Rig:
     return rig
 
 
-def test_setup_takes_the_return_delay_away_and_leaves_torque_alone(rig: Rig) -> None:
+def test_setup_sets_return_delay_to_zero_and_keeps_torque(rig: Rig) -> None:
     assert (rig.bank.tables[:, dxl.RETURN_DELAY.address] == 0).all()
     assert (rig.bank.tables[:, dxl.TORQUE_ENABLE.address] == 0).all()
     assert not rig.driver.lost
@@ -94,7 +94,7 @@ def test_setup_takes_the_return_delay_away_and_leaves_torque_alone(rig: Rig) -> 
 
 
 @given(at=st.integers(0, dxl.SHUTDOWN.address), value=st.integers(0, 255))
-def test_where_servos_are_locked_no_goals_that_went_astray_change_what_they_keep(at: int, value: int) -> None:
+def test_stray_writes_do_not_change_eeprom_of_locked_servos(at: int, value: int) -> None:
     rig = Rig((1, 2))
     ServoBus(rig.port, (1, 2), rig.port.now_ns, lock=True).setup()
     rig.settle()
@@ -122,7 +122,7 @@ def test_goals_and_torque_reach_the_servos(rig: Rig) -> None:
     assert (words[:, 17] == 500).all()
 
 
-def test_poll_reads_all_in_rotation_within_the_budget(rig: Rig) -> None:
+def test_poll_reads_all_servos_in_rotation_within_budget(rig: Rig) -> None:
     q = np.linspace(-1.0, 1.0, 18)
     rig.bank.step(q, np.full(18, 0.5), np.full(18, -0.3), 0.002)
     seen = []
@@ -151,7 +151,7 @@ def test_poll_reads_all_in_rotation_within_the_budget(rig: Rig) -> None:
     assert rig.driver.ages().max() < 0.15
 
 
-def test_urgent_servos_are_read_in_every_call_and_the_others_in_turn() -> None:
+def test_urgent_servos_are_read_in_each_poll_and_others_in_rotation() -> None:
     rig = Rig()
     rig.driver.setup()
     urgent, seen = [4, 10], []
@@ -172,7 +172,7 @@ def test_urgent_servos_are_read_in_every_call_and_the_others_in_turn() -> None:
 
 @pytest.mark.parametrize("usb_ms", [0.2, 1.0, 1.3, 2.0])
 @pytest.mark.parametrize("count", [0, 1, 3])
-def test_nobody_waits_long_for_a_question_whoever_is_urgent(usb_ms: float, count: int) -> None:
+def test_reading_age_stays_below_150_ms_with_urgent_servos(usb_ms: float, count: int) -> None:
     """Check that the robot can hold within 250 ms after a servo stops responding.
 
     Silence is detected after four requests in a row.
@@ -193,7 +193,7 @@ def test_nobody_waits_long_for_a_question_whoever_is_urgent(usb_ms: float, count
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
-def test_a_silent_servo_is_found_out_within_a_quarter_of_a_second(servo: int) -> None:
+def test_silent_servo_is_detected_within_250_ms(servo: int) -> None:
     urgent = [4, 10, 16]
     for phase in range(12):
         rig = Rig(usb_ms=1.3)
@@ -227,7 +227,7 @@ def test_six_servos_fit_a_50_hz_cycle() -> None:
     assert rig.port.now_ns() - start == 980_000 + 6 * 1_220_000
 
 
-def test_a_process_that_is_stopped_while_it_asks_asks_on_when_it_is_back() -> None:
+def test_poll_recovers_after_process_pause_during_a_request() -> None:
     rig = Rig()
     stopped_ns = [0]
 
@@ -246,12 +246,12 @@ def test_a_process_that_is_stopped_while_it_asks_asks_on_when_it_is_back() -> No
     assert len(driver.poll(100_000)) == 1, "a budget that is too small for a question has room for one"
 
 
-def test_no_budget_reads_nothing(rig: Rig) -> None:
+def test_poll_with_zero_budget_reads_no_servo(rig: Rig) -> None:
     assert rig.driver.poll(0) == []
     assert np.isinf(rig.driver.ages()).all()
 
 
-def test_ages_grow_with_time(rig: Rig) -> None:
+def test_reading_ages_grow_with_time(rig: Rig) -> None:
     (reading,) = rig.driver.poll(2_000_000)
     rig.now_ns = reading.stamp_ns + 5_000_000_000
     ages = rig.driver.ages()
@@ -271,14 +271,14 @@ def test_scan_ping_read_write(rig: Rig) -> None:
         rig.driver.write(5, dxl.LED, 2)
 
 
-def test_a_refused_write_is_false_and_counted(rig: Rig) -> None:
+def test_write_refused_by_servo_returns_false_and_is_counted(rig: Rig) -> None:
     assert rig.driver.write(5, dxl.CW_ANGLE_LIMIT, 400)
     assert not rig.driver.write(5, dxl.GOAL_POSITION, 300)
     assert rig.driver.lost == {Lost.REFUSED: 1}
     assert rig.driver.errors[IDS.index(5)] == ServoError.ANGLE_LIMIT
 
 
-def test_shutdown_shows_in_the_reading_and_ends_with_the_torque_limit() -> None:
+def test_shutdown_is_in_reading_and_ends_when_torque_limit_is_restored() -> None:
     rig = Rig((1,))
     rig.driver.setup()
     rig.driver.set_torque(True)
@@ -310,18 +310,18 @@ def test_missing_and_wrong_servos_are_named() -> None:
     assert "3 of 19 servos" in str(failure.value)
 
 
-def test_nobody_there_is_said_once() -> None:
+def test_setup_without_any_servo_raises_one_error() -> None:
     rig = Rig()
     with pytest.raises(BusSetupError, match="none of the 2 servos answers; check their power"):
         ServoBus(rig.port, (50, 51), rig.port.now_ns).setup()
 
 
-def test_an_echo_that_was_not_configured_is_recognised() -> None:
+def test_unconfigured_echo_is_detected() -> None:
     with pytest.raises(BusSetupError, match="turn the echo setting on"):
         Rig((1, 2), echo=True, driver_echo=False).driver.setup()
 
 
-def test_an_echo_that_does_not_come_is_counted_and_answers_nothing() -> None:
+def test_missing_echo_is_counted_and_fails_setup() -> None:
     rig = Rig((1, 2), echo=False, driver_echo=True)
     with pytest.raises(BusSetupError, match="echo setting"):
         rig.driver.setup()
@@ -329,7 +329,7 @@ def test_an_echo_that_does_not_come_is_counted_and_answers_nothing() -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_setup_wakes_servos_that_were_told_to_keep_quiet(level: int) -> None:
+def test_setup_restores_status_return_level(level: int) -> None:
     rig = Rig((1, 2))
     rig.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] = level
     rig.driver.setup()
@@ -337,14 +337,14 @@ def test_setup_wakes_servos_that_were_told_to_keep_quiet(level: int) -> None:
     assert (rig.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] == 2).all()
 
 
-def test_a_locked_eeprom_that_needs_a_change_is_named() -> None:
+def test_setup_names_servo_with_locked_eeprom_to_be_changed() -> None:
     rig = Rig((1,))
     rig.bank.tables[:, dxl.LOCK.address] = 1
     with pytest.raises(BusSetupError, match="servo 1 does not accept return delay 0"):
         rig.driver.setup()
 
 
-def test_a_silent_servo_is_counted_ages_and_is_asked_less_and_less() -> None:
+def test_silent_servo_is_polled_less_and_less_often() -> None:
     rig = Rig((1, 2, 3))
     rig.driver.setup()
     driver = ServoBus(rig.port, (1, 99, 3), rig.port.now_ns)
@@ -356,7 +356,7 @@ def test_a_silent_servo_is_counted_ages_and_is_asked_less_and_less() -> None:
     assert np.isinf(driver.ages()).tolist() == [False, True, False]
 
 
-def test_noise_in_front_of_an_answer_does_not_lose_it() -> None:
+def test_reply_after_noise_bytes_is_still_read() -> None:
     rig = Rig()
     rig.driver.setup()
     first = [b"\xff\xff\x01\x04\x00 noise", b"", b"\xff"]
@@ -367,7 +367,7 @@ def test_noise_in_front_of_an_answer_does_not_lose_it() -> None:
     assert driver.lost[Dropped.CHECKSUM] + driver.lost[Dropped.NOISE] > 0
 
 
-def test_a_broken_answer_is_asked_for_again_at_once() -> None:
+def test_corrupted_reply_does_not_delay_the_next_request() -> None:
     rig = Rig()
     rig.driver.setup()
     damage = [1]
@@ -384,7 +384,7 @@ def test_a_broken_answer_is_asked_for_again_at_once() -> None:
     assert driver.loss == pytest.approx(1 / (len(readings) + 1))
 
 
-def test_the_answer_of_another_servo_is_not_taken() -> None:
+def test_reply_of_another_servo_is_rejected() -> None:
     rig = Rig()
     rig.driver.setup()
     stranger = dxl.status(77, 0, bytes(8))
@@ -397,7 +397,7 @@ def test_the_answer_of_another_servo_is_not_taken() -> None:
 
 @WILD
 @given(st.lists(st.binary(max_size=30), max_size=12), st.booleans())
-def test_whatever_comes_in_nothing_is_raised_and_what_is_read_is_real(garbage: list[bytes], echo: bool) -> None:
+def test_garbage_input_raises_no_error_and_gives_no_false_reading(garbage: list[bytes], echo: bool) -> None:
     rig = Rig((1, 2, 3), echo=echo)
     rig.driver.setup()
     rest = list(garbage)
@@ -422,7 +422,7 @@ def test_whatever_comes_in_nothing_is_raised_and_what_is_read_is_real(garbage: l
         (np.full(18, 512), 1024),
     ],
 )
-def test_goals_that_no_servo_can_take_are_refused(rig: Rig, goals: np.ndarray, speed: int) -> None:
+def test_goals_and_speeds_out_of_range_are_refused(rig: Rig, goals: np.ndarray, speed: int) -> None:
     before = rig.bus.counts.instructions.total()
     with pytest.raises(ValueError, match=r"goal position|moving speed"):
         rig.driver.sync_write_goals(goals, speed)
@@ -430,12 +430,12 @@ def test_goals_that_no_servo_can_take_are_refused(rig: Rig, goals: np.ndarray, s
 
 
 @pytest.mark.parametrize("ids", [(1, 1), (254,), (-1,)])
-def test_ids_must_be_valid_and_different(ids: tuple[int, ...]) -> None:
+def test_invalid_or_duplicate_ids_are_refused(ids: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="each once"):
         ServoBus(Rig().port, ids, lambda: 0)
 
 
-def test_a_closed_port_is_named() -> None:
+def test_use_of_closed_port_raises_bus_disconnected_error() -> None:
     rig = Rig()
     rig.driver.close()
     for use in (
@@ -450,7 +450,7 @@ def test_a_closed_port_is_named() -> None:
 # --------------------------------------------------------------------------------------------- TCP through pyserial
 
 
-def test_over_tcp_as_on_a_serial_device() -> None:
+def test_driver_works_over_tcp_as_on_serial_port() -> None:
     bank = ServoBank((1, 2, 3))
     bus = ServoBusEmulator(bank)
     with TcpBusServer(bus) as server:
@@ -471,7 +471,7 @@ def test_over_tcp_as_on_a_serial_device() -> None:
         driver.close()
 
 
-def test_no_answer_is_lost_where_simulated_time_runs_by_fits_and_starts(tmp_path: Path) -> None:
+def test_no_reply_is_lost_when_simulated_time_advances_in_bursts(tmp_path: Path) -> None:
     """Check a busy computer, where the simulator pauses longer than a reply may take."""
     time_ = SimulatedTime.create(tmp_path / "time", [SERVO_BUS])
     bank, over = ServoBank((1, 2, 3)), threading.Event()
@@ -497,7 +497,7 @@ def test_no_answer_is_lost_where_simulated_time_runs_by_fits_and_starts(tmp_path
             thread.join()
 
 
-def test_a_port_that_is_not_there_is_named() -> None:
+def test_opening_a_missing_port_names_it() -> None:
     with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
         url = server.url
     with pytest.raises(
@@ -509,7 +509,7 @@ def test_a_port_that_is_not_there_is_named() -> None:
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1", "socket://127.0.0.1:99999", "rfc2217://127.0.0.1"])
-def test_what_is_no_address_is_answered_by_what_is(url: str) -> None:
+def test_invalid_port_address_error_lists_valid_forms(url: str) -> None:
     with pytest.raises(
         BusDisconnectedError, match=re.escape(f"{url}: a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,")
     ):
@@ -517,7 +517,7 @@ def test_what_is_no_address_is_answered_by_what_is(url: str) -> None:
 
 
 @pytest.mark.parametrize("vanished", [False, True])
-def test_a_port_over_tcp_closes_at_once(vanished: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tcp_port_closes_without_delay(vanished: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that closing a port does not sleep: a control cycle cannot wait."""
     with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
         port = open_port(server.url)
@@ -540,7 +540,7 @@ def test_a_port_over_tcp_closes_at_once(vanished: bool, monkeypatch: pytest.Monk
         (errno.EIO, "no other program uses it"),
     ],
 )
-def test_who_cannot_open_a_port_is_told_what_to_do(error: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_open_error_suggests_remedy(error: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise serial.SerialException(error, os.strerror(error))
 

@@ -18,7 +18,7 @@ from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SE
 
 
 @pytest.mark.parametrize("torque", [True, False])
-def test_a_beginning_moves_nobody_and_turns_nothing_on_or_off(torque: bool) -> None:
+def test_start_up_writes_no_goals_and_no_torque(torque: bool) -> None:
     rig = JointsRig(torque)
     before = rig.bank.tables[:, dxl.TORQUE_ENABLE.address : dxl.TORQUE_LIMIT.address + 2].copy()
     rig.start()
@@ -29,7 +29,7 @@ def test_a_beginning_moves_nobody_and_turns_nothing_on_or_off(torque: bool) -> N
     assert not {GOALS, TORQUE} & set(rig.orders())
 
 
-def test_it_knows_of_each_servo_whether_it_pulls() -> None:
+def test_torque_state_of_each_servo_is_read_at_start_up() -> None:
     rig = JointsRig()
     rig.put(SERVO, dxl.TORQUE_ENABLE, 0)
     rig.start()
@@ -38,7 +38,7 @@ def test_it_knows_of_each_servo_whether_it_pulls() -> None:
 
 
 @pytest.mark.parametrize("way", ["at the start", "on its return"])
-def test_goals_that_stand_in_the_servos_are_kept_within_ten_degrees_and_else_they_are_where_the_joints_are(way: str) -> None:
+def test_stored_goals_are_kept_if_within_10_deg_of_the_joints(way: str) -> None:
     off = np.radians(np.linspace(-20.0, 20.0, 18))
     rig = JointsRig(torque=False, off=off if way == "at the start" else 0.0).start()
     if way == "on its return":
@@ -53,7 +53,7 @@ def test_goals_that_stand_in_the_servos_are_kept_within_ten_degrees_and_else_the
 
 
 @pytest.mark.parametrize("lock", [True, False])
-def test_a_beginning_locks_what_servos_keep_without_power_if_the_robot_says_so(lock: bool) -> None:
+def test_start_up_locks_eeprom_if_profile_requires_it(lock: bool) -> None:
     rig = JointsRig()
     rig.joints = Joints(replace(PROFILE, servo=replace(PROFILE.servo, lock_eeprom=lock)), Settings(), rig.opener, rig.clock)
     rig.cycle(1)
@@ -68,7 +68,7 @@ def test_a_beginning_locks_what_servos_keep_without_power_if_the_robot_says_so(l
 
 
 @pytest.mark.parametrize("torque", [True, False])
-def test_a_servo_that_was_left_weak_is_known_and_stays_so_until_an_order_takes_it_up_where_it_is(torque: bool) -> None:
+def test_reduced_torque_limit_persists_until_torque_on_at_present_position(torque: bool) -> None:
     rig = JointsRig(torque, off=np.radians(5.0))
     rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
     rig.start()
@@ -84,7 +84,7 @@ def test_a_servo_that_was_left_weak_is_known_and_stays_so_until_an_order_takes_i
     assert (rig.joints.vitals.strength == 1.0).all()
 
 
-def test_less_torque_than_the_data_sheets_is_not_weak_where_the_servo_keeps_that_for_its_most() -> None:
+def test_torque_limit_equal_to_max_torque_register_counts_as_full() -> None:
     rig = JointsRig()
     rig.put(SERVO, dxl.MAX_TORQUE, 800)
     rig.put(SERVO, dxl.TORQUE_LIMIT, 800)
@@ -92,7 +92,7 @@ def test_less_torque_than_the_data_sheets_is_not_weak_where_the_servo_keeps_that
     assert (rig.joints.strength == 1.0).all()
 
 
-def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
+def test_torque_on_does_not_restore_an_overheated_servo() -> None:
     rig = JointsRig()
     rig.bank._faults[SERVO] = int(dxl.ServoError.OVERHEATING)
     rig.put(SERVO, dxl.LED, 0)
@@ -104,7 +104,7 @@ def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
 
 
-def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly() -> None:
+def test_torque_restored_beyond_joint_limit_moves_to_limit_slowly() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
     low = PROFILE.joint_limits[LEG, JOINT, 0]
@@ -114,7 +114,7 @@ def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
 
 
-def test_a_joint_beyond_its_limit_gets_the_limit_for_its_goal_when_torque_is_ordered_on_and_goes_there_slowly() -> None:
+def test_torque_on_beyond_joint_limit_moves_to_limit_slowly() -> None:
     rig = JointsRig(torque=False).start()
     rig.cycle(8)
     low = PROFILE.joint_limits[LEG, JOINT, 0]
@@ -124,7 +124,7 @@ def test_a_joint_beyond_its_limit_gets_the_limit_for_its_goal_when_torque_is_ord
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
 
 
-def test_a_servo_that_was_set_up_weaker_is_woken_with_no_more_than_that() -> None:
+def test_restored_torque_limit_does_not_exceed_max_torque_register() -> None:
     rig = JointsRig()
     rig.put(SERVO, dxl.MAX_TORQUE, 700)
     rig.put(SERVO, dxl.TORQUE_LIMIT, 700)
@@ -134,7 +134,7 @@ def test_a_servo_that_was_set_up_weaker_is_woken_with_no_more_than_that() -> Non
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 700
 
 
-def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
+def test_voltage_and_temperature_are_nan_until_first_reading() -> None:
     rig = JointsRig().start()
     assert np.isnan(rig.joints.voltage).all()
     assert np.isnan(rig.joints.temperature).all()
@@ -146,7 +146,7 @@ def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
     assert rig.joints.vitals.trouble == ""
 
 
-def test_what_is_lost_counts_once_the_bus_has_been_watched_for_a_while() -> None:
+def test_packet_loss_is_zero_until_observation_window_is_filled() -> None:
     rig = JointsRig().start()
     rig.suffer("packets", "silent", 0.5, share=0.5)
     losses = []
@@ -157,7 +157,7 @@ def test_what_is_lost_counts_once_the_bus_has_been_watched_for_a_while() -> None
     assert min(losses[12:]) > 0.3
 
 
-def test_servos_may_take_a_while_to_answer_at_the_start_and_no_longer() -> None:
+def test_start_up_waits_for_late_servos_until_timeout() -> None:
     rig = JointsRig()
     rig.suffer("bus", "silent", 1.0)
     rig.start()
@@ -168,7 +168,7 @@ def test_servos_may_take_a_while_to_answer_at_the_start_and_no_longer() -> None:
         dead.start()
 
 
-def test_an_order_to_let_go_that_comes_while_servos_are_asked_does_not_wait_for_the_last_of_them() -> None:
+def test_torque_off_interrupts_servo_queries_at_start_up() -> None:
     rig = JointsRig()
     asked = list[int]()
 
@@ -185,7 +185,7 @@ def test_an_order_to_let_go_that_comes_while_servos_are_asked_does_not_wait_for_
     assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
 
 
-def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_servo_that_goes_silent_during_start_up_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = JointsRig()
 
     def set_up(joints: Joints) -> None:
@@ -197,7 +197,7 @@ def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatc
         rig.start()
 
 
-def test_motor_torques_are_those_in_the_direction_of_growing_angles_and_zero_where_nobody_answers() -> None:
+def test_read_loads_uses_joint_sign_and_zero_for_silent_servos() -> None:
     rig = JointsRig().start()
     load = np.linspace(-0.5, 0.5, 18).reshape(6, 3)
     rig.bank.step(rig.q, np.zeros(18), (PROFILE.servo_signs * load).ravel(), 0.02)
@@ -211,7 +211,7 @@ def test_motor_torques_are_those_in_the_direction_of_growing_angles_and_zero_whe
 GENTLY, SLOWLY = (dxl.moving_speed_from(speed) for speed in (GENTLE, LOWERED))
 
 
-def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_nobody_else_does() -> None:
+def test_only_returning_servo_moves_slowly_until_it_reaches_its_goal() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
     rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO])
@@ -229,7 +229,7 @@ def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_n
     assert abs(rig.measured[LEG, JOINT] - moved[LEG, JOINT]) < np.radians(5.0)
 
 
-def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_meanwhile() -> None:
+def test_all_servos_move_gently_if_contact_is_lost_during_catch_up() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
     rig.suffer("servo", "silent", 5.0, servo=IDS[SERVO])
@@ -241,7 +241,7 @@ def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_mea
     assert rig.said_speeds == [GENTLY] * 18
 
 
-def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_and_all_go_slowly_meanwhile() -> None:
+def test_silent_bus_limits_speed_until_all_servos_respond() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
     assert not rig.joints.not_responding
@@ -262,7 +262,7 @@ def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_
     assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
 
 
-def test_a_servo_that_stays_silent_does_not_keep_the_others_waiting_for_long() -> None:
+def test_permanently_silent_servo_delays_recovery_by_less_than_2_s() -> None:
     rig = JointsRig().start()
     rig.cycle(8, write=True)
     rig.suffer("bus", "silent", 0.5)

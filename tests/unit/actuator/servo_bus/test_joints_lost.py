@@ -21,7 +21,7 @@ from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SE
 # ----------------------------------------------------------------------------------------------- a port that disconnects
 
 
-def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands() -> None:
+def test_lost_port_is_reported_and_reconnects_at_measured_positions() -> None:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.suffer("bus", "gone", 1.0)
@@ -64,7 +64,7 @@ def test_a_joint_that_was_catching_up_slowly_continues_slowly_when_the_port_is_b
 
 
 @pytest.mark.parametrize("act", ["write", "let go", "grip", "revive"])
-def test_whatever_is_said_to_a_port_that_has_just_gone_is_no_error(act: str) -> None:
+def test_writes_to_a_lost_port_raise_no_error(act: str) -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "gone", 1.0)
     for _ in range(2):  # the first call detects the lost port
@@ -81,7 +81,7 @@ def test_whatever_is_said_to_a_port_that_has_just_gone_is_no_error(act: str) -> 
     assert rig.joints.torque.all() == (act in ("write", "revive"))
 
 
-def test_it_is_looked_for_five_times_a_second() -> None:
+def test_lost_port_is_retried_5_times_per_second() -> None:
     tried = list[int]()
 
     def plug_in() -> MemoryPort:
@@ -98,7 +98,7 @@ def test_it_is_looked_for_five_times_a_second() -> None:
     assert (np.diff(tried[1:]) <= 0.25e9).all()
 
 
-def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_return_and_before_any_goal() -> None:
+def test_torque_off_during_port_loss_is_sent_first_on_reconnection() -> None:
     rig = JointsRig().start()
     rig.cycle(3, write=True)
     rig.suffer("bus", "gone", 0.5)
@@ -117,7 +117,7 @@ def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_r
     assert not rig.joints.torque.any()
 
 
-def test_torque_off_is_said_until_it_is_ordered_on_since_nobody_answers() -> None:
+def test_torque_off_is_repeated_until_torque_on() -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "silent", 0.3)
     rig.joints.torque_off()
@@ -132,7 +132,7 @@ def test_torque_off_is_said_until_it_is_ordered_on_since_nobody_answers() -> Non
     assert rig.registers(dxl.TORQUE_ENABLE) == [1] * 18
 
 
-def test_a_port_that_is_back_with_a_servo_missing_is_not_taken_for_the_whole() -> None:
+def test_reconnection_waits_for_missing_servo() -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "gone", 0.4)
     rig.suffer("servo", "silent", 2.0, servo=IDS[SERVO])
@@ -146,7 +146,7 @@ def test_a_port_that_is_back_with_a_servo_missing_is_not_taken_for_the_whole() -
     assert rig.now_ns - begin > 1.5e9
 
 
-def test_a_port_that_is_back_is_found_through_lost_answers() -> None:
+def test_reconnection_succeeds_despite_packet_loss() -> None:
     rig = JointsRig().start()
     rig.suffer("bus", "gone", 0.4)
     rig.suffer("packets", "silent", 100.0, share=0.1)
@@ -156,7 +156,7 @@ def test_a_port_that_is_back_is_found_through_lost_answers() -> None:
     assert rig.now_ns - begin < 3e9
 
 
-def test_a_port_that_is_back_under_another_name_is_found_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reconnection_finds_port_under_another_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def open_port(url: str, timeout_ns: int) -> MemoryPort:
         try:
             return rig.plug_in(int(url.removeprefix("port")))
@@ -181,7 +181,7 @@ def test_a_port_that_is_back_under_another_name_is_found_there(monkeypatch: pyte
 
 
 @pytest.mark.parametrize("cable", [True, False])
-def test_a_servo_that_comes_back_limp_is_said_so_and_one_that_was_silent_only_pulls(cable: bool) -> None:
+def test_power_loss_of_servo_is_distinguished_from_silence(cable: bool) -> None:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO], cable=cable)
@@ -193,7 +193,7 @@ def test_a_servo_that_comes_back_limp_is_said_so_and_one_that_was_silent_only_pu
     assert np.flatnonzero(rig.joints.vitals.torque_disabled).tolist() == [SERVO] * cable
 
 
-def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_query_is_repeated_after_lost_replies(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO], cable=True)
@@ -211,7 +211,7 @@ def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyP
     assert lost == [IDS[SERVO]] * 3
 
 
-def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> None:
+def test_torque_on_sets_goals_of_torqueless_joints_to_their_position() -> None:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.suffer("servo", "silent", 0.5, servo=IDS[SERVO], cable=True)
@@ -233,7 +233,7 @@ def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> 
     assert abs(rig.q[SERVO] - STAND[SERVO] - 0.3) < 2 * TICK, "it stays where it is"
 
 
-def overloaded() -> JointsRig:
+def overloaded_rig() -> JointsRig:
     """Return a rig with one servo shut down and hanging 0.3 rad below its goal."""
     rig = JointsRig().start()
     rig.cycle(8)
@@ -245,8 +245,8 @@ def overloaded() -> JointsRig:
     return rig
 
 
-def test_a_servo_is_woken_where_it_is_and_knows_that_before_it_pulls() -> None:
-    rig = overloaded()
+def test_restore_torque_sets_goal_to_position_before_torque_limit() -> None:
+    rig = overloaded_rig()
     goals, heard = rig.joints.goals.copy(), len(rig.bus.said)
     rig.joints.restore_torque(SERVO)
     words = rig.orders(heard)
@@ -262,8 +262,8 @@ def test_a_servo_is_woken_where_it_is_and_knows_that_before_it_pulls() -> None:
     np.testing.assert_array_equal(rig.joints.goals[others], goals[others])
 
 
-def test_a_servo_that_does_not_say_that_it_has_its_goal_is_not_woken() -> None:
-    rig = overloaded()
+def test_restore_torque_is_skipped_without_goal_confirmation() -> None:
+    rig = overloaded_rig()
     rig.suffer("packets", "silent", 0.1, share=1.0)
     heard = len(rig.bus.said)
     rig.joints.restore_torque(SERVO)
@@ -272,7 +272,7 @@ def test_a_servo_that_does_not_say_that_it_has_its_goal_is_not_woken() -> None:
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
 
 
-def test_closing_leaves_all_as_it_is() -> None:
+def test_close_writes_no_register() -> None:
     rig = JointsRig().start()
     rig.cycle()
     before = rig.bank.tables.copy()
@@ -283,7 +283,7 @@ def test_closing_leaves_all_as_it_is() -> None:
         rig.port.write(b"x")  # type: ignore[union-attr]
 
 
-def test_a_port_behind_which_a_bridge_stands_comes_back_too() -> None:
+def test_lost_port_of_mcu_bridge_reconnects() -> None:
     rig = JointsRig()
     board = Board(rig.bus)
 
@@ -308,7 +308,7 @@ def test_a_port_behind_which_a_bridge_stands_comes_back_too() -> None:
 
 
 @pytest.mark.parametrize("servo", [None, SERVO])
-def test_servos_that_did_not_hear_that_they_shall_pull_are_known_to_be_limp(servo: int | None) -> None:
+def test_missed_torque_on_is_detected_by_reading_torque_enable(servo: int | None) -> None:
     rig = JointsRig(torque=False).start()
     rig.cycle(8)
     target = {"servo": IDS[servo]} if servo is not None else {}
@@ -325,7 +325,7 @@ def test_servos_that_did_not_hear_that_they_shall_pull_are_known_to_be_limp(serv
 
 
 @pytest.mark.parametrize("gap_s", [0.04, 0.06, 0.08, 0.10, 0.12, 0.2])
-def test_a_servo_that_was_without_power_between_two_questions_is_known_to_be_limp(gap_s: float) -> None:
+def test_short_power_loss_of_servo_between_reads_is_detected(gap_s: float) -> None:
     rig = JointsRig().start()
     rig.cycle(20, write=True)
     rig.suffer("servo", "silent", gap_s, servo=IDS[SERVO], cable=True)
@@ -334,7 +334,7 @@ def test_a_servo_that_was_without_power_between_two_questions_is_known_to_be_lim
     assert np.flatnonzero(~rig.joints.torque).tolist() == [SERVO]
 
 
-def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held_for_limp_and_gripped_where_they_are() -> None:
+def test_torque_off_lost_on_reconnection_is_repeated_and_goals_reset() -> None:
     rig = JointsRig().start()
     rig.cycle(5, write=True)
     rig.suffer("bus", "gone", 0.5)

@@ -97,7 +97,7 @@ def walking() -> Rig:
     return rig
 
 
-def test_setup_changes_nothing_but_the_return_delay() -> None:
+def test_setup_changes_only_the_return_delay() -> None:
     for torque in (False, True):
         rig = Rig(torque=torque)
         rig.bank.tables.view("<u2")[:, dxl.GOAL_POSITION.address // 2] = 520
@@ -111,13 +111,13 @@ def test_setup_changes_nothing_but_the_return_delay() -> None:
         assert not rig.driver.lost
 
 
-def test_it_is_set_up_within_a_second() -> None:
+def test_setup_takes_less_than_1_s() -> None:
     rig = Rig()
     rig.driver.setup()
     assert rig.port.now_ns() < 1_000_000_000
 
 
-def test_all_servos_are_read_in_every_cycle_with_their_times() -> None:
+def test_all_servos_are_read_in_each_cycle_with_time_stamps() -> None:
     rig = Rig().ready()
     q = np.linspace(-1.0, 1.0, 18)
     rig.bank.step(q, np.full(18, 0.5), np.full(18, -0.3), 0.002)
@@ -137,7 +137,7 @@ def test_all_servos_are_read_in_every_cycle_with_their_times() -> None:
     assert rig.driver.ages().max() < 0.02
 
 
-def test_a_reading_says_which_goals_its_servo_had_by_the_board_s_own_clock() -> None:
+def test_reading_refers_to_active_goals_by_board_clock() -> None:
     """Check the time of a reading's goals by the board's clock, within 8 ms.
 
     Goals arrive 1.1 ms after they were sent, and the board rounds to 1 ms. States take 4 ms, which count as none: 7 ms.
@@ -159,7 +159,7 @@ def test_a_reading_says_which_goals_its_servo_had_by_the_board_s_own_clock() -> 
     assert 10_000_000 < max(ages) < PERIOD + 3_000_000
 
 
-def test_a_board_that_starts_anew_and_ages_in_whole_milliseconds_do_not_confuse_which_goals_a_servo_had() -> None:
+def test_goal_time_of_reading_survives_board_restart_and_rounding() -> None:
     rig = walking()
     seen = rig.driver.state
     assert seen is not None
@@ -183,7 +183,7 @@ def test_a_board_that_starts_anew_and_ages_in_whole_milliseconds_do_not_confuse_
     assert since_ms(50_000, 6, 9, 2.0) == pytest.approx(7.5), "its clock begins at 0"
 
 
-def test_goals_and_limits_reach_the_servos_and_torque_only_behind_goals() -> None:
+def test_torque_on_requires_fresh_goals_and_goals_reach_servos() -> None:
     rig = Rig().ready()
     rig.driver.set_torque(True)
     rig.cycle(2)
@@ -205,7 +205,7 @@ def test_goals_and_limits_reach_the_servos_and_torque_only_behind_goals() -> Non
     assert rig.driver.trouble == ""
 
 
-def test_torque_is_not_turned_on_with_a_goal_far_from_its_servo() -> None:
+def test_torque_on_is_refused_with_a_goal_far_from_the_position() -> None:
     rig = Rig().ready()
     goals = HERE.copy()
     goals[5] += FAR_TICKS + 1
@@ -221,7 +221,7 @@ def test_torque_is_not_turned_on_with_a_goal_far_from_its_servo() -> None:
     assert rig.torque.all()
 
 
-def test_off_is_latched_and_goals_do_not_undo_it() -> None:
+def test_torque_off_is_latched_and_not_undone_by_goals() -> None:
     rig = walking()
     rig.driver.set_torque(False)
     rig.cycle(1)
@@ -252,7 +252,7 @@ def test_a_register_write_may_not_turn_torque_on() -> None:
     assert rig.driver.lost["bridge: order refused"] == 1
 
 
-def test_without_fresh_goals_it_holds_and_says_so_and_torque_stays() -> None:
+def test_stale_goals_make_bridge_hold_with_torque_on() -> None:
     rig = walking()
     rig.cycle(9)  # 180 ms
     assert rig.mode is Mode.ON
@@ -267,7 +267,7 @@ def test_without_fresh_goals_it_holds_and_says_so_and_torque_stays() -> None:
     assert (rig.goals == 512).all()
 
 
-def test_goals_that_went_ahead_meanwhile_are_followed_slowly_by_all_together() -> None:
+def test_distant_goals_after_pause_are_approached_at_coordinated_speed() -> None:
     rig = walking()
     rig.cycle(20)
     rig.written.clear()
@@ -285,7 +285,7 @@ def test_goals_that_went_ahead_meanwhile_are_followed_slowly_by_all_together() -
     assert (rig.goals == 612).all(), "in step again, it passes on what comes"
 
 
-def test_the_cable_is_pulled_and_comes_back() -> None:
+def test_reconnected_cable_resumes_with_torque_on() -> None:
     rig = walking()
     port = rig.port
     port.close()
@@ -304,7 +304,7 @@ def test_the_cable_is_pulled_and_comes_back() -> None:
     assert all((goals == 512).all() for goals in rig.written)
 
 
-def test_a_line_that_is_deaf_for_a_while_is_met_again_without_a_new_driver() -> None:
+def test_silent_serial_line_recovers_without_new_driver() -> None:
     rig, quiet = Rig(torque=True), [False]
     rig.plug_in(lambda data: b"" if quiet[0] else data)
     rig.ready().cycle(4, HERE)
@@ -319,7 +319,7 @@ def test_a_line_that_is_deaf_for_a_while_is_met_again_without_a_new_driver() -> 
     assert rig.driver.ages().max() < 0.03
 
 
-def test_the_firmware_restarts_while_the_robot_stands() -> None:
+def test_firmware_restart_does_not_move_standing_robot() -> None:
     rig = walking()
     rig.cycle(2, HERE + 3)
     rig.board.restart(rig.port.now_ns())
@@ -335,7 +335,7 @@ def test_the_firmware_restarts_while_the_robot_stands() -> None:
     assert not rig.torque.any()
 
 
-def test_off_that_is_ordered_while_the_firmware_is_down_is_done_when_it_is_up() -> None:
+def test_torque_off_during_firmware_restart_is_applied_afterwards() -> None:
     rig = walking()
     rig.board.restart(rig.port.now_ns())
     rig.cycle(2, HERE)
@@ -352,7 +352,7 @@ def test_off_that_is_ordered_while_the_firmware_is_down_is_done_when_it_is_up() 
     assert not rig.torque.any()
 
 
-def test_orders_that_waited_in_a_buffer_are_refused_for_their_age() -> None:
+def test_buffered_stale_orders_are_refused() -> None:
     rig = walking()
     held: list[bytes] = []
     write = rig.port.write
@@ -366,7 +366,7 @@ def test_orders_that_waited_in_a_buffer_are_refused_for_their_age() -> None:
     assert (rig.goals == 512).all()
 
 
-def test_states_that_waited_in_a_buffer_have_their_true_times() -> None:
+def test_buffered_states_keep_their_true_time_stamps() -> None:
     rig = walking()
     rig.now_ns += 60_000_000  # the host is stopped
     rig.board.advance(rig.now_ns)
@@ -376,7 +376,7 @@ def test_states_that_waited_in_a_buffer_have_their_true_times() -> None:
     assert rig.driver.ages().max() < 0.03
 
 
-def test_another_version_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_protocol_version_is_refused_with_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     monkeypatch.setattr(bridge_protocol, "VERSION", 2)
     hello = bridge_protocol.encode(bridge_protocol.Hello(2, 5, 0, bytes(IDS)))
@@ -393,7 +393,7 @@ def test_another_version_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> 
         rig.driver.setup()
 
 
-def test_nobody_or_a_bare_servo_bus_is_named() -> None:
+def test_setup_without_bridge_on_the_port_fails_with_hint() -> None:
     rig = Rig()
     bus = ServoBusEmulator(rig.bank)
     port = MemoryPort(bus, lambda: rig.now_ns, READ_NS * 1e-9)
@@ -402,7 +402,7 @@ def test_nobody_or_a_bare_servo_bus_is_named() -> None:
         driver.setup()
 
 
-def test_missing_servos_are_named_and_the_others_go_on() -> None:
+def test_missing_servos_are_named_and_others_keep_moving() -> None:
     rig = Rig((1, 2, 3), torque=True)
     rig.ids = (1, 42, 3)
     rig.plug_in()
@@ -415,7 +415,7 @@ def test_missing_servos_are_named_and_the_others_go_on() -> None:
     assert rig.driver.lost["bridge: no answer"] > 0
 
 
-def test_shutdown_shows_in_the_reading_and_ends_with_the_limit() -> None:
+def test_servo_shutdown_is_in_reading_and_ends_with_torque_limit() -> None:
     rig = Rig((1, 2), torque=True).ready()
     for _ in range(1600):
         rig.bank.step(np.zeros(2), np.zeros(2), np.array([1.5, 0.0]), 0.001)
@@ -432,7 +432,7 @@ def test_shutdown_shows_in_the_reading_and_ends_with_the_limit() -> None:
 @pytest.mark.parametrize(
     "goals", [np.full(18, 1024), np.full(18, -1), np.full(17, 512), np.full(18, 512.0), np.full(18, np.nan)]
 )
-def test_goals_that_no_servo_can_take_are_refused_before_they_are_sent(goals: np.ndarray) -> None:
+def test_invalid_goals_are_refused_before_sending(goals: np.ndarray) -> None:
     rig = walking()
     with pytest.raises(ValueError, match="goal position"):
         rig.driver.sync_write_goals(goals)
@@ -447,7 +447,7 @@ def test_more_servos_than_a_frame_holds_are_refused() -> None:
 
 @WILD
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=10))
-def test_whatever_comes_over_the_line_nothing_is_raised_and_what_is_read_is_real(noise: list[bytes]) -> None:
+def test_garbage_on_serial_line_gives_no_error_and_no_false_reading(noise: list[bytes]) -> None:
     rig, parts = Rig((1, 2, 3), torque=True), list(noise)
     rig.plug_in(lambda data: (parts.pop() if parts else b"") + data)
     here = np.full(3, 512)
@@ -467,7 +467,7 @@ def test_whatever_comes_over_the_line_nothing_is_raised_and_what_is_read_is_real
     assert rig.torque.all()
 
 
-def test_one_byte_in_a_hundred_broken_costs_readings_but_brings_no_wrong_one() -> None:
+def test_1_percent_corrupted_bytes_cause_no_false_reading() -> None:
     rig, rng = Rig((1, 2, 3), torque=True), np.random.default_rng(3)
     rig.ready()
 

@@ -54,14 +54,14 @@ IMPOSSIBLE = [{"position": 1024}, {"speed": 2048}, {"load": 2048}, {"error": 128
 
 
 @pytest.mark.parametrize("said", [{"position": 510}, {"position": 490}, {"voltage": 128}, {"temperature": 42}, {"load": 1023}])
-def test_what_changes_a_little_is_believed(said: dict[str, int]) -> None:
+def test_small_change_is_accepted(said: dict[str, int]) -> None:
     judge = Judge()
     assert judge.accepts(**said)
     assert not judge.of.refused
 
 
 @pytest.mark.parametrize(("said", "doubt"), LEAPS)
-def test_a_leap_is_believed_when_it_is_said_twice(said: dict[str, int], doubt: Implausibility) -> None:
+def test_jump_is_accepted_after_a_second_equal_reading(said: dict[str, int], doubt: Implausibility) -> None:
     judge = Judge()
     assert not judge.accepts(**said)
     assert judge.accepts(after_ms=1.2, **said)
@@ -70,7 +70,7 @@ def test_a_leap_is_believed_when_it_is_said_twice(said: dict[str, int], doubt: I
 
 
 @pytest.mark.parametrize(("said", "doubt"), LEAPS)
-def test_a_leap_that_is_not_borne_out_is_refused_by_its_reason(said: dict[str, int], doubt: Implausibility) -> None:
+def test_unconfirmed_jump_is_refused_with_reason(said: dict[str, int], doubt: Implausibility) -> None:
     judge = Judge()
     assert not judge.accepts(**said)
     assert judge.accepts(after_ms=1.2)
@@ -91,14 +91,14 @@ def test_a_servo_may_move_at_the_no_load_speed_of_its_model_and_no_servo_at_twic
 
 
 @pytest.mark.parametrize("said", IMPOSSIBLE)
-def test_what_no_servo_has_is_never_believed(said: dict[str, int]) -> None:
+def test_out_of_range_values_are_never_accepted(said: dict[str, int]) -> None:
     judge = Judge()
     assert not any(judge.accepts(after_ms=1.2, **said) for _ in range(5))
     assert judge.of.refused == {Implausibility.RANGE: 5}
     assert judge.accepts()
 
 
-def test_two_different_leaps_do_not_bear_each_other_out() -> None:
+def test_two_different_jumps_do_not_confirm_each_other() -> None:
     judge = Judge()
     assert not judge.accepts(position=900)
     assert not judge.accepts(after_ms=1.2, position=200)
@@ -106,7 +106,7 @@ def test_two_different_leaps_do_not_bear_each_other_out() -> None:
     assert judge.of.refused == {Implausibility.POSITION: 2}
 
 
-def test_a_servo_is_expected_at_its_last_three_goals_and_as_fast_as_it_turns() -> None:
+def test_position_is_accepted_near_last_3_goals_within_speed_limit() -> None:
     judge = Judge()
     judge.goal(600)
     assert judge.accepts(position=590)
@@ -121,7 +121,7 @@ def test_a_servo_is_expected_at_its_last_three_goals_and_as_fast_as_it_turns() -
     assert not fast.accepts(after_ms=20.0, position=900)  # 2 rad in 20 ms
 
 
-def test_a_joint_that_hangs_beside_its_goal_may_go_on_hanging() -> None:
+def test_constant_offset_from_goal_stays_accepted_once_confirmed() -> None:
     judge = Judge()
     for ticks in (480, 480, 480):
         judge.goal(ticks)
@@ -133,7 +133,7 @@ def test_a_joint_that_hangs_beside_its_goal_may_go_on_hanging() -> None:
     assert not judge.accepts(position=500)
 
 
-def test_while_answers_break_leaps_of_load_and_speed_are_doubted_too() -> None:
+def test_noisy_bus_requires_confirmation_of_load_and_speed_jumps() -> None:
     for said, doubt in (({"load": 510}, Implausibility.LOAD), ({"speed": 300}, Implausibility.SPEED)):
         assert Judge().accepts(**said)
         judge = Judge(noisy=True)
@@ -142,7 +142,7 @@ def test_while_answers_break_leaps_of_load_and_speed_are_doubted_too() -> None:
         assert judge.of.refused == {doubt: 1}
 
 
-def test_the_first_reading_of_a_bus_that_breaks_answers_is_asked_for_twice() -> None:
+def test_first_reading_on_noisy_bus_requires_confirmation() -> None:
     judge = ReadingValidator(1, dxl.AX_12A.no_load_speed)
     assert not judge.accepts(0, USUAL, True)
     assert not judge.accepts(0, USUAL._replace(position=100), True)
@@ -150,7 +150,7 @@ def test_the_first_reading_of_a_bus_that_breaks_answers_is_asked_for_twice() -> 
     assert judge.refused == {Implausibility.FIRST: 1}
 
 
-def test_the_same_again_of_a_joint_that_moves_is_strange_and_of_one_that_stands_is_not() -> None:
+def test_repeated_reading_is_refused_only_for_a_moving_joint() -> None:
     judge = Judge()
     assert all(judge.accepts() for _ in range(3))
     assert judge.accepts(position=505, speed=300)  # 3.5 rad/s
@@ -161,7 +161,7 @@ def test_the_same_again_of_a_joint_that_moves_is_strange_and_of_one_that_stands_
     assert judge.accepts(after_ms=1.2, position=530, speed=290)  # too soon for the joint to have moved
 
 
-def test_all_servos_share_one_supply() -> None:
+def test_confirmed_voltage_jump_applies_to_all_servos() -> None:
     judge = ReadingValidator(2, dxl.AX_12A.no_load_speed)
     assert judge.accepts(0, USUAL, False)
     assert judge.accepts(1, USUAL, False)
@@ -185,7 +185,7 @@ SAID = st.builds(
 
 @WILD
 @given(st.lists(st.tuples(SAID, st.integers(1, 200), st.booleans(), st.integers(0, 1023)), max_size=30))
-def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[tuple[State, int, bool, int]]) -> None:
+def test_accepted_random_readings_are_near_or_confirmed(said: list[tuple[State, int, bool, int]]) -> None:
     judge, now_ns = ReadingValidator(1, dxl.AX_12A.no_load_speed), 0
     believed: State | None = None
     unborne: State | None = None  # last reading that is possible but was not accepted
@@ -211,7 +211,7 @@ def test_whatever_is_said_what_is_believed_is_near_or_was_said_twice(said: list[
         goals.append(goal)
 
 
-def test_the_loss_is_that_of_the_window() -> None:
+def test_packet_loss_covers_only_the_time_window() -> None:
     loss = LossRate(100 * MS)
     assert loss.share(0) == 0.0
     for k in range(20):
@@ -229,7 +229,7 @@ def test_the_loss_is_that_of_the_window() -> None:
 
 @WILD
 @given(st.lists(st.tuples(st.integers(0, 50), st.booleans()), max_size=60))
-def test_the_loss_is_what_counting_says(asked: list[tuple[int, bool]]) -> None:
+def test_packet_loss_matches_direct_count(asked: list[tuple[int, bool]]) -> None:
     loss, now, noted = LossRate(100), 0, []
     for step, lost in asked:
         now += step

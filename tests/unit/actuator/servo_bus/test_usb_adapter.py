@@ -36,19 +36,19 @@ def link(tmp_path: Path) -> str:
     return str(link)
 
 
-def test_the_driver_takes_the_flag_from_anybody(timer: Path, link: str) -> None:
+def test_low_latency_flag_is_set_without_root(timer: Path, link: str) -> None:
     assert usb_adapter.latency_ms(link, timer.parents[1]) == 16
     assert usb_adapter.lower_latency(link, Port(timer), timer.parents[1]) == ""
     assert timer.read_text() == "1\n"
 
 
 @pytest.mark.parametrize("error", [OSError("no ioctl"), ValueError("Failed to update ASYNC_LOW_LATENCY flag")])
-def test_root_may_write_the_file(error: Exception, timer: Path, link: str) -> None:
+def test_latency_timer_file_is_written_if_flag_is_refused(error: Exception, timer: Path, link: str) -> None:
     assert usb_adapter.lower_latency(link, Port(timer, error), timer.parents[1]) == ""
     assert timer.read_text() == "1\n"
 
 
-def test_who_may_neither_is_told_the_command_and_the_rule(timer: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_permission_names_command_and_udev_rule(timer: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> int:
         raise PermissionError(13, "Permission denied")
 
@@ -60,7 +60,7 @@ def test_who_may_neither_is_told_the_command_and_the_rule(timer: Path, link: str
     assert timer.read_text() == "16\n"
 
 
-def test_a_quick_one_and_a_port_without_are_left_alone(timer: Path, link: str) -> None:
+def test_low_latency_adapter_and_ports_without_timer_are_unchanged(timer: Path, link: str) -> None:
     timer.write_text("1\n")
     touched = Port(timer, AssertionError("not to be touched"))
     assert usb_adapter.lower_latency(link, touched, timer.parents[1]) == ""

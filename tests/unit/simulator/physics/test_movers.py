@@ -22,19 +22,19 @@ CART = BoxMover(((-1.0, 0.0), (1.0, 0.0), (1.0, 1.0)), speed=0.5, size=(0.4, 0.2
 HERE = from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3))
 
 
-def moving(*movers: Mover, seed: int = 0) -> Movers:
+def make_movers(*movers: Mover, seed: int = 0) -> Movers:
     return Movers(movers, build_terrain(STEP, np.random.default_rng(0)), np.random.default_rng(seed))
 
 
-def legs_of(movers: Movers, now_s: float, body: Array = HERE) -> tuple[Array, Array]:
+def leg_ends(movers: Movers, now_s: float, body: Array = HERE) -> tuple[Array, Array]:
     """Return the lower and upper ends (2, 3) of a pair of legs."""
     movers.advance(now_s, body)
     capsules = movers.solids()[1]
     return capsules.start, capsules.end
 
 
-def test_a_box_follows_its_path_and_is_there_only_meanwhile() -> None:
-    movers = moving(CART)
+def test_moving_box_exists_only_while_on_its_path() -> None:
+    movers = make_movers(CART)
     for now_s, centre in ((2.0, (-1.0, 0.0, 0.15)), (4.0, (0.0, 0.0, 0.15)), (7.0, (1.0, 0.5, 0.15))):
         movers.advance(now_s, HERE)
         boxes, capsules = movers.solids()
@@ -47,8 +47,8 @@ def test_a_box_follows_its_path_and_is_there_only_meanwhile() -> None:
         assert len(movers.solids()[0]) == 0
 
 
-def test_it_sets_off_again_after_its_period() -> None:
-    movers = moving(replace(CART, period_s=10.0))
+def test_moving_box_restarts_after_its_period() -> None:
+    movers = make_movers(replace(CART, period_s=10.0))
     for lap in range(3):
         movers.advance(4.0 + 10.0 * lap, HERE)
         np.testing.assert_allclose(movers.solids()[0].centre, [[0.0, 0.0, 0.15]], atol=1e-9)
@@ -56,11 +56,11 @@ def test_it_sets_off_again_after_its_period() -> None:
         assert len(movers.solids()[0]) == 0
 
 
-def test_one_leg_stands_while_the_other_swings_and_none_leaves_the_hips() -> None:
-    movers = moving(LEGS)
+def test_moving_legs_alternate_stance_and_swing_within_stride() -> None:
+    movers = make_movers(LEGS)
     times = np.arange(0.1, 3.2, 0.01)
-    feet = np.array([legs_of(movers, t)[0] for t in times])
-    hips = np.array([legs_of(movers, t)[1] for t in times])
+    feet = np.array([leg_ends(movers, t)[0] for t in times])
+    hips = np.array([leg_ends(movers, t)[1] for t in times])
     np.testing.assert_allclose(np.diff(hips[:, 0, 1]), 0.012, atol=1e-9)
     still = np.linalg.norm(np.diff(feet, axis=0), axis=2) < 1e-6  # (times - 1, legs)
     assert still.any(axis=1).mean() > 0.95
@@ -71,30 +71,30 @@ def test_one_leg_stands_while_the_other_swings_and_none_leaves_the_hips() -> Non
     assert speed < 4.0, "feet swing, they do not leap"
 
 
-def test_feet_stand_on_the_ground_as_high_as_it_is() -> None:
-    movers = moving(LEGS)
+def test_moving_feet_stand_at_terrain_height() -> None:
+    movers = make_movers(LEGS)
     lowest = {on_block: [] for on_block in (False, True)}  # type: ignore[var-annotated]
     for now_s in np.arange(0.1, 3.2, 0.01):
-        for foot in legs_of(movers, now_s)[0]:
+        for foot in leg_ends(movers, now_s)[0]:
             lowest[bool(abs(foot[1]) < 0.19)].append(foot[2] - LEGS.radius)
     assert min(lowest[False]) == pytest.approx(0.0, abs=1e-6)
     assert min(lowest[True]) == pytest.approx(0.1, abs=1e-6)
 
 
-def test_a_path_of_the_robot_s_lies_where_the_robot_was_when_it_began() -> None:
-    movers = moving(replace(LEGS, frame="robot", period_s=5.0))
+def test_robot_frame_path_is_fixed_at_robot_pose_at_start() -> None:
+    movers = make_movers(replace(LEGS, frame="robot", period_s=5.0))
     turned = from_xyz_rpy((2.0, 3.0, 0.1), (0.0, 0.0, np.pi / 2))
-    first = legs_of(movers, 0.0, turned)[1].mean(axis=0)
+    first = leg_ends(movers, 0.0, turned)[1].mean(axis=0)
     np.testing.assert_allclose(first[:2], [2.0 + 2.0, 3.0 + 1.0], atol=1e-9)
-    later = legs_of(movers, 1.0, HERE)[1].mean(axis=0)
+    later = leg_ends(movers, 1.0, HERE)[1].mean(axis=0)
     np.testing.assert_allclose(later[:2], [2.0 + 2.0 - 1.2, 3.0 + 1.0], atol=1e-9)
-    again = legs_of(movers, 5.0, HERE)[1].mean(axis=0)
+    again = leg_ends(movers, 5.0, HERE)[1].mean(axis=0)
     np.testing.assert_allclose(again[:2], [1.0, -2.0], atol=1e-9)
 
 
-def test_when_they_set_off_is_the_seed_s() -> None:
+def test_start_time_depends_on_seed_within_spread() -> None:
     def first_seen(seed: int) -> float:
-        movers = moving(replace(CART, start_spread_s=5.0), seed=seed)
+        movers = make_movers(replace(CART, start_spread_s=5.0), seed=seed)
         for now_s in np.arange(0.0, 8.0, 0.02):
             movers.advance(now_s, HERE)
             if len(movers.solids()[0]):
@@ -106,7 +106,7 @@ def test_when_they_set_off_is_the_seed_s() -> None:
     assert 2.0 <= min(seen) < 3.0 < 6.0 < max(seen) <= 7.02
 
 
-def test_the_depth_camera_sees_them_whoever_looks_and_nothing_feels_them() -> None:
+def test_movers_are_visible_in_depth_but_have_no_contact() -> None:
     """Move a cart through the robot.
 
     At first it is a wall 1.3 m ahead.

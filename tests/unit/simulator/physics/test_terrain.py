@@ -89,7 +89,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_height_is_where_a_ray_from_above_ends(kind: str) -> None:
+def test_terrain_height_matches_vertical_ray_cast(kind: str) -> None:
     xy = np.random.default_rng(1).uniform(-1.2, 1.2, (500, 2))
     ours, theirs = KINDS[kind].height_at(xy), heights_by_rays(KINDS[kind], xy)
     np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
@@ -98,7 +98,7 @@ def test_height_is_where_a_ray_from_above_ends(kind: str) -> None:
     np.testing.assert_allclose(ours[hit], theirs[hit], atol=1e-6)  # MuJoCo stores height fields in single precision
 
 
-def test_raster_is_height_at_its_points() -> None:
+def test_raster_matches_height_at_its_points() -> None:
     terrain = KINDS["slope"]
     raster = terrain.raster(-0.5, -0.2, 7, 5, 0.1)
     i, j = 4, 3
@@ -106,19 +106,19 @@ def test_raster_is_height_at_its_points() -> None:
     assert raster[i, j] == terrain.height_at(np.array([[-0.5 + 0.1 * i, -0.2 + 0.1 * j]]))[0]
 
 
-def test_a_slope_begins_on_the_ground_and_ends_at_its_landing() -> None:
+def test_slope_rises_from_ground_to_landing() -> None:
     terrain = build(Slope((1.0, 0.0), 15.0, 2.0, 1.0, landing=0.5))
     x = np.array([1.0 + 1e-6, 2.0, 3.0 - 1e-6, 3.2])
     expected = np.tan(np.radians(15.0)) * np.array([0.0, 1.0, 2.0, 2.0])
     np.testing.assert_allclose(terrain.height_at(np.stack([x, np.full(4, 0.3)], axis=1)), expected, atol=1e-5)
 
 
-def test_nothing_lies_beside_pillars() -> None:
+def test_ground_around_pillars_is_missing() -> None:
     terrain = build(Pillars(((0.0, 0.0),), 0.1, 0.3))
     np.testing.assert_array_equal(terrain.height_at(np.array([[0.0, 0.0], [0.06, 0.0]])), [0.3, -np.inf])
 
 
-def test_pillars_are_placed_by_the_seed_within_their_jitter_and_their_spread() -> None:
+def test_pillar_positions_follow_seed_within_jitter_and_spread() -> None:
     xy = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
     pillars = Pillars(tuple(map(tuple, xy.tolist())), 0.1, 0.0, depth=0.4, jitter=0.01, top_spread=0.03)  # type: ignore[arg-type]
     boxes, same, other = (build(pillars, seed=seed).boxes for seed in (1, 1, 2))
@@ -130,7 +130,7 @@ def test_pillars_are_placed_by_the_seed_within_their_jitter_and_their_spread() -
     np.testing.assert_allclose(boxes.centre[:, 2] - boxes.half[:, 2], -0.4)  # all stand on one floor
 
 
-def test_a_pillar_field_is_as_dense_as_its_seed_says_and_its_pillars_keep_apart() -> None:
+def test_pillar_field_density_follows_seed_and_pillars_keep_gap() -> None:
     pillars = PillarField((0.8, 1.6), (-0.4, 0.4), (0.1, 0.3), 0.1, 0.0, gap=0.02, depth=0.4)
     shares = []
     for seed in range(20):
@@ -147,7 +147,7 @@ def test_a_pillar_field_is_as_dense_as_its_seed_says_and_its_pillars_keep_apart(
     assert 0.25 < max(shares) <= 0.3 + 0.01
 
 
-def test_as_many_pillars_are_weak_as_are_said_and_the_seed_chooses_them() -> None:
+def test_seed_selects_given_number_of_weak_pillars() -> None:
     pillars = Pillars(((0.0, 0.0), (0.3, 0.0), (0.6, 0.0)), 0.1, 0.0, weak=1, bears=2.0, sinks=0.05)
     terrains = [build(Box((1.0, 0.0), (0.1, 0.1), 0.0), pillars, seed=seed) for seed in range(12)]
     assert {int(k) for terrain in terrains for k in terrain.weak.box} == {1, 2, 3}
@@ -167,7 +167,7 @@ def outline(centre: Array, half: Array, R: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rubble_keeps_its_region_its_gap_and_its_bounds(seed: int) -> None:
+def test_rubble_stays_within_region_gap_and_size_bounds(seed: int) -> None:
     rubble = Rubble((0.5, 2.0), (-0.4, 0.4), 20, (0.1, 0.2), (0.01, 0.05), gap=0.02, yaw_deg=30.0)
     blocks = build(rubble, seed=seed).boxes
     assert len(blocks) == 20
@@ -185,14 +185,14 @@ def test_rubble_keeps_its_region_its_gap_and_its_bounds(seed: int) -> None:
                 assert np.hypot(*np.maximum(beside, 0.0).T).min() >= 0.02 - 1e-9
 
 
-def test_only_the_seed_decides_about_rubble() -> None:
+def test_rubble_is_determined_by_seed() -> None:
     rubble = Rubble((0.5, 2.0), (-0.4, 0.4), 12, (0.1, 0.2), (0.01, 0.05))
     one, same, other = (build(Plane(), rubble, seed=seed).boxes for seed in (7, 7, 8))
     np.testing.assert_array_equal(one.centre, same.centre)
     assert not np.array_equal(one.centre, other.centre)
 
 
-def test_rubble_without_room_says_so() -> None:
+def test_rubble_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match="room for 30 blocks of rubble expected, found room for about"):
         build(Rubble((0.0, 0.5), (0.0, 0.5), 30, (0.1, 0.2), (0.01, 0.05)))
     with pytest.raises(ValueError, match="rising order"):
@@ -247,7 +247,7 @@ def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
             build(HeightMap(file, 0.1, (0.0, 0.0), scale=1.0), folder=tmp_path)
 
 
-def test_stairs_are_as_high_and_as_long_as_their_seed_says() -> None:
+def test_stairs_risers_and_treads_follow_seed_within_spread() -> None:
     found = set()
     for seed in range(20):
         stairs = Stairs((0.0, 0.0), 0.04, 0.3, 3, 1.0, riser_spread=0.01, tread_spread=0.05)
@@ -270,7 +270,7 @@ def profile_along(terrain: Terrain, x: Array, y: float = 0.0) -> Array:
     return terrain.height_at(np.column_stack([x, np.full_like(x, y)]))
 
 
-def test_a_course_goes_on_at_the_height_at_which_a_stretch_ends() -> None:
+def test_course_stretches_continue_at_previous_height() -> None:
     stretches = (Level(0.5), Ramp(1.0, 10.0), Level(0.5), Flight(-0.04, 0.3, 3), Gap(0.1), Level(1.0))
     terrain = build(Course(stretches, 1.0, x=0.0))
     rise = np.tan(np.radians(10.0))
@@ -282,7 +282,7 @@ def test_a_course_goes_on_at_the_height_at_which_a_stretch_ends() -> None:
     np.testing.assert_allclose(bottoms, -0.5, atol=1e-12)
 
 
-def test_what_a_course_draws_follows_the_seed_within_its_spread() -> None:
+def test_random_course_parameters_follow_seed_within_spread() -> None:
     stretches = (Level(0.5), Ramp(0.5, -8.0, angle_spread_deg=2.0), Flight(0.04, 0.3, 2, riser_spread=0.01), Level(1.0))
     widths, ends = [], []
     for seed in range(12):
@@ -296,7 +296,7 @@ def test_what_a_course_draws_follows_the_seed_within_its_spread() -> None:
     assert len(set(ends)) == 12
 
 
-def test_a_shuffled_course_has_the_same_stretches_in_another_order() -> None:
+def test_shuffled_course_permutes_the_same_stretches() -> None:
     inner = (Ramp(0.3, 5.0), Flight(0.04, 0.3, 1), Blocks(0.3, 2, (0.05, 0.06), (0.02, 0.02)))
     course = Course((Level(1.0), *inner, Level(2.0)), 1.0, x=-0.2, shuffled=True, rest=0.2)
     x = np.arange(-0.1, 3.0, 0.001)
@@ -307,7 +307,7 @@ def test_a_shuffled_course_has_the_same_stretches_in_another_order() -> None:
     assert len({line.tobytes() for line in lines}) > 3
 
 
-def test_stepping_stones_keep_their_gaps_and_nothing_else_carries() -> None:
+def test_stepping_stones_keep_gaps_and_ground_between_is_low() -> None:
     stones = Stones(1.07, 0.12, 0.05, jitter=0.01, top=(-0.01, 0.01))
     assert stones.rows == 6
     terrain = build(Plane(height=-0.4), Course((Level(1.0), stones, Level(1.0)), 1.5, x=0.0), seed=3)
@@ -326,7 +326,7 @@ def test_stepping_stones_keep_their_gaps_and_nothing_else_carries() -> None:
     assert np.abs(tops).max() <= 0.01
 
 
-def test_a_part_of_a_height_map_can_be_taken_and_turned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_height_map_can_be_cropped_and_rotated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = np.arange(30.0).reshape(5, 6)
     np.save(tmp_path / "ground.npy", whole)
     monkeypatch.setenv("GROUNDS", str(tmp_path))
@@ -344,7 +344,7 @@ def test_a_part_of_a_height_map_can_be_taken_and_turned(tmp_path: Path, monkeypa
         replace(part, rows=(3, 3))
 
 
-def test_a_folder_that_nobody_named_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_data_folder_setting_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SEXTANT_DATA", raising=False)
     with pytest.raises(ConfigError, match=r"stair_map: terrain: .*the environment variable SEXTANT_DATA is not set"):
         build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
@@ -354,7 +354,7 @@ def test_a_folder_that_nobody_named_is_asked_for(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.data
-def test_the_mapped_stairs_have_the_risers_that_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mapped_stairs_have_documented_risers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEXTANT_DATA", str(recording("elevation_maps", "maps.toml").parent))
     terrain = build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
     for y in (-0.3, 0.0, 0.3):
@@ -365,7 +365,7 @@ def test_the_mapped_stairs_have_the_risers_that_are_said(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("name", ["rubble", "stepping_stones", "ditch", "mixed"])
-def test_courses_of_a_seed_begin_and_end_on_level_ground(name: str) -> None:
+def test_seeded_courses_begin_and_end_on_level_ground(name: str) -> None:
     scenario = load_scenario(name)
     for seed in range(1000, 1020):
         terrain = build_terrain(scenario, np.random.default_rng([seed, 0]))
@@ -393,7 +393,7 @@ def test_impossible_terrain_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["flat", "steps"])
-def test_the_courses_that_come_with_sextant_can_be_built(name: str) -> None:
+def test_bundled_courses_can_be_built(name: str) -> None:
     course = load_scenario(name)
     count = sum(part.count for part in course.terrain if isinstance(part, Rubble | Stairs))
     for seed in range(3):
@@ -410,7 +410,7 @@ PUDDLES = (
 )
 
 
-def test_puddles_are_seen_level_and_give_way() -> None:
+def test_puddles_look_level_but_feet_sink() -> None:
     terrain = build_terrain(Scenario("wet", (Plane(), *PUDDLES), Goal(1.0)), np.random.default_rng(0))
     xy = np.random.default_rng(1).uniform((0.5, -1.5), (2.5, 1.0), (4000, 2))
     np.testing.assert_array_equal(terrain.height_at(xy), 0.0)
@@ -421,13 +421,13 @@ def test_puddles_are_seen_level_and_give_way() -> None:
     np.testing.assert_allclose(carrying, terrain.height_at(xy) - terrain.sink_at(xy), atol=1e-12)
 
 
-def test_a_stone_in_a_puddle_carries() -> None:
+def test_stone_in_a_puddle_carries_load() -> None:
     scenario = Scenario("wet", (Plane(), PUDDLES[0], Box((1.0, 0.0), (0.1, 0.1), 0.02)), Goal(1.0))
     terrain = build_terrain(scenario, np.random.default_rng(0))
     np.testing.assert_array_equal(terrain.sink_at(np.array([[1.0, 0.0], [1.08, 0.0]])), [0.0, 0.05])
 
 
-def test_scattered_puddles_keep_apart_and_follow_the_seed() -> None:
+def test_scattered_puddles_keep_gap_and_follow_seed() -> None:
     scenario = Scenario("wet", (Plane(), Puddles((0.0, 2.0), (-0.5, 0.5), 15, (0.05, 0.10), gap=0.05)), Goal(1.0))
     one, same, other = (build_terrain(scenario, np.random.default_rng(seed)).hollows for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.low, same.low)
@@ -437,7 +437,7 @@ def test_scattered_puddles_keep_apart_and_follow_the_seed() -> None:
     assert gap[~np.eye(15, dtype=bool)].min() >= 0.05 - 1e-9
 
 
-def test_puddles_need_ground_and_sense() -> None:
+def test_invalid_puddles_and_colours_are_refused() -> None:
     for terrain in ((PUDDLES[0],), (Plane(), Puddle((0.0, 0.0), (0.1, 0.0))), (Plane(color=(0, 0, 300)),)):
         with pytest.raises(ValueError, match=r"puddle|colours"):
             build_terrain(Scenario("bad", terrain, Goal(1.0)), np.random.default_rng(0))
@@ -451,7 +451,7 @@ def test_surfaces_keep_their_colours() -> None:
     assert np.isnan(look.plane).all()
 
 
-def test_a_hole_is_as_deep_as_it_looks_and_the_ground_around_it_level() -> None:
+def test_hole_has_its_depth_and_level_surroundings() -> None:
     terrain = build(Plane(), Hole((1.0, 0.5), (0.4, 0.6), 0.3))
     xy = np.random.default_rng(0).uniform((0.5, 0.0), (1.5, 1.0), (500, 2))
     inside = (np.abs(xy - (1.0, 0.5)) < (0.2, 0.3)).all(axis=1)
@@ -460,7 +460,7 @@ def test_a_hole_is_as_deep_as_it_looks_and_the_ground_around_it_level() -> None:
     assert not terrain.sink_at(xy).any()
 
 
-def test_boxes_and_holes_are_drawn_by_the_seed_within_their_spread() -> None:
+def test_boxes_and_holes_follow_seed_within_spread() -> None:
     box = Box((1.0, 0.0), (0.2, 1.0), 0.3, xy_spread=(0.1, 0.2), size_spread=(0.05, 0.5), top_spread=0.1)
     found = [build(box, seed=seed).boxes for seed in range(40)]
     centre, half = (np.array([getattr(boxes, name)[0] for boxes in found]) for name in ("centre", "half"))
@@ -488,7 +488,7 @@ def test_holes_need_level_ground() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(name for name in scenario_names() if name.startswith("passage")))
-def test_the_sketch_in_a_scenario_is_its_ground_from_above(name: str) -> None:
+def test_scenario_sketch_matches_terrain_from_above(name: str) -> None:
     course = load_scenario(name)
     parts = [replace(p, jitter=0.0, top_spread=0.0) if isinstance(p, Pillars) else p for p in course.terrain]
     terrain = build_terrain(replace(course, terrain=tuple(parts)), np.random.default_rng(0))
@@ -502,7 +502,7 @@ def test_the_sketch_in_a_scenario_is_its_ground_from_above(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in scenario_names() if name.startswith(("passage", "pillar_field"))])
-def test_over_a_gap_nothing_reaches_from_platform_to_platform(name: str) -> None:
+def test_gap_has_no_ground_outside_the_passage_lane(name: str) -> None:
     course = load_scenario(name)
     for seed in range(1000, 1010):
         terrain = build_terrain(course, np.random.default_rng([seed, 0]))
@@ -516,13 +516,13 @@ def test_over_a_gap_nothing_reaches_from_platform_to_platform(name: str) -> None
         assert not carries[np.ix_(beyond, (x > 0.805) & (x < 1.595))].any()
 
 
-def test_blocks_that_cannot_fit_are_refused_without_trying(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rubble_exceeding_area_is_refused_without_placement(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.services.simulator.physics.terrain._place_rectangles", lambda *_: pytest.fail("tried"))
     with pytest.raises(ValueError, match="room for 500 blocks of rubble expected, found room for about"):
         build(Rubble((0.0, 1.0), (0.0, 1.0), 500, (0.1, 0.2), (0.01, 0.05)))
 
 
-def test_a_terrain_has_a_bounded_number_of_solids() -> None:
+def test_number_of_terrain_solids_is_bounded() -> None:
     for part, message in (
         (PillarField((0.0, 1000.0), (0.0, 1000.0), (0.5, 0.5), 0.1, 0.0), "pillars in a field expected, found 50000000"),
         (Course((Stones(1000.0, 0.01, 0.01),), 1000.0), "at most 5000 stones expected, found 49999 rows of 50000"),

@@ -57,7 +57,7 @@ def tilt(world: World) -> float:
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.03, -0.02, 0.05)])
-def test_the_model_has_the_centre_of_mass_of_the_profile(centre: tuple[float, float, float]) -> None:
+def test_model_centre_of_mass_matches_profile(centre: tuple[float, float, float]) -> None:
     profile = replace(PROFILE, body=replace(PROFILE.body, centre_of_mass=centre))
     rng, world = np.random.default_rng(1), World(profile, ABYSS)
     assert world.model.body_subtreemass[0] == pytest.approx(profile.body.total_mass)
@@ -67,7 +67,7 @@ def test_the_model_has_the_centre_of_mass_of_the_profile(centre: tuple[float, fl
         np.testing.assert_allclose(world.data.subtree_com[0], apply(T, centre_of_mass(profile, q)), atol=2e-3)
 
 
-def test_the_model_has_the_kinematics_of_the_profile() -> None:
+def test_model_kinematics_match_profile() -> None:
     rng = np.random.default_rng(0)
     world = World(PROFILE, ABYSS)
     for _ in range(20):
@@ -88,13 +88,13 @@ def test_the_model_has_the_kinematics_of_the_profile() -> None:
         np.testing.assert_allclose(capsules.start[18:], points[:, 3], atol=1e-12)
 
 
-def test_the_model_weighs_what_the_profile_says() -> None:
+def test_model_mass_matches_profile() -> None:
     world = World(PROFILE, FLAT)
     assert world.model.body_mass.sum() == pytest.approx(PROFILE.body.total_mass)
     assert np.all(world.model.body_inertia[1:] > 0)
 
 
-def test_standing_is_still_level_and_carried_by_six_feet() -> None:
+def test_standing_robot_is_still_and_level_on_six_feet() -> None:
     q = standing_angles(PROFILE)
     world = World(PROFILE, FLAT)
     T = world.stand(q, (0.4, -0.2), 0.7)
@@ -113,7 +113,7 @@ def test_standing_is_still_level_and_carried_by_six_feet() -> None:
     assert world.T_world_body[2, 3] > PROFILE.stance.body_height - 0.005  # servos sag a little
 
 
-def test_a_robot_is_stood_on_whatever_lies_below_its_feet() -> None:
+def test_robot_is_placed_on_terrain_below_its_feet() -> None:
     terrain = build_terrain(load_scenario("steps"), np.random.default_rng(3))
     world = World(PROFILE, terrain)
     world.stand(standing_angles(PROFILE), (1.4, 0.0))
@@ -123,7 +123,7 @@ def test_a_robot_is_stood_on_whatever_lies_below_its_feet() -> None:
         World(PROFILE, ABYSS).stand(standing_angles(PROFILE))
 
 
-def test_without_torque_it_falls() -> None:
+def test_robot_without_torque_falls() -> None:
     q = standing_angles(PROFILE)
     world = World(PROFILE, FLAT)
     world.stand(q)
@@ -133,7 +133,7 @@ def test_without_torque_it_falls() -> None:
     assert world.T_world_body[2, 3] < 0.7 * PROFILE.stance.body_height
 
 
-def test_one_limp_joint_leaves_the_others_in_force() -> None:
+def test_zero_torque_of_one_joint_does_not_affect_others() -> None:
     q = standing_angles(PROFILE)
     world = World(PROFILE, FLAT)
     world.stand(q)
@@ -145,7 +145,7 @@ def test_one_limp_joint_leaves_the_others_in_force() -> None:
     assert np.all(np.abs(world.torque[[0, 1, 3, 4, 5], 1]) > 0.01)
 
 
-def test_a_servo_is_no_stronger_and_no_faster_than_its_data_sheet() -> None:
+def test_servo_torque_and_speed_stay_within_data_sheet() -> None:
     world = World(PROFILE, ABYSS)
     low, high = PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1]
     world.place(0.5 * (low + high), from_xyz_rpy((0, 0, 5), (0, 0, 0)))
@@ -157,7 +157,7 @@ def test_a_servo_is_no_stronger_and_no_faster_than_its_data_sheet() -> None:
     assert 0.6 * PROFILE.servo.no_load_speed < fastest < 1.1 * PROFILE.servo.no_load_speed
 
 
-def test_joints_turn_the_way_the_profile_counts() -> None:
+def test_joint_directions_match_profile() -> None:
     world = World(PROFILE, ABYSS)
     for leg in range(6):
         for joint in range(3):
@@ -169,7 +169,7 @@ def test_joints_turn_the_way_the_profile_counts() -> None:
             assert world.q[leg, joint] == pytest.approx(0.2, abs=0.03)
 
 
-def test_two_worlds_agree_bit_for_bit() -> None:
+def test_simulation_is_bit_reproducible() -> None:
     terrain = build_terrain(load_scenario("steps"), np.random.default_rng(1))
     worlds = []
     for _ in range(2):
@@ -185,7 +185,7 @@ def test_two_worlds_agree_bit_for_bit() -> None:
     assert one.data.qvel.tobytes() == two.data.qvel.tobytes()
 
 
-def test_a_robot_placed_again_starts_anew_but_time_goes_on() -> None:
+def test_placing_robot_again_resets_state_but_not_time() -> None:
     q = standing_angles(PROFILE)
     fresh, used = World(PROFILE, FLAT), World(PROFILE, FLAT)
     fresh.stand(q)
@@ -229,7 +229,7 @@ def test_body_twist_is_in_the_body_frame() -> None:
     assert abs(twist[1]) < 0.05
 
 
-def test_at_rest_the_inertial_sensor_feels_gravity_upward() -> None:
+def test_imu_at_rest_measures_gravity_upward() -> None:
     q = standing_angles(PROFILE)
     world = World(PROFILE, FLAT, imu=True)
     world.stand(q)
@@ -242,7 +242,7 @@ def test_at_rest_the_inertial_sensor_feels_gravity_upward() -> None:
         _ = World(PROFILE, FLAT).imu
 
 
-def test_inertial_noise_has_its_bias_and_its_density() -> None:
+def test_imu_noise_has_specified_bias_and_density() -> None:
     noise = ImuNoise(gyro_walk=0.0, force_walk=0.0)
     imu, dt = Imu(noise, np.random.default_rng(0)), 0.01
     readings = [imu.update(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.81]), dt) for _ in range(4000)]
@@ -259,7 +259,7 @@ def test_inertial_noise_has_its_bias_and_its_density() -> None:
         imu.update(np.zeros(3), np.zeros(3), 0.0)
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_world_inputs_are_refused() -> None:
     world = World(PROFILE, FLAT)
     with pytest.raises(ValueError, match=r"joint angles \(6, 3\) expected, found \(18,\)"):
         world.place(np.zeros(18), np.eye(4))
@@ -294,7 +294,7 @@ def rolling() -> Terrain:
     ],
     ids=["height field", "slope", "rubble"],
 )
-def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
+def test_standing_robot_does_not_creep_on_any_ground(terrain: Terrain) -> None:
     q = standing_angles(PROFILE)
     world = World(PROFILE, terrain)
     world.stand(q)
@@ -316,7 +316,7 @@ def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(leg: int) -> None:
+def test_shank_on_edge_counts_as_leg_contact_but_not_foot_contact(leg: int) -> None:
     q, T = standing_angles(PROFILE), from_xyz_rpy((0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     q[leg, 2] += np.radians(50.0)  # the tibia slants outwards
     knee, foot = apply(T, leg_points(PROFILE, q)[leg, 2:])
@@ -330,7 +330,7 @@ def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(
     assert not world.foot_contact.any()
 
 
-def under_the_feet(bears: float) -> Terrain:
+def pillars_under_feet(bears: float) -> Terrain:
     """Return a pillar under each foot of the resting stance, one of them weak."""
     world = World(PROFILE, FLAT)
     world.stand(standing_angles(PROFILE))
@@ -339,8 +339,8 @@ def under_the_feet(bears: float) -> Terrain:
     return build_terrain(Scenario("pillars", (pillars,), Goal(1.0)), np.random.default_rng(0))
 
 
-def test_a_weak_pillar_sinks_once_it_is_pressed_and_stays_down() -> None:
-    q, world = standing_angles(PROFILE), World(PROFILE, under_the_feet(2.0))
+def test_weak_pillar_sinks_under_load_and_stays_down() -> None:
+    q, world = standing_angles(PROFILE), World(PROFILE, pillars_under_feet(2.0))
     (leg,) = world.terrain.weak.box
     world.stand(q)
     assert world.sunk == 0.0
@@ -358,8 +358,8 @@ def test_a_weak_pillar_sinks_once_it_is_pressed_and_stays_down() -> None:
     assert world.sunk == pytest.approx(0.05)
 
 
-def test_a_pillar_that_bears_a_foot_stands_as_any_other() -> None:
-    q, world, firm = standing_angles(PROFILE), World(PROFILE, under_the_feet(20.0)), under_the_feet(20.0)
+def test_pillar_with_sufficient_capacity_does_not_sink() -> None:
+    q, world, firm = standing_angles(PROFILE), World(PROFILE, pillars_under_feet(20.0)), pillars_under_feet(20.0)
     world.stand(q)
     other = World(PROFILE, Terrain(firm.boxes))
     other.stand(q)

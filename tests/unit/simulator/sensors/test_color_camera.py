@@ -42,7 +42,7 @@ def inside(p: Array, centre: tuple[float, float], half: float) -> Array:
 
 @pytest.mark.parametrize("T", VIEWS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_puddles_and_blocks_are_coloured_where_depth_has_them(T: Array, seed: int) -> None:
+def test_colours_of_puddles_and_blocks_align_with_depth(T: Array, seed: int) -> None:
     color = ycocg_from_rgb(camera(seed).picture(T))
     p = ground(T)
     wet, red = inside(p, (1.1, 0.0), 0.13), inside(p, (1.2, 0.5), 0.09) & (p[..., 2] > 0.049)
@@ -54,7 +54,7 @@ def test_puddles_and_blocks_are_coloured_where_depth_has_them(T: Array, seed: in
     assert np.std(color[dry], axis=0).min() > 1.0, "a colour is not told by equality"
 
 
-def test_a_place_keeps_its_colour_from_view_to_view() -> None:
+def test_ground_point_keeps_its_colour_between_views() -> None:
     cam = camera()
     one, two = (cam.picture(T).astype(float) for T in VIEWS)
     i = PROFILE.camera.intrinsics
@@ -71,7 +71,7 @@ def test_a_place_keeps_its_colour_from_view_to_view() -> None:
     assert np.corrcoef(before[:, 1], after[:, 1])[0, 1] > 0.7
 
 
-def test_one_seed_one_light() -> None:
+def test_illumination_is_determined_by_seed() -> None:
     np.testing.assert_array_equal(camera(5).picture(VIEWS[0]), camera(5).picture(VIEWS[0]))
     assert np.abs(camera(5).picture(VIEWS[0]).mean() - camera(6).picture(VIEWS[0]).mean()) > 1.0
 

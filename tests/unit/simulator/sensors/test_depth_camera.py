@@ -34,7 +34,7 @@ def errors(frames: int, z: float = 2.0) -> NDArray[np.float64]:
     return BF * FINE.depth_scale / raw - BF / z
 
 
-def test_disparity_noise_is_normal_with_the_sensor_s_sigma() -> None:
+def test_disparity_noise_is_gaussian_with_sensor_sigma() -> None:
     e = errors(4) / SENSOR.disparity_sigma
     n = e.size
     assert abs(e.mean()) < 5 / np.sqrt(n)
@@ -46,7 +46,7 @@ def test_disparity_noise_is_normal_with_the_sensor_s_sigma() -> None:
         assert np.mean(np.abs(e) < level) == pytest.approx(share, abs=3e-3)
 
 
-def test_a_frame_does_not_depend_on_whether_those_before_it_were_made() -> None:
+def test_frame_noise_is_unaffected_by_skipped_frames() -> None:
     first, second = camera(dropouts=True), camera(dropouts=True)
     first.measure(wall(1.0))
     second.pass_over()
@@ -54,7 +54,7 @@ def test_a_frame_does_not_depend_on_whether_those_before_it_were_made() -> None:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.6, 0.95, 1.0])
-def test_a_share_of_the_pixels_is_lost_at_random_other_ones_each_frame(loss: float) -> None:
+def test_given_share_of_pixels_is_lost_independently_per_frame(loss: float) -> None:
     cam = DepthCamera(XTION, SENSOR, np.random.default_rng(0), noise=False, dropouts=True, loss=loss)
     middle = (slice(100, 380), slice(100, 540))  # seen from straight ahead
     one, other = ((cam.measure(wall(1.0)) == 0)[middle] for _ in range(2))
@@ -62,7 +62,7 @@ def test_a_share_of_the_pixels_is_lost_at_random_other_ones_each_frame(loss: flo
     assert np.mean(one & other) == pytest.approx(loss**2, abs=0.01)
 
 
-def test_noise_is_white_in_the_picture_and_over_time() -> None:
+def test_noise_is_white_in_space_and_time() -> None:
     e = errors(6) / SENSOR.disparity_sigma
     bound = 5 / np.sqrt(e[0].size)
     for dv, du in ((0, 1), (0, 2), (0, 5), (1, 0), (2, 0), (1, 1), (0, 64), (0, 256)):
@@ -79,7 +79,7 @@ def test_noise_is_white_in_the_picture_and_over_time() -> None:
 
 
 @pytest.mark.parametrize("z", [0.8, 1.7, 3.0])
-def test_depth_comes_in_steps_of_disparity_and_errs_as_the_sensor_says(z: float) -> None:
+def test_depth_is_quantized_in_disparity_with_sensor_error(z: float) -> None:
     cam = camera()
     # Different depths within a step, so that quantisation averages out.
     truth = np.linspace(z, z * 1.05, XTION.width, dtype=np.float64)
@@ -95,7 +95,7 @@ def test_depth_comes_in_steps_of_disparity_and_errs_as_the_sensor_says(z: float)
     assert abs(np.mean(error)) < 0.15 * sigma.mean()
 
 
-def test_without_noise_only_raw_units_round() -> None:
+def test_noise_free_depth_is_rounded_to_raw_units_only() -> None:
     cam = camera(noise=False)
     z = np.linspace(0.3, 4.0, XTION.width)
     w = np.tile((1.0 / z).astype(np.float32), (XTION.height, 1))
@@ -106,26 +106,26 @@ def test_without_noise_only_raw_units_round() -> None:
 
 
 @pytest.mark.parametrize("noise", [False, True])
-def test_nothing_beyond_range_returns(noise: bool) -> None:
+def test_surfaces_out_of_range_give_no_depth(noise: bool) -> None:
     for z in (0.02, 0.45, 3.8, 50.0, np.inf):
         assert not camera(noise=noise).measure(wall(z)).any()
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
+def test_depth_frames_are_determined_by_seed() -> None:
     one, same, other = (camera(seed, dropouts=True) for seed in (3, 3, 4))
     frames = [cam.measure(wall(1.5)).tobytes() for cam in (one, same, other)]
     assert frames[0] == frames[1] != frames[2]
     assert one.measure(wall(1.5)).tobytes() == same.measure(wall(1.5)).tobytes() != frames[0]
 
 
-def test_a_frame_s_noise_does_not_depend_on_what_was_seen_before() -> None:
+def test_frame_noise_is_independent_of_previous_scenes() -> None:
     one, two = camera(5), camera(5)
     one.measure(wall(1.0))
     two.measure(wall(3.0))
     assert one.measure(wall(2.0)).tobytes() == two.measure(wall(2.0)).tobytes()
 
 
-def test_a_near_object_casts_the_projector_s_shadow_to_its_left() -> None:
+def test_near_object_casts_projector_shadow_to_its_left() -> None:
     near, far, left, right = 0.8, 2.0, 300, 400
     w = wall(far)
     w[:, left:right] = 1.0 / near
@@ -143,7 +143,7 @@ def floor(height: float, pitch: float) -> NDArray[np.float32]:
     return Renderer(terrain, XTION).inverse_depth(T).copy()
 
 
-def test_grazed_ground_is_lost_the_more_the_flatter_it_is_seen() -> None:
+def test_pixel_loss_on_ground_grows_at_grazing_angles() -> None:
     w = floor(0.15, 0.25)
     z = 1.0 / np.maximum(w, 1e-9)
     lost = camera(noise=False, dropouts=True).measure(w) == 0
@@ -154,7 +154,7 @@ def test_grazed_ground_is_lost_the_more_the_flatter_it_is_seen() -> None:
 
 
 @pytest.mark.parametrize("course", ["flat", "steps", "pillars"])
-def test_the_share_of_pixels_lost_in_range_is_that_of_real_cameras(course: str) -> None:
+def test_pixel_loss_in_range_matches_real_cameras(course: str) -> None:
     pillars = Pillars(tuple((0.2 * i - 0.2, 0.2 * j - 0.6) for i in range(15) for j in range(7)), 0.14, 0.0)
     scenario = Scenario("pillars", (pillars,), Goal(1.0)) if course == "pillars" else load_scenario(course)
     terrain = build_terrain(scenario, np.random.default_rng(0))
@@ -167,14 +167,14 @@ def test_the_share_of_pixels_lost_in_range_is_that_of_real_cameras(course: str) 
     assert 0.05 <= np.mean(camera(dropouts=True).measure(w)[inside] == 0) <= 0.26
 
 
-def test_a_picture_of_another_size_is_refused() -> None:
+def test_image_of_wrong_size_or_type_is_refused() -> None:
     with pytest.raises(ValueError, match=r"float32 inverse depth \(480, 640\) expected, found float32 \(240, 320\)"):
         camera().measure(np.zeros((240, 320), dtype=np.float32))
     with pytest.raises(ValueError, match="found float64"):
         camera().measure(np.zeros((480, 640)))  # type: ignore[arg-type]
 
 
-def test_any_picture_size_is_measured() -> None:
+def test_small_image_size_is_supported() -> None:
     small = Intrinsics(7, 5, 100.0, 100.0, 3.0, 2.0)
     raw = DepthCamera(small, SENSOR, np.random.default_rng(0)).measure(np.full((5, 7), 1.0, dtype=np.float32))
     assert raw.shape == (5, 7)

@@ -72,7 +72,7 @@ def depth_by_rays(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_pixel_is_where_the_physics_has_it(kind: str) -> None:
+def test_rendered_depth_matches_physics_ray_cast(kind: str) -> None:
     rng = np.random.default_rng(7)
     world = World(PROFILE, KINDS[kind])
     world.place(Q + rng.normal(0, 0.1, (6, 3)), from_xyz_rpy((0, 0, 0.16), (0.05, -0.04, 0.3)))
@@ -89,7 +89,7 @@ def test_every_pixel_is_where_the_physics_has_it(kind: str) -> None:
     assert on_robot > 150
 
 
-def test_what_has_sunk_is_seen_where_the_physics_has_it() -> None:
+def test_sunken_pillars_are_rendered_as_in_physics() -> None:
     rng = np.random.default_rng(8)
     terrain = build(Pillars(((0.6, 0.2), (0.6, -0.2), (0.9, 0.0), (0.3, 0.0)), 0.2, 0.0, weak=2, bears=0.0, sinks=0.06))
     world, renderer = World(PROFILE, terrain), Renderer(terrain, XTION)
@@ -107,7 +107,7 @@ def test_what_has_sunk_is_seen_where_the_physics_has_it() -> None:
     np.testing.assert_array_equal(renderer.depth(T), before)
 
 
-def test_inverse_depth_is_the_inverse_and_zero_in_the_sky() -> None:
+def test_inverse_depth_is_reciprocal_and_zero_in_the_sky() -> None:
     renderer = Renderer(KINDS["boxes"], XTION)
     T = from_xyz_rpy((0, 0, 0.3), (0, 0, 0)) @ OPTICAL
     depth = renderer.depth(T)
@@ -119,7 +119,7 @@ def test_inverse_depth_is_the_inverse_and_zero_in_the_sky() -> None:
     np.testing.assert_allclose(w[~sky] * depth[~sky], 1.0, rtol=1e-6)
 
 
-def test_a_picture_depends_on_nothing_but_its_arguments() -> None:
+def test_rendered_depth_is_independent_of_previous_images() -> None:
     one, two = Renderer(KINDS["rubble"], XTION), Renderer(KINDS["rubble"], XTION)
     rng = np.random.default_rng(1)
     poses = [from_xyz_rpy((0, 0, 0.3), (0, 0.5, yaw)) @ OPTICAL for yaw in rng.uniform(-1, 1, 3)]
@@ -161,7 +161,7 @@ def test_surfaces_show_a_height_field_that_a_camera_all_but_touches() -> None:
     assert (canvas.material[seen] == FIELD).all()
 
 
-def test_a_bad_pose_is_refused() -> None:
+def test_invalid_camera_pose_is_refused() -> None:
     renderer = Renderer(KINDS["plane"], XTION)
     with pytest.raises(ValueError, match="finite camera pose"):
         renderer.depth(np.full((4, 4), np.nan))

@@ -24,7 +24,7 @@ def answers(made: BenchEmulator, packet: bytes, now_ns: int) -> list[dxl.Packet]
     return PacketParser().feed(b"".join(reply.data for reply in made.receive(packet, now_ns)))
 
 
-def test_a_servo_goes_to_its_goal_at_its_speed_while_the_host_talks() -> None:
+def test_servo_reaches_goal_at_moving_speed_in_host_time() -> None:
     made, row = bench(), 4
     start = dxl.ticks_from_angle(made._q[row])
     servo_id = list(PROFILE.servo_names)[row]
@@ -40,7 +40,7 @@ def test_a_servo_goes_to_its_goal_at_its_speed_while_the_host_talks() -> None:
     np.testing.assert_array_equal(made._q[others], bench()._q[others])
 
 
-def test_a_limp_leg_stays_where_it_is_bent_and_one_with_torque_goes_back() -> None:
+def test_bent_leg_stays_without_torque_and_returns_with_torque() -> None:
     made = bench()
     made.obey("bend left front 0 30 -20")
     made.receive(b"", 500 * MS)
@@ -54,14 +54,14 @@ def test_a_limp_leg_stays_where_it_is_bent_and_one_with_torque_goes_back() -> No
     np.testing.assert_allclose(np.degrees(q[0]), [0.0, 30.0, -20.0], atol=0.6)
 
 
-def test_horns_sit_wrong_by_the_seed() -> None:
+def test_horn_misalignment_follows_seed() -> None:
     trims = [np.degrees(bench(seed=seed).robot.trims) for seed in (2, 2, 3)]
     np.testing.assert_array_equal(trims[0], trims[1])
     assert (trims[0] != trims[2]).any()
     assert 0.0 < np.abs(trims).max() <= HORNS_DEG
 
 
-def test_new_servos_are_plugged_in_one_by_one() -> None:
+def test_new_servos_can_be_plugged_in_and_unplugged() -> None:
     made = bench(fresh=True)
     assert answers(made, dxl.ping(1), 0) == []
     assert made.obey("plug") == "1 servos are plugged in: 1; 17 are not"
@@ -73,7 +73,7 @@ def test_new_servos_are_plugged_in_one_by_one() -> None:
     assert answers(made, dxl.ping(5), 30 * MS) == []
 
 
-def test_power_that_goes_takes_torque_and_lock_along_and_leaves_the_id() -> None:
+def test_power_loss_clears_torque_and_lock_but_keeps_id() -> None:
     made = bench()
     for register in (dxl.TORQUE_ENABLE, dxl.LOCK):
         made.receive(dxl.write(3, register.address, b"\x01"), 0)
@@ -86,7 +86,7 @@ def test_power_that_goes_takes_torque_and_lock_along_and_leaves_the_id() -> None
     assert table[[dxl.ID.address, dxl.TORQUE_ENABLE.address, dxl.LOCK.address]].tolist() == [3, 0, 0]
 
 
-def test_a_host_at_another_rate_is_not_heard() -> None:
+def test_host_at_other_baud_rate_gets_no_reply() -> None:
     made = bench(rate=1_000_000)
     assert len(answers(made, dxl.ping(1), 0)) == 1
     made.tune(57_143)
@@ -98,13 +98,13 @@ def test_a_host_at_another_rate_is_not_heard() -> None:
 @pytest.mark.parametrize(
     "line", ["", "plug x", "plug 1 2", "bend left knee 0 0 0", "bend left front 0 1.2.3 0", "bend left front 0 0", "jump"]
 )
-def test_what_is_no_order_is_told(line: str) -> None:
+def test_unknown_command_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r"one of plug \[N\], .* expected, found"):
         bench().obey(line)
 
 
 @pytest.mark.parametrize("line", ["unplug 99", "bend left front 0 999 0"])
-def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
+def test_impossible_command_is_refused_without_effect(line: str) -> None:
     made = bench()
     before = made.obey("list")
     with pytest.raises(ValueError, match=rf"expected, found '{line}'"):
@@ -113,7 +113,7 @@ def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_all_that_is_compiled_is_compiled_before_the_first_question(fresh: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_are_compiled_before_first_request(fresh: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compile before the first request.
 
     Compilation takes seconds on a new machine; a host takes such a late answer for a loose cable.

@@ -101,7 +101,7 @@ def writes(bench: Bench, register: dxl.Register) -> list[Packet]:
     return found
 
 
-def test_until_somebody_says_hello_it_touches_nothing_and_says_that_it_is_there() -> None:
+def test_firmware_only_announces_itself_until_hello() -> None:
     bench = Bench(torque=True)
     said = bench.pass_time(10 * GREETING_NS)
     assert 9 <= len(said) <= 11
@@ -112,7 +112,7 @@ def test_until_somebody_says_hello_it_touches_nothing_and_says_that_it_is_there(
     assert bench.bus.heard == []
 
 
-def test_off_is_obeyed_before_hello_and_stays() -> None:
+def test_torque_off_is_obeyed_before_hello_and_persists() -> None:
     bench = Bench(torque=True)
     bench.pass_time(5 * MS, bridge_protocol.Torque(99, 1, 0, 0))
     assert not bench.bank.tables[:, dxl.TORQUE_ENABLE.address].any()
@@ -122,7 +122,7 @@ def test_off_is_obeyed_before_hello_and_stays() -> None:
     assert writes(bench, dxl.GOAL_POSITION) == []
 
 
-def test_it_adopts_torque_as_it_stands_and_writes_nothing() -> None:
+def test_new_session_adopts_torque_state_without_writing() -> None:
     for torque, mode in ((True, Mode.HOLDING), (False, Mode.OFF)):
         bench = in_session(torque)
         state = bench.state()
@@ -134,7 +134,7 @@ def test_it_adopts_torque_as_it_stands_and_writes_nothing() -> None:
     assert bench.state().mode is Mode.OFF, "one servo is limp: only an order makes them one again"
 
 
-def test_hello_again_changes_nothing_and_a_new_session_ends_the_old_one() -> None:
+def test_repeated_hello_is_ignored_and_new_session_ends_old_one() -> None:
     bench = in_session()
     bench.pass_time(20 * MS, bench.goals())
     bench.pass_time(5 * MS, bench.hello())
@@ -145,7 +145,7 @@ def test_hello_again_changes_nothing_and_a_new_session_ends_the_old_one() -> Non
     assert (state.session, state.refusal, state.refused, state.heard) == (8, Refusal.SESSION, 1, 0)
 
 
-def test_every_refusal_is_told() -> None:
+def test_each_refusal_is_reported_in_state() -> None:
     cases = {
         Refusal.SESSION: lambda b: bridge_protocol.Goals(8, 99, b.now_ns // 1000, 200, HERE, HERE),
         Refusal.ORDER: lambda b: bridge_protocol.Limits(7, 1, b.now_ns // 1000 + 1_000_000, HERE),
@@ -165,7 +165,7 @@ def test_every_refusal_is_told() -> None:
         assert writes(bench, dxl.TORQUE_ENABLE) == writes(bench, dxl.TORQUE_LIMIT) == []
 
 
-def test_more_questions_than_can_wait_are_refused_and_each_has_its_answer() -> None:
+def test_requests_beyond_queue_size_are_refused_and_all_are_answered() -> None:
     bench = in_session()
     asked = [bridge_protocol.Ask(*bench.head(), 1, int(Instruction.READ), bytes((36, 2))) for _ in range(12)]
     said = bench.pass_time(40 * MS, b"".join(map(bridge_protocol.encode, asked)))
@@ -176,7 +176,7 @@ def test_more_questions_than_can_wait_are_refused_and_each_has_its_answer() -> N
     assert bench.state().refusal is Refusal.BUSY
 
 
-def test_a_write_that_would_turn_torque_on_is_not_passed_on_however_it_is_put() -> None:
+def test_register_write_that_enables_torque_is_refused() -> None:
     for parameters in (bytes((24, 1)), bytes((20, 0, 0, 0, 0, 1)), bytes((24, 255, 0)), bytes((18, *[1] * 20))):
         bench = in_session(torque=False)
         (answer,) = (
@@ -188,7 +188,7 @@ def test_a_write_that_would_turn_torque_on_is_not_passed_on_however_it_is_put() 
         assert writes(bench, dxl.TORQUE_ENABLE) == []
 
 
-def test_a_state_comes_every_cycle_and_all_servos_are_read_in_each() -> None:
+def test_state_is_sent_and_all_servos_are_read_in_each_cycle() -> None:
     bench = in_session()
     states = [m for m in bench.pass_time(100 * CYCLE_NS) if isinstance(m, bridge_protocol.State)]
     assert len(states) == 100
@@ -197,7 +197,7 @@ def test_a_state_comes_every_cycle_and_all_servos_are_read_in_each() -> None:
     assert max(max(m.age) for m in states) <= 110
 
 
-def test_silent_servos_do_not_keep_goals_and_states_waiting() -> None:
+def test_silent_servos_do_not_delay_goals_and_states() -> None:
     bench = in_session()
     bench.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] = 0
     states = [m for m in bench.pass_time(50 * CYCLE_NS) if isinstance(m, bridge_protocol.State)]
@@ -223,7 +223,7 @@ ORDERS = st.lists(
 @pytest.mark.slow
 @WILD
 @given(ORDERS, st.booleans())
-def test_whatever_is_ordered_torque_comes_on_by_an_order_alone_and_goals_never_after_off(
+def test_random_orders_enable_torque_only_by_torque_order(
     orders: list[tuple[str, tuple[int, int, int], int, bytes]], torque: bool
 ) -> None:
     bench = in_session(torque)
@@ -271,7 +271,7 @@ def test_whatever_is_ordered_torque_comes_on_by_an_order_alone_and_goals_never_a
 
 @WILD
 @given(st.lists(st.tuples(st.integers(0, 30 * MS), st.binary(max_size=120), st.binary(max_size=60)), max_size=20))
-def test_any_bytes_from_both_sides_at_any_time_raise_nothing_and_write_nothing(
+def test_random_bytes_raise_no_error_and_cause_no_write(
     parts: list[tuple[int, bytes, bytes]],
 ) -> None:
     firmware, recorder, now_ns = Firmware(1), PacketParser(), 0

@@ -25,7 +25,7 @@ BYTE = 10_000  # [ns] at 1 Mbps
 DELAY = 500_000  # [ns] factory return delay
 
 
-def wire(n: int = 2, *, echo: bool = False) -> tuple[ServoBank, ServoBusEmulator]:
+def make_bus(n: int = 2, *, echo: bool = False) -> tuple[ServoBank, ServoBusEmulator]:
     bank = ServoBank(range(1, n + 1))
     return bank, ServoBusEmulator(bank, echo=echo)
 
@@ -39,23 +39,23 @@ def answer(bus: ServoBusEmulator, request: bytes, now_ns: int = 0) -> Packet:
     return packet
 
 
-def peek(bus: ServoBusEmulator, servo_id: int, register: Register) -> int:
+def read_register(bus: ServoBusEmulator, servo_id: int, register: Register) -> int:
     return int.from_bytes(answer(bus, dxl.read(servo_id, register.address, register.size)).parameters, "little")
 
 
-def put(servo_id: int, register: Register, value: int) -> bytes:
+def write_packet(servo_id: int, register: Register, value: int) -> bytes:
     return dxl.write(servo_id, register.address, register.encode(value))
 
 
-def test_ping_answers_with_the_bytes_of_the_manual_at_its_time() -> None:
-    _, bus = wire()
+def test_ping_reply_matches_manual_bytes_and_timing() -> None:
+    _, bus = make_bus()
     (reply,) = bus.receive(bytes.fromhex("FF FF 01 02 01 FB"), 1_000)
     assert reply.data == bytes.fromhex("FF FF 01 02 00 FC")
     assert reply.due_ns == 1_000 + 6 * BYTE + DELAY + 6 * BYTE + USB
 
 
-def test_sync_write_of_goal_and_speed_to_18_servos_is_one_millisecond_of_wire() -> None:
-    bank, bus = wire(18)
+def test_sync_write_of_goal_and_speed_to_18_servos_takes_1_ms() -> None:
+    bank, bus = make_bus(18)
     packet = dxl.sync_write(30, 4, [(i, bytes((0x10, 2, 100, 0))) for i in range(1, 19)])
     assert BusTiming().wire_ns(len(packet)) == 980_000
     assert bus.receive(packet, 0) == []
@@ -67,14 +67,14 @@ def test_sync_write_of_goal_and_speed_to_18_servos_is_one_millisecond_of_wire() 
     assert (bank.tables[:, dxl.MOVING_SPEED.address] == 100).all()
 
 
-def test_bus_time_of_the_facts() -> None:
+def test_bus_time_to_read_18_servos() -> None:
     """Read 6 bytes of 18 servos in 12.6 ms, or 3.6 ms without return delay.
 
     12.6 ms is the time with the factory's return delay.
     """
     for delay, expected_ns in ((250, 12_600_000), (0, 3_600_000)):
-        _, bus = wire(18)
-        bus.receive(put(dxl.BROADCAST_ID, dxl.RETURN_DELAY, delay), 0)
+        _, bus = make_bus(18)
+        bus.receive(write_packet(dxl.BROADCAST_ID, dxl.RETURN_DELAY, delay), 0)
         start = now = 1_000_000
         for servo_id in range(1, 19):
             (reply,) = bus.receive(dxl.read(servo_id, 36, 6), now)
@@ -82,44 +82,44 @@ def test_bus_time_of_the_facts() -> None:
         assert now - start == pytest.approx(expected_ns, rel=0.01)
 
 
-def test_bytes_queue_on_the_wire() -> None:
-    _, bus = wire()
+def test_bytes_queue_on_the_bus() -> None:
+    _, bus = make_bus()
     bus.receive(bytes(100), 0)  # noise takes time on the wire too
     (reply,) = bus.receive(dxl.ping(1), 0)
     assert reply.due_ns == (100 + 6 + 6) * BYTE + DELAY + USB
 
 
-def test_two_packets_in_one_transfer_are_answered_one_after_the_other() -> None:
-    _, bus = wire()
+def test_two_packets_in_one_transfer_are_answered_in_sequence() -> None:
+    _, bus = make_bus()
     first, second = bus.receive(dxl.ping(1) + dxl.ping(2), 0)
     assert first.due_ns == 12 * BYTE + DELAY + USB
     assert second.due_ns >= first.due_ns + 6 * BYTE
 
 
-def test_slower_baud_rate_and_servos_that_do_not_hear_it() -> None:
+def test_servos_reply_only_at_their_baud_rate() -> None:
     bank = ServoBank([1, 2], dxl.RX_64)
     assert ServoBusEmulator(bank).receive(dxl.ping(1), 0) == []
     bus = ServoBusEmulator(bank, BusTiming(baud_rate=57_600, usb_transaction_ns=0))
     (reply,) = bus.receive(dxl.ping(1), 0)
     assert reply.due_ns == pytest.approx(12 * 10 / 57_600 * 1e9 + DELAY, abs=2)
-    bus.receive(put(1, dxl.BAUD_RATE, 1), 0)
+    bus.receive(write_packet(1, dxl.BAUD_RATE, 1), 0)
     assert bus.receive(dxl.ping(1), 10**9) == []
     assert bus.receive(dxl.ping(2), 10**9) != []
 
 
-def test_reads_see_writes_that_are_on_their_way() -> None:
-    bank, bus = wire()
-    bus.receive(put(1, dxl.GOAL_POSITION, 700), 0)
-    assert peek(bus, 1, dxl.GOAL_POSITION) == 700
+def test_reads_include_pending_writes() -> None:
+    bank, bus = make_bus()
+    bus.receive(write_packet(1, dxl.GOAL_POSITION, 700), 0)
+    assert read_register(bus, 1, dxl.GOAL_POSITION) == 700
     assert answer(bus, dxl.read(1, 28, 4)).parameters == bytes((32, 32, 700 & 0xFF, 700 >> 8))
     assert bank.tables[0, 30] == 0
     bus.advance(10**9)
-    assert peek(bus, 1, dxl.GOAL_POSITION) == 700
-    assert peek(bus, 2, dxl.GOAL_POSITION) == 512
+    assert read_register(bus, 1, dxl.GOAL_POSITION) == 700
+    assert read_register(bus, 2, dxl.GOAL_POSITION) == 512
 
 
-def test_reads_see_the_last_physics_step() -> None:
-    bank, bus = wire(1)
+def test_reads_return_state_of_last_physics_step() -> None:
+    bank, bus = make_bus(1)
     bank.step(np.array([0.5]), np.zeros(1), np.array([-0.3]), 0.002)
     data = answer(bus, dxl.read(1, 36, 8)).parameters
     position, speed, load, voltage, temperature = dxl.PRESENT_STATE.unpack(data)
@@ -130,7 +130,7 @@ def test_reads_see_the_last_physics_step() -> None:
 @pytest.mark.parametrize(
     ("request_bytes", "error"),
     [
-        (put(1, dxl.TORQUE_ENABLE, 1), ServoError.NONE),
+        (write_packet(1, dxl.TORQUE_ENABLE, 1), ServoError.NONE),
         (dxl.write(1, 30, b"\x00\x04"), ServoError.RANGE),  # 1024
         (dxl.write(1, 24, b"\x02"), ServoError.RANGE),
         (dxl.write(1, 30, b"\x00"), ServoError.RANGE),  # half a register
@@ -146,7 +146,7 @@ def test_reads_see_the_last_physics_step() -> None:
     ],
 )
 def test_error_bits(request_bytes: bytes, error: ServoError) -> None:
-    bank, bus = wire()
+    bank, bus = make_bus()
     before = bank.tables.copy()
     assert answer(bus, request_bytes) == Packet(1, error, b"", 6)
     bus.advance(10**9)
@@ -156,17 +156,17 @@ def test_error_bits(request_bytes: bytes, error: ServoError) -> None:
 
 
 def test_goals_outside_the_angle_limits_are_refused() -> None:
-    bank, bus = wire()
-    bus.receive(put(1, dxl.CW_ANGLE_LIMIT, 300), 0)
-    assert answer(bus, put(1, dxl.GOAL_POSITION, 299)).code == ServoError.ANGLE_LIMIT
-    assert answer(bus, put(1, dxl.GOAL_POSITION, 300)).code == 0
+    bank, bus = make_bus()
+    bus.receive(write_packet(1, dxl.CW_ANGLE_LIMIT, 300), 0)
+    assert answer(bus, write_packet(1, dxl.GOAL_POSITION, 299)).code == ServoError.ANGLE_LIMIT
+    assert answer(bus, write_packet(1, dxl.GOAL_POSITION, 300)).code == 0
     bus.receive(dxl.sync_write(30, 2, [(1, b"\x00\x00"), (2, b"\x00\x00")]), 0)
     bus.advance(10**9)
     assert bank.tables[:, 30:32].tolist() == [[300 & 0xFF, 1], [0, 0]]
 
 
-def test_fault_bits_stand_in_every_answer() -> None:
-    bank, bus = wire()
+def test_fault_bits_are_in_every_reply() -> None:
+    bank, bus = make_bus()
     bank.temperature[0] = 80.0
     bank.step(np.zeros(2), np.zeros(2), np.zeros(2), 0.002)
     assert answer(bus, dxl.ping(1)).code == ServoError.OVERHEATING
@@ -175,11 +175,11 @@ def test_fault_bits_stand_in_every_answer() -> None:
     assert answer(bus, dxl.ping(2)).code == 0
 
 
-def test_unknown_ids_and_broadcasts_are_silent_but_for_ping() -> None:
-    bank, bus = wire(3)
+def test_unknown_ids_and_broadcasts_except_ping_get_no_reply() -> None:
+    bank, bus = make_bus(3)
     assert bus.receive(dxl.ping(77), 0) == []
     assert bus.counts.unanswered == 1
-    assert bus.receive(put(dxl.BROADCAST_ID, dxl.LED, 1), 0) == []
+    assert bus.receive(write_packet(dxl.BROADCAST_ID, dxl.LED, 1), 0) == []
     assert bus.receive(dxl.read(dxl.BROADCAST_ID, 36, 2), 0) == []
     assert [p.servo_id for p in packets(bus.receive(dxl.ping(dxl.BROADCAST_ID), 0))] == [1, 2, 3]
     bus.advance(10**9)
@@ -188,27 +188,27 @@ def test_unknown_ids_and_broadcasts_are_silent_but_for_ping() -> None:
 
 @pytest.mark.parametrize(("level", "answers"), [(0, (1, 0, 0)), (1, (1, 1, 0)), (2, (1, 1, 1))])
 def test_status_return_level(level: int, answers: tuple[int, int, int]) -> None:
-    _, bus = wire()
-    bus.receive(put(1, dxl.STATUS_RETURN_LEVEL, level), 0)
-    requests = (dxl.ping(1), dxl.read(1, 0, 2), put(1, dxl.LED, 1))
+    _, bus = make_bus()
+    bus.receive(write_packet(1, dxl.STATUS_RETURN_LEVEL, level), 0)
+    requests = (dxl.ping(1), dxl.read(1, 0, 2), write_packet(1, dxl.LED, 1))
     assert tuple(len(bus.receive(request, 0)) for request in requests) == answers
 
 
 def test_registered_writes_wait_for_action() -> None:
-    bank, bus = wire()
+    bank, bus = make_bus()
     assert answer(bus, dxl.reg_write(1, 30, b"\x64\x00")).code == 0
     assert answer(bus, dxl.reg_write(1, 30, b"\x64\x09")).code == ServoError.RANGE
-    assert peek(bus, 1, dxl.REGISTERED) == 1
-    assert peek(bus, 1, dxl.GOAL_POSITION) == 512
+    assert read_register(bus, 1, dxl.REGISTERED) == 1
+    assert read_register(bus, 1, dxl.GOAL_POSITION) == 512
     assert bus.receive(dxl.action(), 0) == []
-    assert peek(bus, 1, dxl.REGISTERED) == 0
+    assert read_register(bus, 1, dxl.REGISTERED) == 0
     bus.advance(10**9)
     assert bank.tables[0, 30:32].tolist() == [100, 0]
 
 
-def test_ids_can_be_changed_and_reset_returns_to_one() -> None:
-    _, bus = wire(2)
-    assert answer(bus, put(2, dxl.ID, 19)).servo_id in (2, 19)
+def test_id_can_be_changed_and_reset_sets_id_1() -> None:
+    _, bus = make_bus(2)
+    assert answer(bus, write_packet(2, dxl.ID, 19)).servo_id in (2, 19)
     assert bus.receive(dxl.ping(2), 0) == []
     assert answer(bus, dxl.ping(19)).servo_id == 19
     bus.advance(10**9)
@@ -217,34 +217,34 @@ def test_ids_can_be_changed_and_reset_returns_to_one() -> None:
     assert bus.receive(dxl.ping(19), 0) == []
 
 
-def test_servos_with_one_id_speak_at_once() -> None:
-    bank, bus = wire(2)
-    bus.receive(put(2, dxl.ID, 1), 0)
+def test_servos_with_the_same_id_collide() -> None:
+    bank, bus = make_bus(2)
+    bus.receive(write_packet(2, dxl.ID, 1), 0)
     assert answer(bus, dxl.ping(1)).servo_id == 1  # the same bytes: the host cannot distinguish them
     bank.step(np.array([0.5, -0.9]), np.zeros(2), np.zeros(2), 0.002)
     (reply,) = bus.receive(dxl.read(1, 36, 2), 0)
     assert PacketParser().feed(reply.data) == []
 
 
-def test_locked_eeprom_stays_locked() -> None:
-    _, bus = wire()
-    assert answer(bus, put(1, dxl.LOCK, 1)).code == 0
-    assert answer(bus, put(1, dxl.ID, 5)).code == ServoError.RANGE
-    assert answer(bus, put(1, dxl.LOCK, 0)).code == ServoError.RANGE
-    assert answer(bus, put(1, dxl.PUNCH, 40)).code == ServoError.RANGE
+def test_locked_eeprom_refuses_writes_and_unlocking() -> None:
+    _, bus = make_bus()
+    assert answer(bus, write_packet(1, dxl.LOCK, 1)).code == 0
+    assert answer(bus, write_packet(1, dxl.ID, 5)).code == ServoError.RANGE
+    assert answer(bus, write_packet(1, dxl.LOCK, 0)).code == ServoError.RANGE
+    assert answer(bus, write_packet(1, dxl.PUNCH, 40)).code == ServoError.RANGE
     for register in (dxl.TORQUE_ENABLE, dxl.LED, dxl.GOAL_POSITION, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT):
-        assert answer(bus, put(1, register, 1)).code == 0
+        assert answer(bus, write_packet(1, register, 1)).code == 0
 
 
 def test_echo_returns_every_byte_sent() -> None:
-    _, bus = wire(echo=True)
+    _, bus = make_bus(echo=True)
     echo, reply = bus.receive(dxl.ping(1), 0)
     assert echo == Reply(6 * BYTE + USB, dxl.ping(1))
     assert reply.data == dxl.status(1, 0)
 
 
-def test_a_packet_cut_in_transfers_ends_with_its_last_byte_and_a_lost_one_is_given_up() -> None:
-    _, bus = wire()
+def test_split_packet_is_completed_and_lost_rest_times_out() -> None:
+    _, bus = make_bus()
     packet = dxl.ping(1)
     assert bus.receive(packet[:3], 0) == []
     (reply,) = bus.receive(packet[3:], 50_000_000)
@@ -258,7 +258,7 @@ def test_a_packet_cut_in_transfers_ends_with_its_last_byte_and_a_lost_one_is_giv
     st.lists(st.one_of(st.binary(max_size=60), st.lists(st.sampled_from([255, 255, 1, 2, 3, 4, 0x83]), max_size=30).map(bytes)))
 )
 def test_garbage_never_breaks_the_bus(chunks: list[bytes]) -> None:
-    _, bus = wire(2)
+    _, bus = make_bus(2)
     for i, chunk in enumerate(chunks):
         bus.receive(chunk, i * 1_000_000)
     bus.advance(len(chunks) * 1_000_000)
@@ -276,8 +276,8 @@ def test_garbage_never_breaks_the_bus(chunks: list[bytes]) -> None:
         max_size=12,
     )
 )
-def test_wild_instructions_leave_tables_in_range(requests: list[bytes]) -> None:
-    bank, bus = wire(2)
+def test_random_instructions_leave_tables_in_range(requests: list[bytes]) -> None:
+    bank, bus = make_bus(2)
     for i, request in enumerate(requests):
         bus.receive(request, i * 1_000_000)
     bus.advance(10**12)
@@ -291,8 +291,8 @@ def test_wild_instructions_leave_tables_in_range(requests: list[bytes]) -> None:
 # ------------------------------------------------------------------------------------------------------- memory port
 
 
-def test_memory_port_moves_its_own_time_by_what_the_bus_costs() -> None:
-    _, bus = wire()
+def test_memory_port_advances_its_time_by_bus_time() -> None:
+    _, bus = make_bus()
     clock = [5_000_000]
     port = MemoryPort(bus, lambda: clock[0])
     port.write(dxl.ping(1))
@@ -304,8 +304,8 @@ def test_memory_port_moves_its_own_time_by_what_the_bus_costs() -> None:
     assert port.now_ns() == 20_000_000
 
 
-def test_memory_port_timeout_is_virtual_and_a_late_answer_waits() -> None:
-    _, bus = wire()
+def test_memory_port_timeout_is_virtual_and_late_reply_is_kept() -> None:
+    _, bus = make_bus()
     port = MemoryPort(bus, lambda: 0, timeout=0.001)
     port.write(dxl.ping(1))
     assert port.read(6) == b""
@@ -320,8 +320,8 @@ def test_memory_port_timeout_is_virtual_and_a_late_answer_waits() -> None:
     assert port.in_waiting == 0
 
 
-def test_a_closed_memory_port_says_so() -> None:
-    _, bus = wire()
+def test_closed_memory_port_raises_os_error() -> None:
+    _, bus = make_bus()
     port = MemoryPort(bus, lambda: 0)
     port.close()
     with pytest.raises(OSError, match="closed"):
@@ -340,8 +340,8 @@ def receive_exactly(client: socket.socket, count: int) -> bytes:
     return data
 
 
-def test_tcp_answers_not_before_they_are_due_and_takes_a_client_again() -> None:
-    _, bus = wire()
+def test_tcp_replies_when_due_and_accepts_reconnection() -> None:
+    _, bus = make_bus()
     with TcpBusServer(bus) as server:
         for _ in range(2):
             with socket.create_connection(server.address, timeout=5.0) as client:
@@ -353,8 +353,8 @@ def test_tcp_answers_not_before_they_are_due_and_takes_a_client_again() -> None:
         assert server.url == "socket://{}:{}".format(*server.address)
 
 
-def test_tcp_server_ends_with_a_client_connected_and_its_port_is_free_again() -> None:
-    _, bus = wire()
+def test_tcp_server_closes_with_connected_client_and_frees_its_port() -> None:
+    _, bus = make_bus()
     server = TcpBusServer(bus)
     address = server.address
     with socket.create_connection(address, timeout=5.0) as client:

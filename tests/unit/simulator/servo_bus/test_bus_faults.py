@@ -74,7 +74,7 @@ def of(target: FaultTarget, kind: FaultKind, at_s: float = 0.0, **parameters: ob
 # ------------------------------------------------------------------------------------------------------- all of them
 
 
-def test_without_a_fault_it_is_the_bus_itself() -> None:
+def test_bus_without_faults_equals_plain_bus() -> None:
     rig, plain = Rig(), Rig()
     requests = [dxl.ping(1), dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]), dxl.read(2, 30, 2), b"\xff\xff\x01", b"x"]
     for request in requests:
@@ -84,7 +84,7 @@ def test_without_a_fault_it_is_the_bus_itself() -> None:
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=" ".join)
-def test_a_fault_is_there_between_its_times_only(cell: tuple[FaultTarget, FaultKind]) -> None:
+def test_fault_is_active_only_between_start_and_end(cell: tuple[FaultTarget, FaultKind]) -> None:
     rig = Rig(of(*cell, at_s=1.0, for_s=1.0))
     for at_ns, on in ((S - 1, False), (S, True), (2 * S - 1, True), (2 * S, False)):
         assert (rig.bus.words(at_ns) != "") is on
@@ -104,7 +104,7 @@ def test_a_fault_is_there_between_its_times_only(cell: tuple[FaultTarget, FaultK
     ),
     st.integers(0, 9),
 )
-def test_whatever_happens_nothing_crashes_and_it_is_all_over_in_the_end(
+def test_random_faults_are_reproducible_and_bus_recovers(
     faults: list[tuple[tuple[FaultTarget, FaultKind], float, float, float]], requests: list[bytes], seed: int
 ) -> None:
     made = []
@@ -128,7 +128,7 @@ def test_whatever_happens_nothing_crashes_and_it_is_all_over_in_the_end(
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=" ".join)
-def test_a_fault_that_is_over_leaves_the_bus_as_before(cell: tuple[FaultTarget, FaultKind]) -> None:
+def test_bus_is_restored_after_each_fault(cell: tuple[FaultTarget, FaultKind]) -> None:
     """Restore the bus after a fault.
 
     Lasting effects are exceptions: heat, charge, a latched overload.
@@ -149,7 +149,7 @@ def test_a_fault_that_is_over_leaves_the_bus_as_before(cell: tuple[FaultTarget, 
         assert len(heard) == len(expected)
 
 
-def test_a_servo_that_is_not_there_is_named() -> None:
+def test_fault_of_unknown_servo_is_refused() -> None:
     with pytest.raises(ValueError, match=r"servo silent, servo 99.*one of the servos 1, 2, 3 expected, found 99"):
         Rig(BusFault("servo", "silent", 0.0, servo=99))
 
@@ -157,7 +157,7 @@ def test_a_servo_that_is_not_there_is_named() -> None:
 # ------------------------------------------------------------------------------------------------------------- bytes
 
 
-def bytes_heard(kind: FaultKind, n: int = 400, **parameters: object) -> tuple[bytes, bytes]:
+def received_and_sent_bytes(kind: FaultKind, n: int = 400, **parameters: object) -> tuple[bytes, bytes]:
     """Return what a host receives of long answers, and the answers."""
     rig = Rig(of("bytes", kind, for_s=100.0, **parameters))
     said = dxl.status(1, 0, bytes(50))
@@ -168,14 +168,14 @@ def bytes_heard(kind: FaultKind, n: int = 400, **parameters: object) -> tuple[by
     return heard, said * n
 
 
-def test_a_share_of_the_bytes_is_lost() -> None:
-    heard, said = bytes_heard("silent", share=0.1)
+def test_given_share_of_bytes_is_lost() -> None:
+    heard, said = received_and_sent_bytes("silent", share=0.1)
     assert 1.0 - len(heard) / len(said) == pytest.approx(0.1, abs=0.01)
 
 
 @pytest.mark.parametrize("kind", ["stuck", "garbage", "wrong"])
-def test_a_share_of_the_bytes_is_another(kind: FaultKind) -> None:
-    heard, said = bytes_heard(kind, share=0.1, **({"value": 0x55} if kind == "stuck" else {}))
+def test_given_share_of_bytes_is_corrupted(kind: FaultKind) -> None:
+    heard, said = received_and_sent_bytes(kind, share=0.1, **({"value": 0x55} if kind == "stuck" else {}))
     assert len(heard) == len(said)
     changed = [(a, b) for a, b in zip(said, heard, strict=True) if a != b]
     assert len(changed) / len(said) == pytest.approx(0.1, abs=0.01)
@@ -187,13 +187,13 @@ def test_a_share_of_the_bytes_is_another(kind: FaultKind) -> None:
         assert len({a ^ b for a, b in changed}) > 200
 
 
-def test_every_byte_can_be_hit() -> None:
-    heard, said = bytes_heard("silent", share=1.0)
+def test_byte_loss_with_share_1_drops_every_byte() -> None:
+    heard, said = received_and_sent_bytes("silent", share=1.0)
     assert heard == b""
     assert said
 
 
-def test_bytes_that_come_late_are_all_there_and_keep_their_order() -> None:
+def test_delayed_bytes_are_complete_and_in_order() -> None:
     rig = Rig(of("bytes", "slow", share=0.3, delay_ms=5.0))
     heard = rig.hear(dxl.read(1, 0, 50))
     assert len(heard) > 3
@@ -201,7 +201,7 @@ def test_bytes_that_come_late_are_all_there_and_keep_their_order() -> None:
     assert np.diff([reply.due_ns for reply in heard]).min() == 5 * MS
 
 
-def test_bursts_come_and_go() -> None:
+def test_intermittent_byte_fault_follows_on_off_times() -> None:
     rig = Rig(of("bytes", "intermittent", on_ms=20.0, off_ms=8.0))
     whole = []
     for _ in range(28):
@@ -212,7 +212,7 @@ def test_bursts_come_and_go() -> None:
     assert not any(good for good, well in zip(whole, clear, strict=True) if not well)
 
 
-def test_bytes_to_the_servos_are_hit_as_well() -> None:
+def test_byte_faults_affect_requests_to_servos() -> None:
     rig = Rig(of("bytes", "garbage", share=0.2, for_s=0.1))
     for _ in range(20):
         rig.hear(dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]))
@@ -223,14 +223,14 @@ def test_bytes_to_the_servos_are_hit_as_well() -> None:
 # ----------------------------------------------------------------------------------------------------------- answers
 
 
-def test_a_share_of_the_answers_is_lost_and_only_of_the_servo_that_is_meant() -> None:
+def test_given_share_of_replies_is_lost_only_for_target_servo() -> None:
     rig = Rig(of("packets", "silent", share=0.5, servo=2))
     lost = sum(not rig.state(2) for _ in range(400))
     assert lost == pytest.approx(200, abs=40)
     assert all(rig.state(1) for _ in range(100))
 
 
-def test_an_old_answer_comes_again() -> None:
+def test_stuck_packet_fault_repeats_old_replies() -> None:
     rig = Rig(of("packets", "stuck", share=1.0))
     seen = []
     for k in range(4):
@@ -241,7 +241,7 @@ def test_an_old_answer_comes_again() -> None:
     assert seen == [true[0], *true[:3]]
 
 
-def test_noise_comes_in_front() -> None:
+def test_garbage_packet_fault_prepends_noise() -> None:
     rig = Rig(of("packets", "garbage", share=1.0))
     for _ in range(50):
         (reply,) = rig.hear(dxl.ping(1))
@@ -250,7 +250,7 @@ def test_noise_comes_in_front() -> None:
 
 
 @pytest.mark.parametrize("part", ["value", "id", "length", "error"])
-def test_one_part_is_wrong_and_the_checksum_is_right(part: str) -> None:
+def test_wrong_packet_fault_changes_one_part_with_valid_checksum(part: str) -> None:
     rig = Rig(of("packets", "wrong", share=1.0, part=part))
     true = Rig().state(1)[0].parameters
     for _ in range(50):
@@ -262,7 +262,7 @@ def test_one_part_is_wrong_and_the_checksum_is_right(part: str) -> None:
         assert (packet.parameters != true) is (part in ("value", "length"))
 
 
-def test_answers_come_late_of_the_packets_the_servo_or_the_bus() -> None:
+def test_slow_fault_delays_replies_of_packets_servo_or_bus() -> None:
     (punctual,) = Rig().hear(dxl.ping(2))
     for fault in (of("packets", "slow", share=1.0), of("servo", "slow"), of("bus", "slow")):
         rig = Rig(fault)
@@ -272,7 +272,7 @@ def test_answers_come_late_of_the_packets_the_servo_or_the_bus() -> None:
 
 
 @pytest.mark.parametrize("target", ["packets", "servo", "bus"])
-def test_answers_stay_away_now_and_then(target: FaultTarget) -> None:
+def test_intermittent_fault_drops_replies_by_on_off_times(target: FaultTarget) -> None:
     rig = Rig(of(target, "intermittent", on_ms=12.0, off_ms=8.0))
     heard = []
     for _ in range(20):
@@ -285,7 +285,7 @@ def test_answers_stay_away_now_and_then(target: FaultTarget) -> None:
 
 
 @pytest.mark.parametrize("cable", [False, True])
-def test_a_silent_servo_neither_hears_nor_answers_and_without_its_cable_holds_nothing(cable: bool) -> None:
+def test_silent_servo_ignores_packets_and_loses_torque_without_cable(cable: bool) -> None:
     rig = Rig(of("servo", "silent", for_s=0.1, cable=cable))
     assert rig.state(2) == []
     assert rig.state(1) != []
@@ -301,7 +301,7 @@ def test_a_silent_servo_neither_hears_nor_answers_and_without_its_cable_holds_no
     assert (rig.out.torque_limit > 0).tolist() == [True, not cable, True]
 
 
-def test_a_stuck_position_register_shows_where_the_joint_was() -> None:
+def test_stuck_position_register_keeps_old_position() -> None:
     rig = Rig()
     rig.step((0.0, 0.2, 0.0))
     rig.bus.inject(of("servo", "stuck", for_s=0.1), rig.now_ns)
@@ -312,13 +312,13 @@ def test_a_stuck_position_register_shows_where_the_joint_was() -> None:
     assert rig.position(2) == dxl.ticks_from_angle(0.5)
 
 
-def test_a_position_register_that_is_off() -> None:
+def test_wrong_position_register_has_constant_offset() -> None:
     rig = Rig(of("servo", "wrong", offset_ticks=-40))
     rig.step()
     assert [rig.position(i) for i in IDS] == [512, 472, 512]
 
 
-def test_a_jammed_joint_is_held_where_it_was_and_its_motor_pulls_in_vain() -> None:
+def test_jammed_joint_is_held_in_place_under_full_motor_load() -> None:
     rig = Rig()
     rig.step((0.0, 0.3, 0.0))
     rig.bus.inject(of("servo", "jammed", for_s=0.1), rig.now_ns)
@@ -333,7 +333,7 @@ def test_a_jammed_joint_is_held_where_it_was_and_its_motor_pulls_in_vain() -> No
     assert rig.out.torque_limit[1] == pytest.approx(1.5)
 
 
-def test_garbage_of_one_servo() -> None:
+def test_garbage_fault_affects_only_replies_of_its_servo() -> None:
     rig = Rig(of("servo", "garbage"))
     (reply,) = rig.hear(dxl.read(2, 36, 8))
     assert len(reply.data) == 14
@@ -341,7 +341,7 @@ def test_garbage_of_one_servo() -> None:
     assert len(rig.state(1)) == 1
 
 
-def test_an_overload_latches_and_latches_again_until_its_end() -> None:
+def test_overload_fault_latches_again_after_reset_until_its_end() -> None:
     rig = Rig(of("servo", "overload", for_s=0.1))
     rig.step()
     assert rig.bank.shutdown.tolist() == [False, True, False]
@@ -363,7 +363,7 @@ def test_an_overload_latches_and_latches_again_until_its_end() -> None:
     assert rig.out.torque_limit[1] > 0
 
 
-def test_heat_and_its_cut_off() -> None:
+def test_heat_fault_warms_servo_until_shutdown() -> None:
     rig = Rig(of("servo", "heat", for_s=10.0, kelvin_per_s=10.0))
     rig.run(4.0)
     assert rig.bank.temperature[1] == pytest.approx(65.0, abs=1.0)
@@ -373,7 +373,7 @@ def test_heat_and_its_cut_off() -> None:
     assert rig.bank.shutdown.tolist() == [False, True, False]
 
 
-def test_a_temperature_that_reads_too_high_is_no_heat_and_is_right_again_afterwards() -> None:
+def test_hot_fault_changes_only_the_temperature_reading() -> None:
     rig = Rig(of("servo", "hot", for_s=0.5, celsius=85))
     question = dxl.read(2, dxl.PRESENT_TEMPERATURE.address, 1)
     rig.run(0.1)
@@ -387,7 +387,7 @@ def test_a_temperature_that_reads_too_high_is_no_heat_and_is_right_again_afterwa
 # ------------------------------------------------------------------------------------------------- bus and supply
 
 
-def test_a_silent_adapter_reaches_nobody_and_servos_hold() -> None:
+def test_silent_adapter_delivers_nothing_and_servos_hold() -> None:
     rig = Rig(of("bus", "silent", for_s=0.1))
     assert rig.hear(dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS])) == []
     assert rig.hear(dxl.ping(1)) == []
@@ -397,7 +397,7 @@ def test_a_silent_adapter_reaches_nobody_and_servos_hold() -> None:
 
 
 @pytest.mark.parametrize("kind", ["stuck", "garbage"])
-def test_a_line_that_never_rests(kind: FaultKind) -> None:
+def test_stuck_or_garbage_bus_fault_floods_the_line(kind: FaultKind) -> None:
     rig = Rig(of("bus", kind, **({"value": 0xFF} if kind == "stuck" else {})))
     heard = rig.hear(dxl.ping(1))
     data = b"".join(reply.data for reply in heard)
@@ -408,14 +408,14 @@ def test_a_line_that_never_rests(kind: FaultKind) -> None:
     assert sum(len(reply.data) for reply in rig.hear(dxl.ping(1))) == 400  # of 4 ms: a line has one speed
 
 
-def test_every_answer_is_the_one_to_the_question_before() -> None:
+def test_wrong_bus_fault_returns_reply_to_previous_request() -> None:
     rig = Rig(of("bus", "wrong"))
     assert rig.state(1) == []
     assert [packet.servo_id for packet in rig.state(2)] == [1]
     assert [packet.servo_id for packet in rig.state(3)] == [2]
 
 
-def test_a_port_that_is_gone_is_no_port_and_comes_back_under_its_name_or_another() -> None:
+def test_lost_port_returns_under_same_or_new_name() -> None:
     rig = Rig(of("bus", "gone", 0.1, for_s=0.1), of("bus", "gone", 0.3, for_s=0.1, renamed=True))
     port = MemoryPort(rig.bus, lambda: rig.now_ns)
     port.write(dxl.ping(1))
@@ -438,7 +438,7 @@ def test_a_port_that_is_gone_is_no_port_and_comes_back_under_its_name_or_another
     MemoryPort(rig.bus, lambda: rig.now_ns, name=1)
 
 
-def test_a_sag_and_a_battery_that_runs_empty() -> None:
+def test_supply_faults_sag_voltage_and_drain_battery() -> None:
     rig = Rig(of("supply", "sag", for_s=0.2, volts=3.0), of("supply", "drain", 0.5, for_s=2.0))
     rig.run(0.1)
     full = rig.bank.supply.full_voltage - rig.bank.supply.resistance * rig.bank.current
@@ -461,7 +461,7 @@ def ping(address: tuple[str, int]) -> bytes:
         return client.recv(6, socket.MSG_WAITALL)
 
 
-def test_over_tcp_the_port_goes_and_comes_back_elsewhere() -> None:
+def test_lost_tcp_port_returns_at_another_address() -> None:
     rig = Rig()
     now = [0]
 

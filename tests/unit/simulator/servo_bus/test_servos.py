@@ -28,12 +28,12 @@ DT = 0.01
 OVERLOAD, HOT = int(ServoError.OVERLOAD), int(ServoError.OVERHEATING)
 
 
-def put(bank: ServoBank, register: Register, value: int, rows: range | None = None) -> None:
+def write_register(bank: ServoBank, register: Register, value: int, rows: range | None = None) -> None:
     for row in rows or range(len(bank)):
         bank.write(row, register.address, register.encode(value))
 
 
-def get(bank: ServoBank, register: Register, row: int = 0) -> int:
+def read_register(bank: ServoBank, register: Register, row: int = 0) -> int:
     return int.from_bytes(bank.read(row, register.address, register.size), "little")
 
 
@@ -44,7 +44,7 @@ def step(bank: ServoBank, q: float = 0.0, torque: float = 0.0, dt: float = DT) -
 
 def powered(n: int = 1, **kwargs: object) -> ServoBank:
     bank = ServoBank(range(1, n + 1), **kwargs)  # type: ignore[arg-type]
-    put(bank, dxl.TORQUE_ENABLE, 1)
+    write_register(bank, dxl.TORQUE_ENABLE, 1)
     return bank
 
 
@@ -60,7 +60,7 @@ def run_until(bank: ServoBank, torque: float, error: int, limit_s: float, dt: fl
 # ------------------------------------------------------------------------------------- constants: not to be relaxed
 
 
-def test_constants_of_motor_protection_and_battery() -> None:
+def test_motor_protection_and_battery_constants() -> None:
     assert asdict(AX_12A_MOTOR) == {"stall_torque": 1.5, "stall_current": 1.5, "standby_current": 0.05}
     assert asdict(Protection()) == {
         "stall_duty": 0.95,
@@ -82,26 +82,26 @@ def test_constants_of_motor_protection_and_battery() -> None:
     assert bank.protection == Protection()
     assert bank.supply == Supply()
     assert bank.motor == AX_12A_MOTOR
-    assert get(bank, dxl.TEMPERATURE_LIMIT) == 70
-    assert get(bank, dxl.SHUTDOWN) == 0x24
+    assert read_register(bank, dxl.TEMPERATURE_LIMIT) == 70
+    assert read_register(bank, dxl.SHUTDOWN) == 0x24
 
 
 @pytest.mark.parametrize(("torque", "seconds"), [(0.9, 150.0), (1.2, 76.0)])
-def test_heat_shuts_down_after(torque: float, seconds: float) -> None:
+def test_overheating_shutdown_time_at_constant_torque(torque: float, seconds: float) -> None:
     bank = powered()
     assert run_until(bank, torque, HOT, 400.0, dt=0.05) == pytest.approx(seconds, rel=0.02)
-    assert get(bank, dxl.TORQUE_LIMIT) == 0
+    assert read_register(bank, dxl.TORQUE_LIMIT) == 0
 
 
-def test_one_third_of_stall_is_the_continuous_limit() -> None:
+def test_continuous_torque_limit_is_one_third_of_stall() -> None:
     bank = powered()
     assert run_until(bank, 0.5, HOT, 4000.0, dt=0.5) == math.inf
     assert 69.5 < bank.temperature[0] < 70.0
-    assert get(bank, dxl.PRESENT_TEMPERATURE) == 70
+    assert read_register(bank, dxl.PRESENT_TEMPERATURE) == 70
     assert run_until(powered(), 0.52, HOT, 4000.0, dt=0.5) < 2000.0
 
 
-def test_heat_follows_the_square_so_rms_counts() -> None:
+def test_heating_follows_rms_torque() -> None:
     steady, pulsed = powered(), powered()
     for k in range(2000):
         step(steady, torque=0.5, dt=0.05)
@@ -110,11 +110,11 @@ def test_heat_follows_the_square_so_rms_counts() -> None:
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.01])
-def test_stall_latches_after_one_and_a_half_seconds(dt: float) -> None:
+def test_stall_latches_overload_after_1_5_s(dt: float) -> None:
     assert run_until(powered(), 0.95 * 1.5, OVERLOAD, 3.0, dt) == pytest.approx(1.5, abs=1.5 * dt)
 
 
-def test_an_interrupted_stall_does_not_latch() -> None:
+def test_interrupted_stall_does_not_latch_overload() -> None:
     bank = powered()
     for _ in range(4):
         assert run_until(bank, 1.45, OVERLOAD, 1.4) == math.inf
@@ -122,12 +122,12 @@ def test_an_interrupted_stall_does_not_latch() -> None:
 
 
 @pytest.mark.parametrize("dt", [0.002, 0.01])
-def test_mean_duty_over_ten_seconds_latches(dt: float) -> None:
+def test_mean_duty_over_10_s_latches_overload(dt: float) -> None:
     assert run_until(powered(), 0.9 * 1.5, OVERLOAD, 12.0, dt) == pytest.approx(10.0 * 0.8 / 0.9, abs=0.11)
     assert run_until(powered(), 0.79 * 1.5, OVERLOAD, 30.0, dt) == math.inf
 
 
-def test_mean_duty_forgets_what_is_older_than_ten_seconds() -> None:
+def test_mean_duty_window_is_10_s() -> None:
     bank = powered()
     assert run_until(bank, 0.94 * 1.5, OVERLOAD, 8.0) == math.inf
     assert run_until(bank, 0.0, OVERLOAD, 10.2) == math.inf
@@ -146,10 +146,10 @@ def test_battery_current_voltage_and_charge() -> None:
     step(bank, torque=0.0, dt=4.0 * 3600)
     assert bank.charge == 0.0
     assert bank.voltage == pytest.approx(9.9 - 0.04 * 1.9)
-    assert get(bank, dxl.PRESENT_VOLTAGE, 17) == 98
+    assert read_register(bank, dxl.PRESENT_VOLTAGE, 17) == 98
 
 
-def test_a_battery_lasts_by_what_it_holds_and_a_converter_for_ever() -> None:
+def test_battery_life_scales_with_capacity_and_converter_never_drains() -> None:
     small, large = (bank_of("AX-12A", range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
     for bank in (small, large):
         step(bank, torque=0.0, dt=4.0 * 3600 / 1.9)
@@ -159,10 +159,10 @@ def test_a_battery_lasts_by_what_it_holds_and_a_converter_for_ever() -> None:
     assert converter.voltage == pytest.approx(14.8, abs=0.1)
 
 
-def test_low_voltage_is_an_error_bit_of_every_servo_whose_limit_it_crosses() -> None:
+def test_low_voltage_sets_error_bit_by_limit_of_each_servo() -> None:
     bank = ServoBank([1, 2], charge=0.0)
     step(bank)
-    put(bank, dxl.MIN_VOLTAGE, 110, range(1))
+    write_register(bank, dxl.MIN_VOLTAGE, 110, range(1))
     assert bank.error(0) == ServoError.INPUT_VOLTAGE
     assert bank.error(1) == 0
 
@@ -170,36 +170,36 @@ def test_low_voltage_is_an_error_bit_of_every_servo_whose_limit_it_crosses() -> 
 # ----------------------------------------------------------------------------------------------------- shutdown
 
 
-def test_shutdown_makes_limp_until_torque_limit_is_written() -> None:
+def test_shutdown_disables_torque_until_torque_limit_is_written() -> None:
     bank = powered(2)
-    put(bank, dxl.GOAL_POSITION, 600)
+    write_register(bank, dxl.GOAL_POSITION, 600)
     assert step(bank).torque_limit.tolist() == [1.5, 1.5]
     for _ in range(160):
         bank.step(np.zeros(2), np.zeros(2), np.array([1.5, 0.1]), DT)
     assert [bank.error(0), bank.error(1)] == [OVERLOAD, 0]
-    assert [get(bank, dxl.TORQUE_LIMIT, row) for row in (0, 1)] == [0, 1023]
+    assert [read_register(bank, dxl.TORQUE_LIMIT, row) for row in (0, 1)] == [0, 1023]
     assert step(bank).torque_limit.tolist() == [0.0, 1.5]
-    put(bank, dxl.GOAL_POSITION, 300)
-    put(bank, dxl.TORQUE_ENABLE, 1)
+    write_register(bank, dxl.GOAL_POSITION, 300)
+    write_register(bank, dxl.TORQUE_ENABLE, 1)
     assert step(bank).torque_limit.tolist() == [0.0, 1.5]
     assert bank.error(0) == OVERLOAD
-    put(bank, dxl.TORQUE_LIMIT, 1023)
+    write_register(bank, dxl.TORQUE_LIMIT, 1023)
     assert step(bank).torque_limit.tolist() == [1.5, 1.5]
     assert bank.error(0) == 0
 
 
-def test_writing_the_limit_does_not_cool_a_hot_servo() -> None:
+def test_writing_torque_limit_does_not_reset_overheated_servo() -> None:
     bank = powered(temperature=75.0)
     assert step(bank).torque_limit[0] == 0.0
     assert bank.error(0) == HOT
-    put(bank, dxl.TORQUE_LIMIT, 1023)
+    write_register(bank, dxl.TORQUE_LIMIT, 1023)
     assert step(bank).torque_limit[0] == 0.0  # not for one step
     assert bank.error(0) == HOT
 
 
-def test_shutdown_bits_choose_what_shuts_down() -> None:
+def test_shutdown_register_selects_shutdown_causes() -> None:
     bank = powered(temperature=75.0)
-    put(bank, dxl.SHUTDOWN, OVERLOAD)
+    write_register(bank, dxl.SHUTDOWN, OVERLOAD)
     assert step(bank).torque_limit[0] == 1.5
     assert bank.error(0) == HOT
 
@@ -208,14 +208,14 @@ def test_shutdown_bits_choose_what_shuts_down() -> None:
 
 
 @pytest.mark.parametrize(("slope", "stiffness"), [(32, 9.2), (16, 18.3), (128, 2.29), (63, 9.2), (2, 147.0), (1, 147.0)])
-def test_compliance_slope_is_stiffness(slope: int, stiffness: float) -> None:
+def test_stiffness_follows_compliance_slope(slope: int, stiffness: float) -> None:
     bank = powered()
-    put(bank, dxl.CW_COMPLIANCE_SLOPE, slope)
-    put(bank, dxl.CCW_COMPLIANCE_SLOPE, slope)
+    write_register(bank, dxl.CW_COMPLIANCE_SLOPE, slope)
+    write_register(bank, dxl.CCW_COMPLIANCE_SLOPE, slope)
     assert step(bank).stiffness[0] == pytest.approx(stiffness, rel=0.01)
 
 
-def test_an_rx_64_is_as_stiff_as_its_stall_torque_at_14_8_volts_and_its_supply_suits_it() -> None:
+def test_rx_64_stiffness_and_supply_match_14_8_v() -> None:
     bank = powered(3, model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
     command = step(bank)
     stall_torque = 5.3 * 14.8 / 18.5
@@ -227,7 +227,7 @@ def test_an_rx_64_is_as_stiff_as_its_stall_torque_at_14_8_volts_and_its_supply_s
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_a_profile_its_servos_and_their_supply_agree(name: str) -> None:
+def test_profile_matches_servo_model_and_supply(name: str) -> None:
     """Match the voltage under load with the profile.
 
     With a mismatch, the voltage falls below the profile's limit for an empty battery. The robot then lies down while it stands
@@ -236,7 +236,7 @@ def test_a_profile_its_servos_and_their_supply_agree(name: str) -> None:
     profile = load_profile(name)
     bank = bank_of(profile.servo.model, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
     assert bank.motor.stall_torque == pytest.approx(profile.servo.stall_torque)
-    put(bank, dxl.TORQUE_ENABLE, 1)
+    write_register(bank, dxl.TORQUE_ENABLE, 1)
     assert step(bank).stiffness[0] == pytest.approx(profile.servo.stiffness, rel=0.01)
     step(bank, torque=profile.servo.stall_torque / 3.0)  # of all servos at once: more than a walk takes
     assert bank.voltage > profile.battery.warn_voltage
@@ -245,7 +245,7 @@ def test_a_profile_its_servos_and_their_supply_agree(name: str) -> None:
     assert bank.error(0) == 0
 
 
-def test_an_rx_64_shuts_down_at_the_duties_of_an_ax_12a() -> None:
+def test_rx_64_shuts_down_at_same_duty_as_ax_12a() -> None:
     """Shut down by duty: the limit is the same share of 4.24 N m and of 1.5 N m.
 
     Heat trips later, since its limit is 80 deg C.
@@ -261,13 +261,13 @@ def test_an_rx_64_shuts_down_at_the_duties_of_an_ax_12a() -> None:
 
 def test_each_direction_has_its_own_compliance() -> None:
     bank = powered()
-    put(bank, dxl.CCW_COMPLIANCE_SLOPE, 16)
-    put(bank, dxl.CCW_COMPLIANCE_MARGIN, 4)
-    put(bank, dxl.GOAL_POSITION, 612)
+    write_register(bank, dxl.CCW_COMPLIANCE_SLOPE, 16)
+    write_register(bank, dxl.CCW_COMPLIANCE_MARGIN, 4)
+    write_register(bank, dxl.GOAL_POSITION, 612)
     up = step(bank)
     assert up.stiffness[0] == pytest.approx(18.3, rel=0.01)
     assert up.setpoint[0] == pytest.approx(96 * dxl.TICK_RAD)
-    put(bank, dxl.GOAL_POSITION, 412)
+    write_register(bank, dxl.GOAL_POSITION, 412)
     down = step(bank)
     assert down.stiffness[0] == pytest.approx(9.2, rel=0.01)
     assert down.setpoint[0] == pytest.approx(-99 * dxl.TICK_RAD)
@@ -276,8 +276,8 @@ def test_each_direction_has_its_own_compliance() -> None:
 @pytest.mark.parametrize("margin", [0, 1, 5])
 def test_no_torque_inside_the_margin_and_no_jump_at_its_edge(margin: int) -> None:
     bank = powered()
-    put(bank, dxl.CW_COMPLIANCE_MARGIN, margin)
-    put(bank, dxl.CCW_COMPLIANCE_MARGIN, margin)
+    write_register(bank, dxl.CW_COMPLIANCE_MARGIN, margin)
+    write_register(bank, dxl.CCW_COMPLIANCE_MARGIN, margin)
     q = np.linspace(-10, 10, 201) * dxl.TICK_RAD
     torque = []
     for angle in q:
@@ -291,67 +291,67 @@ def test_no_torque_inside_the_margin_and_no_jump_at_its_edge(margin: int) -> Non
 
 def test_torque_limit_is_the_lesser_of_both_registers() -> None:
     bank = powered()
-    put(bank, dxl.TORQUE_LIMIT, 512)
+    write_register(bank, dxl.TORQUE_LIMIT, 512)
     assert step(bank).torque_limit[0] == pytest.approx(1.5 * 512 / 1023)
-    put(bank, dxl.MAX_TORQUE, 256)
+    write_register(bank, dxl.MAX_TORQUE, 256)
     assert step(bank).torque_limit[0] == pytest.approx(1.5 * 256 / 1023)
-    put(bank, dxl.TORQUE_ENABLE, 0)
+    write_register(bank, dxl.TORQUE_ENABLE, 0)
     assert step(bank).torque_limit[0] == 0.0
 
 
-def test_the_goal_alone_does_not_turn_torque_on() -> None:
+def test_goal_write_does_not_enable_torque() -> None:
     bank = ServoBank([1])
-    put(bank, dxl.GOAL_POSITION, 700)
+    write_register(bank, dxl.GOAL_POSITION, 700)
     assert step(bank).torque_limit[0] == 0.0
-    assert get(bank, dxl.TORQUE_ENABLE) == 0
+    assert read_register(bank, dxl.TORQUE_ENABLE) == 0
 
 
 @pytest.mark.parametrize("q", [-1.0, 0.3])
-def test_torque_comes_on_where_the_joint_is(q: float) -> None:
+def test_torque_enable_sets_goal_to_present_position(q: float) -> None:
     bank = ServoBank([1])
-    put(bank, dxl.GOAL_POSITION, 900)
+    write_register(bank, dxl.GOAL_POSITION, 900)
     step(bank, q=q)
-    put(bank, dxl.TORQUE_ENABLE, 1)
-    assert get(bank, dxl.GOAL_POSITION) == dxl.ticks_from_angle(q)
+    write_register(bank, dxl.TORQUE_ENABLE, 1)
+    assert read_register(bank, dxl.GOAL_POSITION) == dxl.ticks_from_angle(q)
     assert step(bank, q=q).setpoint[0] == pytest.approx(q, abs=dxl.TICK_RAD)
 
 
-def test_torque_may_come_on_before_the_first_step() -> None:
+def test_torque_can_be_enabled_before_first_step() -> None:
     bank = ServoBank([1], q=np.array([0.5]))
-    put(bank, dxl.TORQUE_ENABLE, 1)
+    write_register(bank, dxl.TORQUE_ENABLE, 1)
     assert step(bank, q=0.5).setpoint[0] == pytest.approx(0.5, abs=dxl.TICK_RAD)
 
 
 def test_moving_speed_ramps_the_setpoint() -> None:
     bank = powered()
-    put(bank, dxl.CW_COMPLIANCE_MARGIN, 0)
-    put(bank, dxl.CCW_COMPLIANCE_MARGIN, 0)
-    put(bank, dxl.MOVING_SPEED, 100)
-    put(bank, dxl.GOAL_POSITION, 612)
+    write_register(bank, dxl.CW_COMPLIANCE_MARGIN, 0)
+    write_register(bank, dxl.CCW_COMPLIANCE_MARGIN, 0)
+    write_register(bank, dxl.MOVING_SPEED, 100)
+    write_register(bank, dxl.GOAL_POSITION, 612)
     speed = 100 * 0.111 * 2 * math.pi / 60
     setpoints = [step(bank).setpoint[0] for _ in range(100)]
     assert setpoints[9] == pytest.approx(10 * DT * speed)
-    assert get(bank, dxl.MOVING) == 0  # it arrived long ago
+    assert read_register(bank, dxl.MOVING) == 0  # it arrived long ago
     assert setpoints[-1] == pytest.approx(100 * dxl.TICK_RAD)
     assert np.max(np.diff(setpoints)) <= DT * speed + 1e-12
-    put(bank, dxl.MOVING_SPEED, 0)
-    put(bank, dxl.GOAL_POSITION, 412)
+    write_register(bank, dxl.MOVING_SPEED, 0)
+    write_register(bank, dxl.GOAL_POSITION, 412)
     assert step(bank).setpoint[0] == pytest.approx(-100 * dxl.TICK_RAD)
 
 
-def test_after_a_limp_spell_the_ramp_starts_at_the_joint() -> None:
+def test_speed_ramp_starts_at_joint_position_after_torque_returns() -> None:
     bank = powered()
-    put(bank, dxl.MOVING_SPEED, 10)
-    put(bank, dxl.TORQUE_LIMIT, 0)
+    write_register(bank, dxl.MOVING_SPEED, 10)
+    write_register(bank, dxl.TORQUE_LIMIT, 0)
     step(bank, q=-0.8)
-    put(bank, dxl.TORQUE_LIMIT, 1023)
+    write_register(bank, dxl.TORQUE_LIMIT, 1023)
     assert step(bank, q=-0.8).setpoint[0] == pytest.approx(-0.8, abs=0.01)
-    assert get(bank, dxl.MOVING) == 1
+    assert read_register(bank, dxl.MOVING) == 1
 
 
-def test_wheel_mode_is_limp() -> None:
+def test_wheel_mode_has_no_torque() -> None:
     bank = powered()
-    put(bank, dxl.CCW_ANGLE_LIMIT, 0)
+    write_register(bank, dxl.CCW_ANGLE_LIMIT, 0)
     assert step(bank).torque_limit[0] == 0.0
 
 
@@ -360,22 +360,22 @@ def test_present_registers_show_the_last_step() -> None:
     q: NDArray[np.float64] = np.array([0.5, -2.7])
     bank.step(q, np.array([1.0, -2.0]), np.array([0.3, -0.6]), DT)
     q[:] = 0.0  # the caller may reuse its arrays
-    assert get(bank, dxl.PRESENT_POSITION, 0) == dxl.ticks_from_angle(0.5)
-    assert get(bank, dxl.PRESENT_POSITION, 1) == 0  # beyond the potentiometer
-    assert dxl.speed_from_register(get(bank, dxl.PRESENT_SPEED, 1)) == pytest.approx(-2.0, abs=0.01)
-    assert dxl.load_from_register(get(bank, dxl.PRESENT_LOAD, 0)) == pytest.approx(0.2, abs=0.001)
-    assert dxl.load_from_register(get(bank, dxl.PRESENT_LOAD, 1)) == pytest.approx(-0.4, abs=0.001)
-    assert get(bank, dxl.PRESENT_VOLTAGE, 0) == get(bank, dxl.PRESENT_VOLTAGE, 1) == 125
-    assert get(bank, dxl.PRESENT_TEMPERATURE, 0) == 25
+    assert read_register(bank, dxl.PRESENT_POSITION, 0) == dxl.ticks_from_angle(0.5)
+    assert read_register(bank, dxl.PRESENT_POSITION, 1) == 0  # beyond the potentiometer
+    assert dxl.speed_from_register(read_register(bank, dxl.PRESENT_SPEED, 1)) == pytest.approx(-2.0, abs=0.01)
+    assert dxl.load_from_register(read_register(bank, dxl.PRESENT_LOAD, 0)) == pytest.approx(0.2, abs=0.001)
+    assert dxl.load_from_register(read_register(bank, dxl.PRESENT_LOAD, 1)) == pytest.approx(-0.4, abs=0.001)
+    assert read_register(bank, dxl.PRESENT_VOLTAGE, 0) == read_register(bank, dxl.PRESENT_VOLTAGE, 1) == 125
+    assert read_register(bank, dxl.PRESENT_TEMPERATURE, 0) == 25
 
 
-def test_registers_go_on_between_steps_as_the_joint_and_its_spring_do() -> None:
+def test_present_registers_are_extrapolated_between_steps() -> None:
     """Extrapolate a servo that turns at 4 rad/s towards its goal, for 6 ms at most.
 
     Its torque decreases on the way.
     """
     bank, at_ns, speed = powered(), 1_000_000_000, 4.0
-    put(bank, dxl.GOAL_POSITION, dxl.ticks_from_angle(0.12))
+    write_register(bank, dxl.GOAL_POSITION, dxl.ticks_from_angle(0.12))
     spring = step(bank).stiffness[0]
     goal = step(bank).setpoint[0]
     bank.feel(np.zeros(1), np.array([speed]), np.array([spring * goal + 0.1]), at_ns)  # the state at the beginning of the step
@@ -392,10 +392,10 @@ def test_registers_go_on_between_steps_as_the_joint_and_its_spring_do() -> None:
         assert load * AX_12A_MOTOR.stall_torque == pytest.approx(spring * (goal - speed * after_ms * 1e-3), abs=0.002)
     assert measured(1000.0) == measured(6.0)
     assert measured(-1000.0) == measured(-6.0)
-    assert get(bank, dxl.PRESENT_POSITION) == dxl.ticks_from_angle(0.0), "who names no time sees the step"
+    assert read_register(bank, dxl.PRESENT_POSITION) == dxl.ticks_from_angle(0.0), "who names no time sees the step"
 
 
-def test_a_limp_servo_that_is_turned_does_not_pull_between_steps() -> None:
+def test_servo_without_torque_shows_no_load_between_steps() -> None:
     bank = ServoBank([1])
     step(bank)
     bank.feel(np.zeros(1), np.ones(1), np.zeros(1), 0)
