@@ -9,18 +9,13 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sextant.services.simulator.config import Settings
-from sextant.services.simulator.physics.movers import Movers, together
-from sextant.services.simulator.physics.solids import Boxes, Capsules
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, World
-from sextant.services.simulator.sensors.color_camera import ColorCamera
-from sextant.services.simulator.sensors.depth_camera import DepthCamera
 from sextant.services.simulator.sensors.imu import Imu as ImuSensor
 from sextant.services.simulator.sensors.imu import ImuNoise
-from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.services.simulator.sensors.robot_camera import RobotCamera
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
@@ -81,21 +76,15 @@ class Simulator:
         seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(7)]
         terrain = build_terrain(scenario, seeds[0])
         self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
-        self._T_body_camera = profile.camera.T_body_camera
-        self._renderer = Renderer(terrain, profile.camera.intrinsics)
-        self._camera = DepthCamera(
-            profile.camera.intrinsics,
-            profile.camera.sensor,
-            seeds[2],
-            noise=scenario.camera.noise,
-            dropouts=scenario.camera.dropouts,
-            loss=scenario.camera.loss,
+        self._camera = RobotCamera(
+            profile,
+            scenario,
+            self.world,
+            settings.seed,
+            (seeds[2], seeds[4], seeds[6]),
+            self.stages,
+            settings.frames_per_picture,
         )
-        self._faults = [fault for fault in scenario.faults_at(settings.seed) if fault.of_camera]
-        self._movers = Movers(scenario.movers, terrain, seeds[6])
-        self._last_depth: NDArray[np.uint16] | None = None
-        self._frames = 0
-        self._color = ColorCamera(self._renderer, terrain, seeds[4]) if profile.camera.color else None
         self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
@@ -229,68 +218,21 @@ class Simulator:
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """Yield the messages of camera, IMU and ground truth that are due."""
-        if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and self._is_looked_at():
-            depth = self._depth(self._camera_fault())
+        camera = self._camera
+        if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and camera.begin_frame():
+            depth = camera.depth()
             if depth is not None:
                 yield DepthImage(now_ns, depth)
                 # Colour is rendered at the time of a depth frame, so that their pixels correspond.
-                if self._color is not None and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
-                    with self.stages("color"):
-                        color = self._color.picture(self._camera_pose(), self._solids())
-                    yield ColorImage(now_ns, color)
+                if camera.has_color and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
+                    yield ColorImage(now_ns, camera.color())
         if self._due(topics.CAMERA_STATE, now_ns):
-            absent = "unplugged by the scenario" if self._camera_fault() == "absent" else ""
+            absent = "unplugged by the scenario" if camera.fault == "absent" else ""
             yield CameraState(now_ns, device="simulated depth camera", ok=not absent, reason=absent)
         if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
             yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)
-
-    def _is_looked_at(self) -> bool:
-        """Count a depth frame, and return whether it is to be rendered.
-
-        The movers advance in any case.
-        """
-        self._frames += 1
-        if len(self._movers):
-            self._movers.advance(self.world.time_ns * 1e-9, self.world.T_world_body)
-        looked_at = self._frames % self._settings.frames_per_picture == 0
-        if not looked_at:
-            self._camera.pass_over()
-        return looked_at
-
-    def _depth(self, fault: str) -> NDArray[np.uint16] | None:
-        """Return the next raw depth frame (h, w) with the effect of a camera fault.
-
-        The result is None while the camera is absent.
-        """
-        if fault == "absent":
-            return None
-        if fault == "frozen" and self._last_depth is not None:
-            return self._last_depth
-        shape = (self._profile.camera.intrinsics.height, self._profile.camera.intrinsics.width)
-        if fault == "blind":
-            return np.zeros(shape, dtype=np.uint16)
-        if fault == "noise":
-            sensor = self._profile.camera.sensor
-            high = min(65535, round(sensor.max_range * sensor.depth_scale))
-            return np.random.default_rng([self._settings.seed, self.world.time_ns]).integers(0, high, shape, dtype=np.uint16)
-        with self.stages("render"):
-            self._renderer.settle(self.world.sunk)
-            picture = self._renderer.inverse_depth(self._camera_pose(), self._solids())
-        with self.stages("depth noise"):
-            self._last_depth = self._camera.measure(picture)
-        return self._last_depth
-
-    def _camera_fault(self) -> str:
-        """Return the kind of the current camera fault of the scenario, "" without one."""
-        now_s = self.world.time_ns * 1e-9
-        return next((fault.kind for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), "")
-
-    def _solids(self) -> tuple[Boxes, Capsules]:
-        """Return the solids that the camera sees besides the terrain: robot and movers."""
-        robot = self.world.robot_solids()
-        return together(robot, self._movers.solids()) if len(self._movers) else robot
 
     def _due(self, topic: AnyTopic, now_ns: int, rate_hz: float | None = None) -> bool:
         """Return whether a topic is due, and if so schedule its next period.
@@ -306,9 +248,6 @@ class Simulator:
         period_ns = round(1e9 / (rate_hz or topic.rate_hz))
         self._due_ns[topic.key] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
         return True
-
-    def _camera_pose(self) -> Array:
-        return np.asarray(self.world.T_world_body @ self._T_body_camera)
 
     def _feel(self, now_ns: int) -> Imu:
         gyro, force = self._imu.update(*self.world.imu, 1.0 / topics.IMU.rate_hz)

@@ -1,0 +1,129 @@
+"""Camera on the robot: depth and colour frames of a world, with the camera faults of a scenario."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.simulator.physics.movers import Movers, together
+from sextant.services.simulator.physics.solids import Boxes, Capsules
+from sextant.services.simulator.physics.world import World
+from sextant.services.simulator.sensors.color_camera import ColorCamera
+from sextant.services.simulator.sensors.depth_camera import DepthCamera
+from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.service import Stages
+from sextant.shared.scenario.scenario import Fault, Scenario
+
+
+class RobotCamera:
+    """Renders the frames of the robot's camera, which sees terrain, robot and movers."""
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        scenario: Scenario,
+        world: World,
+        seed: int,
+        random: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
+        stages: Stages,
+        frames_per_picture: int = 1,
+    ):
+        """Begin without a frame.
+
+        Args:
+            profile: The robot.
+            scenario: Noise, faults and movers.
+            world: The physics.
+            seed: Random seed of the run.
+            random: Random generators of depth noise, colour noise and movers.
+            stages: Takes the durations.
+            frames_per_picture: Render only every n-th depth frame.
+        """
+        depth_random, color_random, movers_random = random
+        self._world, self._profile, self._seed = world, profile, seed
+        self._renderer = Renderer(world.terrain, profile.camera.intrinsics)
+        self._depth_camera = DepthCamera(
+            profile.camera.intrinsics,
+            profile.camera.sensor,
+            depth_random,
+            noise=scenario.camera.noise,
+            dropouts=scenario.camera.dropouts,
+            loss=scenario.camera.loss,
+        )
+        self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if profile.camera.color else None
+        self._faults: Sequence[Fault] = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
+        self._movers = Movers(scenario.movers, world.terrain, movers_random)
+        self._stages = stages
+        self._frames_per_picture = frames_per_picture
+        self._frames = 0
+        self._last_depth: NDArray[np.uint16] | None = None
+
+    @property
+    def fault(self) -> str:
+        """Kind of the present camera fault, "" without one."""
+        now_s = self._world.time_ns * 1e-9
+        return next((fault.kind for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), "")
+
+    @property
+    def has_color(self) -> bool:
+        """Whether the camera has a colour sensor."""
+        return self._color_camera is not None
+
+    def begin_frame(self) -> bool:
+        """Count a depth frame, and return whether it is to be rendered.
+
+        The movers advance in any case.
+        """
+        self._frames += 1
+        if len(self._movers):
+            self._movers.advance(self._world.time_ns * 1e-9, self._world.T_world_body)
+        rendered = self._frames % self._frames_per_picture == 0
+        if not rendered:
+            self._depth_camera.pass_over()
+        return rendered
+
+    def depth(self) -> NDArray[np.uint16] | None:
+        """Return the raw depth frame (h, w) with the effect of a camera fault.
+
+        The result is None while the camera is absent.
+        """
+        fault = self.fault
+        if fault == "absent":
+            return None
+        if fault == "frozen" and self._last_depth is not None:
+            return self._last_depth
+        shape = (self._profile.camera.intrinsics.height, self._profile.camera.intrinsics.width)
+        if fault == "blind":
+            return np.zeros(shape, dtype=np.uint16)
+        if fault == "noise":
+            sensor = self._profile.camera.sensor
+            high = min(65535, round(sensor.max_range * sensor.depth_scale))
+            return np.random.default_rng([self._seed, self._world.time_ns]).integers(0, high, shape, dtype=np.uint16)
+        with self._stages("render"):
+            self._renderer.settle(self._world.sunk)
+            picture = self._renderer.inverse_depth(self._T_world_camera, self._solids())
+        with self._stages("depth noise"):
+            self._last_depth = self._depth_camera.measure(picture)
+        return self._last_depth
+
+    def color(self) -> NDArray[np.uint8]:
+        """Return the colour image (h, w, 3) now.
+
+        Raises:
+            ValueError: The camera has no colour sensor.
+        """
+        if self._color_camera is None:
+            raise ValueError("a camera with a colour sensor expected")
+        with self._stages("color"):
+            return self._color_camera.picture(self._T_world_camera, self._solids())
+
+    @property
+    def _T_world_camera(self) -> Array:
+        return np.asarray(self._world.T_world_body @ self._profile.camera.T_body_camera)
+
+    def _solids(self) -> tuple[Boxes, Capsules]:
+        """Return the solids that the camera sees besides the terrain: robot and movers."""
+        robot = self._world.robot_solids()
+        return together(robot, self._movers.solids()) if len(self._movers) else robot
