@@ -9,20 +9,18 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
-from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.locomotion.foothold_search import NoFoothold
 from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
 from sextant.services.planner.locomotion.leg_clearance import (
     LegCollision,
     StepMotion,
     clearance_to_sink,
     find_clearances,
-    rises_clear,
-    stands_clear,
 )
 from sextant.services.planner.locomotion.params import StepParams
+from sextant.services.planner.locomotion.reachable_foothold import FootholdFinder, feet_in_reach
 from sextant.services.planner.terrain import GOOD, NONE, Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
-from sextant.shared.robot.kinematics import body_inverse, leg_inverse, within_limits
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import VelocityCommand
@@ -85,10 +83,8 @@ class StepPlanner:
         """Initialize for a robot."""
         self._profile = profile
         self._params = settings.step
-        self._widths = (1.0, settings.step.wide_search_ratio)  # the wider search only if the narrower one finds no step
+        self._footholds = FootholdFinder(profile, settings.step)
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `_widths`, for the current map resolution
-        self._offsets_resolution = 0.0  # [m]
 
     def validation_error(self, command: VelocityCommand) -> str:
         """Return why this robot can never execute a command, or ""."""
@@ -174,7 +170,7 @@ class StepPlanner:
         """
         first: NoStep | None = None
         for foot_margin in (self._params.sink_margin_m, -np.inf):
-            for width, (turn, at) in product(self._widths, enumerate(situations)):
+            for width, (turn, at) in product(self._footholds.widths, enumerate(situations)):
                 ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
                 found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
                 if isinstance(found, PlannedStep):
@@ -220,7 +216,9 @@ class StepPlanner:
             refused: Ways that must not be tried; their numbers continue those of `choose`.
         """
         for way, at in enumerate(situations, len(SHARES) * len(situations)):
-            found = self._attempt(at, terrain, 0.0, self._widths[0], self._params.sink_margin_m) if way not in refused else None
+            if way in refused:
+                continue
+            found = self._attempt(at, terrain, 0.0, self._footholds.widths[0], self._params.sink_margin_m)
             if isinstance(found, PlannedStep):
                 legs = found.swing
                 before = np.linalg.norm((found.start[:, :2] - found.nominal)[legs], axis=1)
@@ -236,7 +234,7 @@ class StepPlanner:
         """
         touchdown = stride.touchdown.copy()
         for leg in np.flatnonzero(stride.swing).tolist():
-            ground = self._foothold(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_after, terrain)
+            ground = self._footholds.find(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_after, terrain)
             if isinstance(ground, NoFoothold):
                 continue
             moved = touchdown.copy()
@@ -260,7 +258,7 @@ class StepPlanner:
         touchdown, moved, room = at.feet.copy(), 0, GOOD
         touchdown[at.swing] = np.nan
         for leg in np.flatnonzero(at.swing).tolist():
-            found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain, width)
+            found = self._footholds.find(leg, nominal[leg], touchdown, T_end, T_after, terrain, width)
             if isinstance(found, NoFoothold):
                 return NoStep(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
             touchdown[leg] = found.p_world + self._foot_up
@@ -363,48 +361,9 @@ class StepPlanner:
             for stoop in _STOOPS[(_STOOPS == 0.0) | (room >= _STOOPS)].tolist():
                 yield lean, stoop
 
-    def _foothold(
-        self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain, width: float = 1.0
-    ) -> Foothold | NoFoothold:
-        """Return the best foothold of one leg near its nominal place.
-
-        The other feet (6, 3) [m] {world} are NaN where not known yet.
-        """
-        known = np.isfinite(feet[:, 0])
-        known[leg] = False
-        others = feet[known, :2]
-
-        passed = np.stack([T_end, (T_end + T_after) / 2.0, T_after])  # body poses while the foot stands
-
-        def reachable(points: Array) -> NDArray[np.bool_]:
-            at = points + self._foot_up
-            above = at + np.array([0.0, 0.0, self._params.descent_m])  # a folded leg descends further out
-            reached = self._reaches(leg, (above, T_end), (at, T_end), (at, T_after))
-            for T in (T_end, T_after):
-                reached[reached] = stands_clear(leg, at[reached], T, self._params.leg_margin_m, self._profile, terrain)
-            reached[reached] = rises_clear(leg, at[reached], passed, self._params.sink_margin_m, self._profile, terrain)
-            return reached
-
-        if terrain.map.resolution != self._offsets_resolution:
-            radius, self._offsets_resolution = self._profile.stance.search_radius, terrain.map.resolution
-            self._offsets = {w: offsets_by_distance(w * radius, terrain.map.resolution) for w in self._widths}
-        return nearest_foothold(terrain, nominal, self._offsets[width], others, self._profile.stance.foot_distance, reachable)
-
-    def _reaches(self, leg: int, *ways: tuple[Array, Array]) -> NDArray[np.bool_]:
-        """Return which (n,) of foot centres one leg reaches from all of some body poses.
-
-        Each pair holds foot centres (n, 3) [m] {world} and a body pose.
-        """
-        profile = self._profile
-        feet = np.stack([apply(profile.T_coxa_body[leg] @ inverse(T), feet_world) for feet_world, T in ways])
-        q = leg_inverse(feet, profile.links)
-        limits = profile.joint_limits[leg]
-        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=(0, 2)))  # NaN, out of reach, fails
-
     def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Return which legs (6,) reach their feet (6, 3) [m] {world}."""
-        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
-        return np.asarray(within_limits(self._profile, q).all(axis=1))
+        return feet_in_reach(self._profile, feet_world, T_world_body)
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Return which leg would be overstretched at the end of the step, or ""."""
