@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
-from sextant.services.perception.reduction.scan_reduction import JUMP, NOISE
+from sextant.services.perception.reduction.params import ReductionParams
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import Camera
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
@@ -19,6 +19,8 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, DepthImage, Message
 
 _EVERY = 2  # interval between mapped frames: mapping all would take twice as long
+
+_PARAMS = ReductionParams()
 
 
 class FullFrames:
@@ -68,7 +70,7 @@ def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:
     """
     sensor = camera.sensor
     z = raw / sensor.depth_scale
-    limit = JUMP + NOISE * sensor.sigma(z, camera.intrinsics.fx)
+    limit = _PARAMS.jump_m + _PARAMS.noise_sigmas * sensor.sigma(z, camera.intrinsics.fx)
     steady = np.ones(z.shape, dtype=np.bool_)
     for axis in (0, 1):
         near, far = np.roll(z, 2, axis), np.roll(z, -2, axis)

@@ -148,7 +148,7 @@ class NumpyGrid:
         i, j, over = i[inside].astype(np.int64), j[inside].astype(np.int64), over[inside]
         # 2. The cells well above the lines whose neighbours are high, too.
         c = ((i + self._low[0]) % n) * n + (j + self._low[1]) % n
-        stands = heights[c] > over + 3.0 * np.sqrt(self._variance[c])
+        stands = heights[c] > over + 3.0 * np.minimum(np.sqrt(self._variance[c]), _RAYS.max_sigma_m)
         i, j, c, over = i[stands], j[stands], c[stands], over[stands]
         standing, fallen, low = (np.zeros(len(c), dtype=np.int64) for _ in range(3))
         for p in (-1, 0, 1):
@@ -158,10 +158,15 @@ class NumpyGrid:
                     height, above = heights[beside], heights[beside] > over
                     fell = ~above & (self._fell[beside] != 0)
                     standing, fallen, low = standing + above, fallen + fell, low + (~above & ~fell & (height == height))
-        seen = np.unique(c[((low == 0) & (standing + fallen >= 6)) | (fallen >= _RAYS.cleared_neighbours)])
+        within = ((low == 0) & (standing + fallen >= 6)) | (fallen >= _RAYS.cleared_neighbours)
+        support, through = self._support.astype(np.int64), self._through.astype(np.int64)
+        counts = within | (_RAYS.scans_per_measurement * support[c] <= 255)
+        seen, first = np.unique(c[counts], return_index=True)  # the first line through a cell tells whether it lies within
+        within = within[counts][first]
         # 3. Clear cells after enough observations.
-        self._through[seen] += 1
-        gone = seen[self._through[seen] >= _RAYS.scans_inside]
+        self._through[seen] = np.minimum(through[seen] + 1, 255)
+        needed = _RAYS.scans_per_measurement * np.maximum(support[seen], 1)
+        gone = seen[self._through[seen] >= np.where(within, np.minimum(needed, _RAYS.scans_inside), needed)]
         for layer in (self._height, self._variance, self._first):
             layer[gone] = np.nan
         for counter in (self._support, self._votes, self._through):

@@ -11,11 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.reduction.scan_reduction import CARRYING, JUMP, NOISE, SURFACE
+from sextant.services.perception.reduction.params import ReductionParams
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 Cells = NDArray[np.bool_]
+
+_PARAMS = ReductionParams()
 
 
 class Reduces(Protocol):
@@ -34,8 +36,8 @@ class NumpyReduction:
         self._y = ((np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy).astype(np.float32)[:, None]
         self._scale = np.float32(1.0 / sensor.depth_scale)
         self._bounds = sensor.min_range * sensor.depth_scale, sensor.max_range * sensor.depth_scale
-        noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))
-        self._jump, self._jump2 = np.float32(JUMP * sensor.depth_scale), np.float32(noise / sensor.depth_scale)
+        noise = _PARAMS.noise_sigmas * float(sensor.sigma(np.array(1.0), intrinsics.fx))
+        self._jump, self._jump2 = np.float32(_PARAMS.jump_m * sensor.depth_scale), np.float32(noise / sensor.depth_scale)
         self._noise = np.float32(noise)
         self._dense = np.float32(0.25 * resolution * intrinsics.fx)
         self._resolution, self._range2 = resolution, np.float32(max_range**2)
@@ -68,14 +70,14 @@ class NumpyReduction:
         i = (dx * per_cell + (t[0] * per_cell + np.float32(self._half))).astype(np.int32)
         j = (dy * per_cell + (t[1] * per_cell + np.float32(self._half))).astype(np.int32)
         key = i * side + j
-        band = SURFACE + self._noise * z * np.abs(dz)
+        band = _PARAMS.surface_m + self._noise * z * np.abs(dz)
         top, bottom = np.full(side * side, -np.inf, np.float32), np.full(side * side, np.inf, np.float32)
         np.maximum.at(top, key, dz)
         np.minimum.at(bottom, key, dz)
         # 4. The mean of the upper surface, or of the lower one if the upper one is only an edge.
         upper, lower = dz >= top[key] - band, dz <= bottom[key] + band
         count = np.bincount(key, weight, minlength=side * side)
-        edge = np.bincount(key[upper], weight[upper], minlength=side * side) < CARRYING * count
+        edge = np.bincount(key[upper], weight[upper], minlength=side * side) < _PARAMS.carrying_share * count
         chosen = np.where(edge[key], lower, upper)
         key, weight = key[chosen], weight[chosen]
         cells = np.flatnonzero(count)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from sextant.services.perception.reduction.params import ReductionParams
 from sextant.services.perception.registration.params import AcceptanceParams, AlignmentParams, KeyframeParams
 from sextant.shared.files import config
 from sextant.shared.files.config import ranged
@@ -11,7 +12,7 @@ from sextant.shared.params import Params
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PerceptionParams(Params):
-    """Parameters of perception; the groups are those of the projective registration."""
+    """Parameters of perception; alignment, keyframes and acceptance are those of the projective registration."""
 
     blocks_across: int = ranged(160, 16, 1280)  # blocks per image row for registration; cluttered scenes need more
     registration_range: float = ranged(2.5, 0.6, 30.0)  # [m] maximum depth for registration: a camera distorts distant surfaces
@@ -29,6 +30,7 @@ class PerceptionParams(Params):
     unreliable_level: float = ranged(0.01, 0.0, 1.0)  # [m] and [rad] of height, roll and pitch
     settle_s: float = ranged(0.4, 0.0, 1.5)  # [s] for which the robot must stand still before {world} is defined
     tilt_s: float = ranged(3.0, 1e-6, 1000.0)  # [s] time constant for averaging the tilt of {odom}
+    reduction: ReductionParams = field(default_factory=ReductionParams)
     alignment: AlignmentParams = field(default_factory=AlignmentParams)
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)
     acceptance: AcceptanceParams = field(default_factory=AcceptanceParams)

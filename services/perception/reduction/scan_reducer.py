@@ -41,6 +41,7 @@ class ScanReducer:
             max_range=settings.scan_range,
             max_points=max(1, round(share_of_points * settings.scan_points)),
             ceiling=settings.scan_ceiling,
+            params=settings.reduction,
         )
         return Scan(
             stamp_ns=image.stamp_ns,

@@ -11,17 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.perception.reduction.params import ReductionParams
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
 Array = NDArray[Any]
 
-JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that separates two surfaces
-SURFACE = 0.010  # [m] height, beyond noise, within which points belong to the same surface
-NOISE = 3.0  # [sigma] of the depth noise, added to both
-CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the adjacent cell
-FACE = 0.03  # [m] from the lowest pixel to the mean of a lower surface, above which it is the face of a tall object
-RIM_PIXELS = 3.0  # minimum pixels that show the height of a face
 _RECORD = 16  # values per cell: one cache line
 
 
@@ -48,6 +43,7 @@ def reduce_scan(
     max_range: float = 2.0,
     max_points: int = 20_000,
     ceiling: float = math.inf,
+    params: ReductionParams | None = None,
 ) -> ReducedScan:
     """Bin the pixels of a frame by world x and y, with one mean surface per cell.
 
@@ -68,6 +64,7 @@ def reduce_scan(
         max_range: [m] horizontal distance from the camera beyond which cells are omitted; at most 30.
         max_points: Maximum number of cells, the nearest to the camera.
         ceiling: [m] above the camera beyond which points are not ground.
+        params: Which pixels belong to a surface.
 
     Raises:
         ValueError: A shape or type is wrong, or a number is out of range.
@@ -86,7 +83,9 @@ def reduce_scan(
     half = math.ceil(max_range / resolution) + 2
     cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
     cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
-    noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] depth noise over squared depth
+    params = params or ReductionParams()
+    surfaces = _Surfaces(**{name: getattr(params, name) for name in _Surfaces._fields})
+    noise = params.noise_sigmas * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] depth noise over squared depth
     rays = _Rays(
         (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx,
         (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy,
@@ -95,7 +94,7 @@ def reduce_scan(
         noise,
     )
     region = _Region(resolution, max_range, ceiling, 0.25 * resolution * intrinsics.fx, half)
-    n = _bin(depth_raw, rays, T, region, cell_of, cells)
+    n = _bin(depth_raw, rays, T, region, surfaces, cell_of, cells)
     chosen = _row_by_row(cell_of, n)
     if n > max_points:
         squares = _squares(cells[:n])
@@ -105,6 +104,16 @@ def reduce_scan(
     count, spread = np.empty(len(chosen), dtype=np.uint8), np.empty(len(chosen), dtype=np.uint8)
     _write(cells, chosen, T[:3, 3].copy(), resolution, half, points, count, spread)
     return ReducedScan(origin, points, count, spread)
+
+
+class _Surfaces(NamedTuple):
+    """Values of `ReductionParams` for compiled functions."""
+
+    jump_m: float
+    surface_m: float
+    carrying_share: float
+    face_m: float
+    rim_pixels: float
 
 
 class _Rays(NamedTuple):
@@ -128,7 +137,7 @@ class _Region(NamedTuple):
 
 
 @compiled
-def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, cell_of: Array, cells: Array) -> int:
+def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, surfaces: _Surfaces, cell_of: Array, cells: Array) -> int:
     """Sum the pixels of each cell's upper and lower surface; return the cell count.
 
     cells (n, 16): pixels and sums of x, y, z of the upper surface and of the lower one, highest, lowest, pixels of any
@@ -147,8 +156,8 @@ def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, cell_of: Array, cel
     range2, ceiling32, dense32 = np.float32(max_range * max_range), np.float32(ceiling), np.float32(dense)
     first, last = np.int32(bounds[0]), np.int32(bounds[1])
     lowest, highest = np.float32(first), np.float32(last)
-    jump, jump2 = np.float32(JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in raw units
-    surface, noise32 = np.float32(SURFACE), np.float32(noise)
+    jump, jump2 = np.float32(surfaces.jump_m / unit), np.float32(noise * unit)  # [raw units] of a depth in raw units
+    surface, noise32 = np.float32(surfaces.surface_m), np.float32(noise)
     Txx, Tyx, Tzx = np.float32(T[0, 0]), np.float32(T[1, 0]), np.float32(T[2, 0])
     px, py, pz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     # Depths as 32-bit floats: the difference of two int32 is an int64.
@@ -257,16 +266,16 @@ def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, cell_of: Array, cel
             cell[10] += weight
     for k in range(n):
         cell = cells[k]
-        if cell[0] < np.float32(CARRYING) * cell[10] and not _is_wall(cells, cell_of, k, side):
+        if cell[0] < np.float32(surfaces.carrying_share) * cell[10] and not _is_wall(cells, cell_of, k, side, surfaces):
             cell[0], cell[1], cell[2], cell[3] = cell[4], cell[5], cell[6], cell[7]
     return n
 
 
 @compiled
-def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
+def _is_wall(cells: Array, cell_of: Array, k: int, side: int, surfaces: _Surfaces) -> bool:
     """Return whether a cell holds a face without level ground next to its top."""
     cell = cells[k]
-    if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM_PIXELS):
+    if cell[7] <= (cell[9] + np.float32(surfaces.face_m)) * cell[4] or cell[0] < np.float32(surfaces.rim_pixels):
         return False
     a, b = int(cell[11]), int(cell[12])
     for i in range(max(a - 1, 0), min(a + 2, side)):
@@ -275,8 +284,8 @@ def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
             if beside < 0 or beside == k:
                 continue
             other = cells[beside]
-            level = other[8] - other[9] < np.float32(FACE)
-            if level and other[3] >= (cell[8] - np.float32(2.0 * SURFACE)) * other[0]:
+            level = other[8] - other[9] < np.float32(surfaces.face_m)
+            if level and other[3] >= (cell[8] - np.float32(2.0 * surfaces.surface_m)) * other[0]:
                 return False
     return True
 
