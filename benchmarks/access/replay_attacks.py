@@ -83,7 +83,7 @@ def _orders(messages: int) -> Iterator[tuple[AnyTopic, bytes]]:
     """Yield orders with the current time."""
     for _ in range(messages):
         now_ns = time.monotonic_ns()
-        yield topics.MODE, codec.encode(ModeCommand(now_ns, "walk", now_ns, "peer", take=True))
+        yield topics.MODE, codec.encode(ModeCommand(now_ns, "walk", now_ns, "peer", take_over=True))
 
 
 def _attempt(robot: GuardedRobot, link: ZenohLink, frames: Iterator[tuple[AnyTopic, bytes]], what: str) -> Attempt:
@@ -97,8 +97,8 @@ def _attempt(robot: GuardedRobot, link: ZenohLink, frames: Iterator[tuple[AnyTop
     robot.look(_SETTLE_S)
     seen = robot.states[first:]
     same = [(s.mode, s.lease, s.plan_ns, s.step) == (before.mode, before.lease, before.plan_ns, before.step) for s in seen]
-    known = (before.refused, *before.warnings)
-    said = [text.partition(";")[0] for s in seen for text in (s.refused, *s.warnings) if text and text not in known]
+    known = (before.plan_refusal, *before.warnings)
+    said = [text.partition(";")[0] for s in seen for text in (s.plan_refusal, *s.warnings) if text and text not in known]
     words = {_kind(text): text for text in said}
     return Attempt(what, next(tried), len(seen) - sum(same), tuple(sorted(words.values())))
 

@@ -384,4 +384,4 @@ def _tuple(value: object) -> Any:
 
 
 def _refusals(frame: bytes) -> str:
-    return codec.decode(frame, Health)[0].doing.partition("; ")[2]
+    return codec.decode(frame, Health)[0].status.partition("; ")[2]

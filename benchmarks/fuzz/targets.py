@@ -176,7 +176,7 @@ def _of_twist(kind: str) -> Target:
 
 def _asked() -> list[str]:
     walk = {"height": 0.11, "lift": 0.03, "gait": "tripod"}
-    drive = {"press": 3, "forward": 0.1, "left": 0.0, "turn": 0.1, **walk, "by_touch": False}
+    drive = {"press": 3, "forward": 0.1, "left": 0.0, "turn": 0.1, **walk, "blind_walking": False}
     goal = {"waypoints": [[0.5, 0.1], [1.0, 0.2]], "speed": 0.1, **walk, "passage": False}
     said: list[dict[str, Any]] = [
         {"type": "drive", **drive},

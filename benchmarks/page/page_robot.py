@@ -211,7 +211,7 @@ class PageRobot:
         elif isinstance(message, BodyPose):
             self.pose = message
         elif isinstance(message, Health):
-            self._up[message.service] = message.doing
+            self._up[message.service] = message.status
         elif isinstance(message, ModeCommand) and message.mode == "stop":
             self._stops_s.append(time.monotonic())
 

@@ -46,7 +46,7 @@ class ScriptedPage:
     def held(self, forward: float) -> Iterator[None]:
         """Hold the pad at a speed [m/s] for the duration of the block."""
         self._press += 1
-        drive = {"press": self._press, "forward": forward, "left": 0.0, "turn": 0.0, "by_touch": False, **_WALK}
+        drive = {"press": self._press, "forward": forward, "left": 0.0, "turn": 0.0, "blind_walking": False, **_WALK}
         let_go = threading.Event()
 
         def hold() -> None:

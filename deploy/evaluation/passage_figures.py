@@ -33,7 +33,7 @@ def passage_figures(walk: Walk, heard: RunLog, trace: Trace, course: Course, pas
         feet_off=feet_off(walk.feet[..., 2] - trace.profile.foot.radius, walk.ground, _standing(walk)),
         passable=passable,
         sections=tuple(
-            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.planning_ms, steps_of(plan))
+            Section(plan.state, plan.reason, plan.generated_nodes, plan.expanded_nodes, plan.planning_ms, steps_of(plan))
             for plan, _ in heard.passage_plans
         ),
     )

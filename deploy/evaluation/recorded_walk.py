@@ -41,7 +41,7 @@ class Walk:
         self.feet = apply(course.T_start_sim, np.array([m.feet for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
         self.torque = np.abs(np.array([m.torque for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [N m]
         self.contact: Flags = debounced(np.array([m.contact for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
-        self.bears: Flags = debounced(np.array([m.bears for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.bears: Flags = debounced(np.array([m.carries_load for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
         self.shutdown: Flags = np.array([m.shutdown for m in truth], dtype=bool).reshape(-1, 6, 3)  # servos with an error
         self._align()
 

@@ -71,7 +71,7 @@ def complaints(heard: RunLog) -> tuple[StatusEvent, ...]:
     planner = _together("planner", ((t, *_refusal(status, t > begun)) for t, status in statuses))
     said = [c for c in planner if c.end - c.begin >= _LONG]
     timed = [(_seconds(heard, state.stamp_ns), state) for state in heard.states]
-    said += [c for c in _together("actuator", ((t, s.refused, -1) for t, s in timed)) if kind_of(c.words) != _ROUTINE]
+    said += [c for c in _together("actuator", ((t, s.plan_refusal, -1) for t, s in timed)) if kind_of(c.words) != _ROUTINE]
     said += _together("actuator", ((t, state.reason if state.mode is Mode.FAULT else "", -1) for t, state in timed))
     said += _together("actuator", ((t, "; ".join(state.warnings), -1) for t, state in timed))
     poses = [(_seconds(heard, pose.stamp_ns), pose) for pose in heard.poses]

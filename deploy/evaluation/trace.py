@@ -150,8 +150,8 @@ def _no_ground(heard: RunLog) -> Touches:
     """Return the touches that found no ground, each once."""
     found: dict[tuple[int, int], Array] = {}
     for state in heard.states:
-        for leg in np.flatnonzero(~state.touch_carries & (state.touch_ns >= heard.begin_ns)):
-            found.setdefault((int(state.touch_ns[leg]), int(leg)), apply(state.T_world_odom, state.touch[leg]))
+        for leg in np.flatnonzero(~state.touchdown_contact & (state.touchdown_ns >= heard.begin_ns)):
+            found.setdefault((int(state.touchdown_ns[leg]), int(leg)), apply(state.T_world_odom, state.touchdown_point[leg]))
     keys = sorted(found)
     return Touches(
         t=np.array([stamp - heard.begin_ns for stamp, _ in keys], dtype=np.float64) * 1e-9,

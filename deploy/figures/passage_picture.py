@@ -88,7 +88,7 @@ def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
     draw_blocks(axes, trace)
     for number, section in enumerate(trace.sections):
         plan, color = section.plan, _color(number)
-        axes.add_collection(LineCollection(list(plan.edges[..., :2]), colors=color, linewidths=0.5, alpha=0.55, zorder=3))
+        axes.add_collection(LineCollection(list(plan.tree_edges[..., :2]), colors=color, linewidths=0.5, alpha=0.55, zorder=3))
         if plan.state != "no way":
             _draw_way(axes, section, color)
             _draw_stance(axes, trace.profile, section, color)
@@ -206,8 +206,8 @@ def _draw_dead_end(axes: Any, profile: RobotProfile, section: PlannedSection, co
     for leg, leg_color in enumerate(LEG_COLORS):
         xy = plan.footholds[plan.leg == leg, :2]
         axes.scatter(xy[:, 0], xy[:, 1], s=20, facecolors="none", edgecolors=leg_color, linewidths=1.0, alpha=0.8, zorder=6)
-    axes.scatter(plan.stopped[:, 0], plan.stopped[:, 1], s=150, c=_BAD, marker="X", edgecolors="white", zorder=8)
-    for place in plan.stopped:
+    axes.scatter(plan.failure_point[:, 0], plan.failure_point[:, 1], s=150, c=_BAD, marker="X", edgecolors="white", zorder=8)
+    for place in plan.failure_point:
         style: dict[str, Any] = {"textcoords": "offset points", "color": _BAD, "size": 11, "weight": "bold", "zorder": 9}
         axes.annotate("stopped here", place[:2], (9, 6), **style)
     along = np.array([np.cos(plan.heading), np.sin(plan.heading)])
@@ -324,7 +324,7 @@ def _cells(number: int, section: PlannedSection) -> list[str]:
     plan = section.plan
     reach = f"{100 * plan.furthest:.0f} of {100 * plan.goal:.0f} cm"
     time = f"{plan.planning_ms:.1f} ms" if plan.planning_ms < 1000 else f"{plan.planning_ms / 1e3:.1f} s"
-    counts = [str(plan.generated), str(plan.expanded), time, str(steps_of(plan))]
+    counts = [str(plan.generated_nodes), str(plan.expanded_nodes), time, str(steps_of(plan))]
     return [str(number + 1), plan.state, *counts, reach]
 
 

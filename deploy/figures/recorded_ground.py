@@ -85,7 +85,7 @@ def _truth(state: ActuatorState, T_world_body: Array, robot: str) -> GroundTruth
         torque=state.load_nm,
         feet=apply(T_world_body, state.feet),
         contact=state.contact,
-        bears=state.contact,
+        carries_load=state.contact,
         shutdown=np.zeros((6, 3), dtype=np.bool_),
         voltage=state.voltage,
         temperature=state.temperature,

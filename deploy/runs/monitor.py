@@ -56,8 +56,8 @@ class RunLateness:
             now_ns: [ns]
         """
         for name, health in self._computer.update(services):
-            if health.missed_beats:
-                self.missed_beats[name] = health.missed_beats
+            if health.missed_ticks:
+                self.missed_beats[name] = health.missed_ticks
             for age in ages_of(health):
                 before, count = self._ages.get(f"{name} {age.what}", (InputAges(0.0, 0.0, 0.0), 0))
                 late = (count * before.late + age.late) / (count + 1)
@@ -119,7 +119,7 @@ class Monitor:
             walked=walked,
             to_goal=None if self._goal_distance is None else max(0.0, self._goal_distance - walked),
             up=self._began_ns is not None,
-            doing={name: _printable(health.doing) for name, (health, _) in self._services()},
+            doing={name: _printable(health.status) for name, (health, _) in self._services()},
             warnings=tuple(map(_printable, warnings)),
         )
         return ()
@@ -166,8 +166,8 @@ class Monitor:
         if state is not None:
             if state.mode is Mode.FAULT:
                 yield f"actuator: fault, {state.reason}"
-            if state.refused:
-                yield f"actuator refused a plan: {state.refused}"
+            if state.plan_refusal:
+                yield f"actuator refused a plan: {state.plan_refusal}"
             yield from (f"actuator: {warning}" for warning in state.warnings)
         if pose is not None and not pose.ok:
             yield f"perception: {pose.reason}"

@@ -159,17 +159,17 @@ def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
 
     Points outside the range of 16-bit millimetres are dropped.
     """
-    points, sights = (np.rint((apply(T, points) - scan.origin) * 1e3) for points in (scan.points, scan.sights))
+    points, sights = (np.rint((apply(T, points) - scan.origin) * 1e3) for points in (scan.points, scan.free_ray_ends))
     kept, kept_sights = ((np.abs(mm) < 32767).all(axis=1) for mm in (points, sights))
     return replace(
         scan,
         points_mm=points[kept].astype(np.int16),
-        count=scan.count[kept],
-        spread_mm=scan.spread_mm[kept],
+        pixel_count=scan.pixel_count[kept],
+        height_range_mm=scan.height_range_mm[kept],
         p_world_camera=apply(T, scan.p_world_camera),
         pose_covariance=scan.pose_covariance + covariance,
         color=scan.color[kept] if len(scan.color) else scan.color,
-        sights_mm=sights[kept_sights].astype(np.int16),
+        free_rays_mm=sights[kept_sights].astype(np.int16),
     )
 
 

@@ -73,7 +73,7 @@ def objection(own: Presence, other: Presence, other_role: str) -> Objection | No
     twice = [service for service in own.services if service in other.services and may_run(other_role, service)]
     if twice:
         words = f"{_named(other)} already runs {', '.join(twice)}; leave {'it' if len(twice) == 1 else 'them'} out "
-        came_later = (own.up_s, other.machine) < (other.up_s, own.machine)
+        came_later = (own.uptime_s, other.machine) < (other.uptime_s, own.machine)
         return Objection(words + f"on one of the two machines: --without {','.join(twice)}", came_later)
     return None
 

@@ -234,7 +234,7 @@ class Timeline:
     def _legs(self, t_ns: int) -> tuple[Array, NDArray[np.bool_]]:
         track: Track[Any] = self.truth if self.true else self.actuator
         before, after, s = track.around(t_ns)
-        told = "bears" if self.true else "contact"
+        told = "carries_load" if self.true else "contact"
         carries = np.array(getattr(before, told))
         for message in track.between(t_ns - _FOR_CONTACT_NS, t_ns + _FOR_CONTACT_NS):
             carries |= getattr(message, told)
@@ -282,8 +282,8 @@ class Timeline:
             return f"camera: {camera.reason}"
         if status is not None and status.state in ("waiting", "blocked"):
             return f"planner {status.state}: {status.reason}"
-        if state is not None and state.refused:
-            return f"actuator refuses the plan: {state.refused}"
+        if state is not None and state.plan_refusal:
+            return f"actuator refuses the plan: {state.plan_refusal}"
         return ""
 
 

@@ -47,8 +47,8 @@ class StateReport:
         return Odometry(
             stamp_ns=stamp_ns,
             T_odom_body=odometry.T_odom_body.copy(),
-            travelled=odometry.travelled,
-            turned=odometry.turned,
+            path_length=odometry.travelled,
+            total_rotation=odometry.turned,
             stance=motion.standing(joints.unsure),
             reliable=odometry.reliable,
         )
@@ -71,9 +71,9 @@ class StateReport:
             reason=guard.reason,
             lease=guard.lease(stamp_ns),
             epoch=guard.epoch,
-            pace=pace,
-            refused=guard.refused,
-            refused_ns=guard.refused_ns,
+            speed_scale=pace,
+            plan_refusal=guard.refused,
+            refused_plan_ns=guard.refused_ns,
             plan_ns=walk.plan_ns,
             step=walk.step,
             phase=float(walk.phase),
@@ -88,9 +88,9 @@ class StateReport:
             voltage=_known(np.fmin.reduce(joints.voltage)),
             temperature=_known(np.fmax.reduce(joints.temperature)),
             warnings=tuple(w for w in warnings if w),
-            touch_ns=self._touch_ns.copy(),
-            touch=self._touch.copy(),
-            touch_carries=self._touch_carries.copy(),
+            touchdown_ns=self._touch_ns.copy(),
+            touchdown_point=self._touch.copy(),
+            touchdown_contact=self._touch_carries.copy(),
             slip=float(odometry.slip.max()),
         )
 

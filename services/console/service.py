@@ -199,6 +199,6 @@ def _stop_of(order: ModeCommand) -> StopOrder | None:
 
     A machine without the right to drive can publish only `StopOrder`. Taking over the lease needs the right to drive.
     """
-    if order.take or order.mode not in ("off", "stop"):
+    if order.take_over or order.mode not in ("off", "stop"):
         return None
     return StopOrder(order.stamp_ns, "off" if order.mode == "off" else "stop", order.sequence, order.holder)

@@ -107,11 +107,11 @@ class Mapper:
                 validated = ValidatedScan.of_millimetres(
                     scan.origin,
                     scan.points_mm,
-                    scan.count,
-                    scan.spread_mm,
+                    scan.pixel_count,
+                    scan.height_range_mm,
                     scan.p_world_camera,
                     scan.pose_covariance,
-                    scan.sights_mm,
+                    scan.free_rays_mm,
                     nearest=_NEAR * self._profile.camera.sensor.min_range,
                 )
             except ValueError as error:

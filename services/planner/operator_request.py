@@ -27,7 +27,7 @@ def current_request(velocity: VelocityCommand | None, goal: Goal | None, now_ns:
         velocity: Newest velocity command.
         goal: Newest goal.
         now_ns: [ns] time by the robot's clock.
-        speed_scale: Share of the requested speed that the servos can sustain, see `ActuatorState.pace`.
+        speed_scale: Share of the requested speed that the servos can sustain, see `ActuatorState.speed_scale`.
     """
     untimely_velocity, untimely_goal = _untimely_reason(velocity, now_ns), _untimely_reason(goal, now_ns)
     command = None if velocity is None or untimely_velocity else _scaled(velocity, speed_scale)

@@ -101,7 +101,7 @@ class Planner:
     def _decide(self, state: ActuatorState, inbox: Inbox) -> Decision | None:
         """Return what to do now, or None if nothing is due."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.revision.pose_age_s)
-        request = current_request(inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL), state.stamp_ns, state.pace)
+        request = current_request(inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL), state.stamp_ns, state.speed_scale)
         command, goal = request.command, request.goal
         self._has_goal = goal is not None
         if command is not None and not is_still(command):
@@ -110,7 +110,7 @@ class Planner:
             self._goals.abandon_crossing()
             self._plans.refusals.forget()
             return Decision("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
-        if command is not None and command.by_touch:
+        if command is not None and command.blind_walking:
             known = inbox.latest(topics.BODY_POSE)
             if known is None:
                 return Decision("waiting", "by touch: no pose from perception yet, the world frame is unknown")

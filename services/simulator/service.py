@@ -262,7 +262,7 @@ class Simulator:
             torque=np.array(world.torque),
             feet=np.array(world.p_world_foot),
             contact=np.array(world.foot_contact),
-            bears=np.array(world.leg_contact),
+            carries_load=np.array(world.leg_contact),
             shutdown=self._bank.shutdown.reshape(6, 3),
             voltage=float(self._bank.voltage),
             temperature=float(self._bank.temperature.max()),

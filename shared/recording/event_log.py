@@ -47,7 +47,7 @@ class EventLog:
             self._if_new(now_ns, "actuator", "mode", "no message from the actuator", True, unless="")
             return
         self._if_new(now_ns, "actuator", "mode", f"{state.mode}: {state.reason}", state.mode in _BAD)
-        self._if_new(now_ns, "actuator", "refused", state.refused, True)
+        self._if_new(now_ns, "actuator", "refused", state.plan_refusal, True)
         self._if_new(now_ns, "actuator", "lease", f"{state.lease or 'no client'} is in control", False)
         warnings = frozenset(state.warnings)
         for words in state.warnings:

@@ -130,7 +130,7 @@ class InputAges:
 
 def ages_of(health: Health) -> tuple[InputAge, ...]:
     """Return the ages in a Health message, without unknown or impossible ones."""
-    columns = (health.input_age_s, health.input_arrived_s, health.input_limit_s, health.input_late)
+    columns = (health.input_age_s, health.input_arrived_s, health.input_limit_s, health.input_late_share)
     rows = np.stack(columns, axis=1).tolist()
     ages = (InputAge(what, *row) for what, row in zip(health.inputs, rows, strict=True))
     return tuple(age for age in ages if age.what in _CHAIN and _is_measured(age))

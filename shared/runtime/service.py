@@ -371,7 +371,7 @@ class ServiceRunner:
         health = Health(
             stamp_ns=now_ns,
             service=self.service.name,
-            doing=(self._starved(now_ns) + self.service.doing())[:500],
+            status=(self._starved(now_ns) + self.service.doing())[:500],
             steps=self._steps,
             refused=self.inbox.refused + astray,
             dropped=self.inbox.dropped,
@@ -379,13 +379,13 @@ class ServiceRunner:
             stages=tuple(timings),
             stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
-            robot_ahead_s=self._ahead_s(),
+            robot_clock_offset_s=self._ahead_s(),
             inputs=tuple(age.what for age in ages),
             input_age_s=np.array([age.age_s for age in ages], dtype=np.float64),
             input_arrived_s=np.array([age.arrived_s for age in ages], dtype=np.float64),
             input_limit_s=np.array([age.limit_s for age in ages], dtype=np.float64),
-            input_late=np.array([age.late for age in ages], dtype=np.float64),
-            missed_beats=self._missed_beats,
+            input_late_share=np.array([age.late for age in ages], dtype=np.float64),
+            missed_ticks=self._missed_beats,
         )
         self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 

@@ -180,8 +180,8 @@ class Odometry(Message):
     """Leg odometry from the stance legs' joints; actuator -> perception, planner."""
 
     T_odom_body: Pose
-    travelled: float  # [m] path length so far
-    turned: float  # [rad] summed absolute heading change so far
+    path_length: float  # [m] path length so far
+    total_rotation: float  # [rad] summed absolute heading change so far
     stance: LegFlags  # legs that the odometry used as stance legs
     reliable: bool  # False while fewer than three legs carry load
 
@@ -194,9 +194,9 @@ class ActuatorState(Message):
     reason: str  # of this mode
     lease: str  # holder that may move the legs; empty when the lease is free
     epoch: int  # of {odom}; plans of an earlier epoch are refused
-    pace: float  # [1] share of normal speed that the servos can sustain
-    refused: str  # why the last plan was refused; empty if it was accepted
-    refused_ns: int  # [ns] stamp of the newest plan that the legs cannot execute; -1 for none
+    speed_scale: float  # [1] share of normal speed that the servos can sustain
+    plan_refusal: str  # why the last plan was refused; empty if it was accepted
+    refused_plan_ns: int  # [ns] stamp of the newest plan that the legs cannot execute; -1 for none
     plan_ns: int  # [ns] stamp of the current or last plan; -1 before the first
     step: int  # number of the current step, or of the last finished one
     phase: float  # [1] progress of the step, 0 to 1; 1 when it is finished
@@ -212,11 +212,11 @@ class ActuatorState(Message):
     temperature: float  # [deg C] highest of all servos
     warnings: tuple[str, ...]  # with servos named by leg and joint
     # [ns] stamp of each foot's last touchdown, -1 before the first; the next two fields describe it until the next touchdown
-    touch_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)
-    touch: PerJoint = dataclasses.field(
+    touchdown_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)
+    touchdown_point: PerJoint = dataclasses.field(
         default_factory=lambda: _NOWHERE
     )  # (6, 3) [m] {odom} underside of the foot where it touched the ground, or the lowest point that it probed
-    touch_carries: LegFlags = dataclasses.field(default_factory=lambda: _NONE)  # False: the foot found no ground
+    touchdown_contact: LegFlags = dataclasses.field(default_factory=lambda: _NONE)  # False: the foot found no ground
     slip: float = 0.0  # [m] largest displacement of a stance foot relative to the others
 
 
@@ -241,8 +241,8 @@ class Scan(Message):
 
     origin: Vector3  # [m] {world}
     points_mm: Annotated[NDArray[np.int16], Dims("n", 3, packed=True)]  # [mm] from the origin; neighbours are consecutive
-    count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels per point, 255 for more
-    spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] height range of these pixels, 255 for more
+    pixel_count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels per point, 255 for more
+    height_range_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] height range of these pixels, 255 for more
     p_world_camera: Vector3  # [m] camera position
     pose_covariance: Annotated[
         NDArray[np.float64], Dims(6, 6)
@@ -250,7 +250,7 @@ class Scan(Message):
     color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True, most=63)] = dataclasses.field(
         default_factory=lambda: _POINTS_WITHOUT_COLOR
     )  # codes of `sextant.shared.color`, one row per point, or empty
-    sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
+    free_rays_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
         default_factory=lambda: _NO_SIGHTS
     )  # [mm] from the origin: ends of additional rays that are free of obstacles
 
@@ -260,9 +260,9 @@ class Scan(Message):
         return from_millimetres(self.points_mm, self.origin)
 
     @property
-    def sights(self) -> NDArray[np.float64]:
+    def free_ray_ends(self) -> NDArray[np.float64]:
         """Ends of the additional free rays (m, 3) [m] {world}."""
-        return from_millimetres(self.sights_mm, self.origin)
+        return from_millimetres(self.free_rays_mm, self.origin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,10 +331,10 @@ class PassageMap(Message):
     assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # set to the plane through the feet, not measured
     # Masri's evaluation function [cells], as in TerrainMap; cells outside the strip count as vacant
     evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
-    unseen: float  # [1] share of unseen cells
+    unseen_share: float  # [1] share of unseen cells
     reason: str  # what is unseen and why, or why there is no map; empty when all is seen
-    T_world_look: Pose  # body pose, reachable without a step, that shows the most unseen cells
-    look_shows: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that it shows; none if no pose is worth it
+    T_world_next_view: Pose  # body pose, reachable without a step, that shows the most unseen cells
+    next_view_cells: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that it shows; none if no pose is worth it
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,18 +352,18 @@ class PassagePlan(Message):
     heading: float  # [rad] {world} of its long axis
     goal: float  # [m] goal of the body along the strip, from the origin
     furthest: float  # [m] furthest body position found, along the strip from the origin
-    generated: int  # nodes of the tree, Masri's n_g
-    expanded: int  # expanded nodes, Masri's n_e
+    generated_nodes: int  # nodes of the tree, Masri's n_g
+    expanded_nodes: int  # expanded nodes, Masri's n_e
     planning_ms: float  # [ms] wall time of planning; differs between runs
     leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]  # swing leg; 6 if only the body moves
     # [m] {world} centre of that foot at the end of the step; with leg 6 the body position
     footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]
     body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body position at its end
-    edges: Annotated[
+    tree_edges: Annotated[
         NDArray[np.float32], Dims("edge", 2, 3, lengths=(0, MAX_TREE))
     ]  # [m] {world} body positions of parent and child nodes
     # [m] {world} foot of the leg that fails the test at the furthest configuration, or the body; empty if there is a path
-    stopped: Annotated[NDArray[np.float64], Dims("stop", 3, lengths=(0, 1))]
+    failure_point: Annotated[NDArray[np.float64], Dims("stop", 3, lengths=(0, 1))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,7 +409,7 @@ class VelocityCommand(Message):
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"  # from the next step on
-    by_touch: bool = False  # True: walk slowly without a map, the feet detect the ground
+    blind_walking: bool = False  # True: walk slowly without a map, the feet detect the ground
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,7 +425,7 @@ class Goal(Message):
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"
-    passage: bool = False  # True: straight to the last waypoint, one planned leg at a time
+    gap_crossing: bool = False  # True: straight to the last waypoint, one planned leg at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,7 +435,7 @@ class ModeCommand(Message):
     mode: Literal["off", "stop", "ready", "stand", "walk", "sit"]
     sequence: int  # [ns] robot clock time of the command; the actuator executes each sequence once, repeats are ignored
     holder: str = "operator"  # sender; only the lease holder may move the legs, any client may stop them
-    take: bool = False  # True: take the lease from its holder; with `stop` nothing moves
+    take_over: bool = False  # True: take the lease from its holder; with `stop` nothing moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,9 +465,9 @@ class RecorderState(Message):
     recording: bool
     sequence: int  # of the last executed command, -1 before the first
     file: str  # current or last file; empty before the first
-    seconds: float  # [s] duration of the recording
+    duration: float  # [s] duration of the recording
     size: int  # [B] total size of its files
-    free: int  # [B] free disk space, -1 if unknown
+    disk_free: int  # [B] free disk space, -1 if unknown
     dropped: int  # messages lost because the disk was too slow
     reason: str  # why recording ended without a command; empty otherwise
 
@@ -507,7 +507,7 @@ class GroundTruth(Message):
     torque: PerJoint  # [N m] of the motors
     feet: PerJoint  # (6, 3) [m] {world} foot centres
     contact: LegFlags  # legs whose foot carries load
-    bears: LegFlags  # legs that carry load, by the foot or by a tibia on an edge
+    carries_load: LegFlags  # legs that carry load, by the foot or by a tibia on an edge
     shutdown: Annotated[NDArray[np.bool_], Dims(6, 3)]  # servos that have latched an error
     voltage: float  # [V]
     temperature: float  # [deg C] hottest servo
@@ -521,7 +521,7 @@ class Health(Message):
     """State of one service, once a second; every service -> launcher, console."""
 
     service: str
-    doing: str  # current activity
+    status: str  # current activity
     steps: int
     refused: int  # messages that did not decode, or arrived under another key
     dropped: int  # messages that arrived faster than they were read
@@ -529,7 +529,7 @@ class Health(Message):
     stages: tuple[str, ...]  # names of the timed stages and streams
     stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]  # [ms] median
     stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]  # [ms] 99th percentile
-    robot_ahead_s: float = 0.0  # [s] offset of the robot's clock from this machine's clock; 0 on the robot
+    robot_clock_offset_s: float = 0.0  # [s] offset of the robot's clock from this machine's clock; 0 on the robot
     # Inputs with an age limit: topic keys, "beat" or "stall" (`shared.runtime.lateness`); the ages are since the last report
     inputs: tuple[str, ...] = ()
     # [s] worst age
@@ -539,11 +539,11 @@ class Health(Message):
     )  # [s] worst age on arrival
     # [s] age limit
     input_limit_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)
-    input_late: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
+    input_late_share: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
         default_factory=lambda: _NO_INPUTS
     )  # [1] share of the uses over the limit
 
-    missed_beats: int = 0  # clock ticks skipped since the start
+    missed_ticks: int = 0  # clock ticks skipped since the start
 
     def contradiction(self) -> str:
         """Return a text if the numbers of names and values differ."""
@@ -559,7 +559,7 @@ class Presence(Message):
     machine: str  # unique id, new at each start
     role: str
     version: str  # of Sextant
-    up_s: float  # [s] since the start
+    uptime_s: float  # [s] since the start
     services: tuple[str, ...]  # started on this machine
     keys: tuple[str, ...]  # of its topic table
     schemas: tuple[str, ...]  # of the messages of these keys, in the same order

@@ -43,7 +43,7 @@ def test_onboard_services_publish_images_and_report_missing_camera(tmp_path: Pat
 
     def doing() -> set[str]:
         health = (codec.decode(frame, Health)[0] for frame in heard["health"])
-        return {m.doing for m in health if m.service == "camera"}
+        return {m.status for m in health if m.service == "camera"}
 
     with TcpBusServer(ServoBusEmulator(ServoBank(ids, dxl.AX_12A, AX_12A_MOTOR))) as servos:
         words = ("--camera", str(folder), "--set", f"actuator.port={servos.url}", "--listen", endpoint)

@@ -123,7 +123,7 @@ def test_parallel_runs_are_isolated_and_leave_no_orphans(tmp_path: Path) -> None
     assert "stopped by the operator" in str(report["reason"])
     for name, out in outs.items():
         health = [m for _, m, _ in Recording(out / "recording.mcap").messages((topics.HEALTH,)) if isinstance(m, Health)]
-        said = {m.doing for m in health if m.service == "simulator"}
+        said = {m.status for m in health if m.service == "simulator"}
         assert said or name == "right", "a recording that was killed holds what had reached the disk"
         assert all(f"simulating {name}," in words for words in said), "it heard its own simulator alone"
 

@@ -98,7 +98,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     status = heard.of(topics.PLANNER_STATUS)[-1]
     assert status.state == "waiting"
     assert reason in status.reason
-    said = [health.doing for health in heard.of(topics.HEALTH, 6.0) if health.service == "camera"]
+    said = [health.status for health in heard.of(topics.HEALTH, 6.0) if health.service == "camera"]
     assert said
     assert all(reason in words for words in said)
     # 3. The folder is back.

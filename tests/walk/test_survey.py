@@ -38,7 +38,7 @@ def test_the_survey_of_a_walk_shows_the_ground_ahead() -> None:
     known = np.isfinite(last.elevation) & off_edges
     assert np.sqrt(np.mean((last.elevation - true)[known] ** 2)) < 0.006
     assert known.mean() > 0.4
-    assert last.unseen == np.isnan(last.elevation).mean()
+    assert last.unseen_share == np.isnan(last.elevation).mean()
     assert "cells not seen" in last.reason
     # The maps keep their rate.
     period = np.median(np.diff([m.stamp_ns for m in maps]))

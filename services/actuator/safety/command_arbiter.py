@@ -3,7 +3,7 @@
 One holder of the lease at a time may move the legs; any client may order `stop` or `off`. The rules are:
 
 * A repeated order only keeps the lease.
-* Any client may stop. A stop with `take` also transfers the lease to its sender.
+* Any client may stop. A stop with `take_over` also transfers the lease to its sender.
 * An order needs a current stamp. A replayed recording neither moves the legs nor keeps a lease, even after this process has
   restarted and remembers no orders.
 * A stop without a current stamp is obeyed unless a newer order of its holder is known. A stop with a current stamp is obeyed
@@ -96,7 +96,7 @@ class CommandArbiter:
         if not stranger:
             self._sequences[order.holder] = order.sequence
         refused = "" if stops else self._late_order(order, now_ns, torque_is_off)
-        if not refused and (order.take or not stops):
+        if not refused and (order.take_over or not stops):
             refused = self._claim(order, now_ns, stranger)
         if refused and not stops:
             return Ruling(False, refused)
@@ -199,7 +199,7 @@ class CommandArbiter:
         holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
         if stranger:
             return f"{refused}: {_HOLDERS} other clients gave orders within {AWAY_NS * 1e-9:.0f} s"
-        if holder and holder != order.holder and not order.take:
+        if holder and holder != order.holder and not order.take_over:
             return f"{refused}: {holder} holds the lease; take it over, or wait until it expires"
         if order.holder != self.holder:
             self.end_walk()

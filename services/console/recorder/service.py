@@ -126,9 +126,9 @@ class RecorderService:
             recording=self._wanted,
             sequence=self._sequence,
             file="" if self._files is None else str(self._files.path.resolve()),
-            seconds=0.0 if recording is None else (until_ns - self._began_ns) * 1e-9,
+            duration=0.0 if recording is None else (until_ns - self._began_ns) * 1e-9,
             size=0 if recording is None else recording.size,
-            free=_free(Path(self._settings.folder)),
+            disk_free=_free(Path(self._settings.folder)),
             dropped=0 if recording is None else recording.dropped,
             reason=self._reason,
         )

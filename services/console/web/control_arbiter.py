@@ -279,7 +279,7 @@ class ControlArbiter:
             speed = math.hypot(drive.forward, drive.left)
             share = min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
             velocity = np.array([share * drive.forward, share * drive.left])
-            return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.by_touch)]
+            return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.blind_walking)]
         if press is None and self._zero is not None and now_ns < self._zero_until_ns:
             self._velocity_ns = now_ns
             return [replace(self._zero, stamp_ns=now_ns)]

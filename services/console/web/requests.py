@@ -38,7 +38,7 @@ class Drive:
     left: float  # [m/s]
     turn: float  # [rad/s] to the left
     walk: Walk
-    by_touch: bool  # walk without a map, by touchdown detection
+    blind_walking: bool  # walk without a map, by touchdown detection
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ class _Fields:
         kind = self._take("type")
         match kind:
             case "drive":
-                turn, walk, touch = self._number("turn", _FAST), self._walk(), self._truth("by_touch")
+                turn, walk, touch = self._number("turn", _FAST), self._walk(), self._truth("blind_walking")
                 made: Request = Drive(
                     self._whole("press", _MOST_PRESSES),
                     self._number("forward", _FAST),

@@ -41,7 +41,7 @@ class RobotMonitor:
         self._health.drain(inbox, now_ns)
         services = self.services
         self._event_log.services(now_ns, services)
-        self._computer.linked = any(health.robot_ahead_s for health, _ in services.values())
+        self._computer.linked = any(health.robot_clock_offset_s for health, _ in services.values())
         self._computer.update(services)
         self.too_slow = self._computer.words(now_ns)
         self._event_log.computer(now_ns, self.too_slow)

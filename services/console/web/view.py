@@ -84,8 +84,8 @@ def _legs(legs: ActuatorState) -> dict[str, Any]:
         "mode": legs.mode,
         "reason": legs.reason,
         "lease": legs.lease,
-        "refused": legs.refused,
-        "pace": round(legs.pace, 2),
+        "plan_refusal": legs.plan_refusal,
+        "speed_scale": round(legs.speed_scale, 2),
         "step": legs.step,
         "q": _rounded(legs.q.ravel(), 3),
         "load": _rounded(legs.load_nm.ravel(), 2),
@@ -136,7 +136,7 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
         "reason": plan.reason,
         "legs": plan.leg[feet].tolist(),
         "footholds": _rounded(plan.footholds[feet].ravel()),
-        "stopped": _rounded(plan.stopped.ravel()),
+        "failure_point": _rounded(plan.failure_point.ravel()),
     }
 
 
@@ -185,12 +185,12 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: st
         "services": [
             {
                 "name": name,
-                "doing": word.doing[:_WORDS],
+                "status": word.status[:_WORDS],
                 "age_s": round((now_ns - at_ns) * 1e-9, 1),
                 "silent": _is_silent(at_ns, now_ns),
                 "refused": word.refused,
                 "dropped": word.dropped,
-                "robot_ahead_s": round(word.robot_ahead_s, 3),
+                "robot_clock_offset_s": round(word.robot_clock_offset_s, 3),
                 "stages": {
                     stage[:_WORDS]: round(float(p99), 1)
                     for stage, p99 in zip(word.stages[:_STAGES], word.stage_p99_ms[:_STAGES], strict=True)

@@ -32,9 +32,9 @@ class FootEvidence:
 
     def apply_touchdowns(self, grid: ElevationGrid, pose: BodyPose, legs: ActuatorState) -> None:
         """Correct the map at the newest touchdowns, with or without ground."""
-        new = np.flatnonzero(legs.touch_ns > self._touch_ns)
-        self._touch_ns = legs.touch_ns.copy()
-        for p in apply(pose.T_world_odom, legs.touch[new]):
+        new = np.flatnonzero(legs.touchdown_ns > self._touch_ns)
+        self._touch_ns = legs.touchdown_ns.copy()
+        for p in apply(pose.T_world_odom, legs.touchdown_point[new]):
             if abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # and not NaN
                 grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
 

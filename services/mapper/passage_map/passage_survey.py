@@ -64,7 +64,7 @@ class PassageSurvey:
             elif self._mapping.strip != strip:
                 self._mapping.move_to(strip, grid.snapshot())
                 self._scans = 1
-            self._mapping.add(scan.points, scan.count, grid.height_drift)
+            self._mapping.add(scan.points, scan.pixel_count, grid.height_drift)
         return ""
 
     @property
@@ -110,10 +110,10 @@ class PassageSurvey:
             roughness=passage.roughness,
             assumed=passage.assumed,
             evaluation=evaluation,
-            unseen=float(unseen.mean()),
+            unseen_share=float(unseen.mean()),
             reason=proposal.words,
-            T_world_look=T_world_body if view is None else view.T_world_body,
-            look_shows=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
+            T_world_next_view=T_world_body if view is None else view.T_world_body,
+            next_view_cells=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
         )
 
     def _view_proposal(
@@ -165,8 +165,8 @@ def empty_passage_map(stamp_ns: int, request: PassageRequest, resolution: float,
         roughness=nothing.astype(np.float32),
         assumed=nothing.astype(np.bool_),
         evaluation=nothing.astype(np.int8),
-        unseen=1.0,
+        unseen_share=1.0,
         reason=reason,
-        T_world_look=np.eye(4),
-        look_shows=nothing.astype(np.bool_),
+        T_world_next_view=np.eye(4),
+        next_view_cells=nothing.astype(np.bool_),
     )

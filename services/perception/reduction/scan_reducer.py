@@ -47,11 +47,11 @@ class ScanReducer:
             stamp_ns=image.stamp_ns,
             origin=reduced.origin,
             points_mm=reduced.points,
-            count=reduced.count,
-            spread_mm=reduced.spread,
+            pixel_count=reduced.count,
+            height_range_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_covariance=np.asarray(found.covariance, dtype=np.float64),
-            sights_mm=self._free_rays(image, found, reduced.origin),
+            free_rays_mm=self._free_rays(image, found, reduced.origin),
         )
 
     def _free_rays(self, image: DepthImage, found: RegistrationResult, origin: Array) -> NDArray[np.int16]:

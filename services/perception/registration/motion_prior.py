@@ -46,7 +46,7 @@ class OdometryHistory:
         since_ns = 1 if newest is None else message.stamp_ns - newest.stamp_ns
         if -_OTHER_CLOCK_NS < since_ns <= 0:
             return  # out of order: keep the newer message
-        if newest is not None and (message.travelled < newest.travelled or since_ns < 0 or _jumps(newest, message)):
+        if newest is not None and (message.path_length < newest.path_length or since_ns < 0 or _jumps(newest, message)):
             self.restarts += 1
             self._messages.clear()
         self._messages.append(message)
@@ -73,14 +73,14 @@ class OdometryHistory:
         if a is b:
             recent = stamp_ns <= a.stamp_ns + _MAX_EXTRAPOLATION_NS
             silence_s = max(0, stamp_ns - a.stamp_ns) * 1e-9
-            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable and recent, silence_s)
+            return Motion(np.array(a.T_odom_body), a.path_length, a.total_rotation, a.reliable and recent, silence_s)
         span = b.stamp_ns - a.stamp_ns
         latest_ns = b.stamp_ns + _MAX_EXTRAPOLATION_NS
         s = (min(stamp_ns, latest_ns) - a.stamp_ns) / span
         return Motion(
             interpolate(a.T_odom_body, b.T_odom_body, s),
-            a.travelled + s * (b.travelled - a.travelled),
-            a.turned + s * (b.turned - a.turned),
+            a.path_length + s * (b.path_length - a.path_length),
+            a.total_rotation + s * (b.total_rotation - a.total_rotation),
             a.reliable and b.reliable and stamp_ns <= latest_ns and span <= 2 * _MAX_EXTRAPOLATION_NS,
             max(0, stamp_ns - b.stamp_ns) * 1e-9,
         )

@@ -55,7 +55,7 @@ class GapCrossingController:
 
     def ordered(self, goal: Goal) -> bool:
         """Return whether a goal requests a crossing that is not complete yet."""
-        return goal.passage and not (self._goal is not None and same_goal(goal, self._goal) and self._crossed)
+        return goal.gap_crossing and not (self._goal is not None and same_goal(goal, self._goal) and self._crossed)
 
     def messages(self, now_ns: int) -> Iterator[Message]:
         """Yield the map request and the planning results that are due."""
@@ -131,7 +131,7 @@ class GapCrossingController:
         assert self._crossing_line is not None
         place, target = self._crossing_line
         if self._approach is not None:
-            there = replace(goal, waypoints=place[None], tolerance=self._params.start_tolerance_m, passage=False)
+            there = replace(goal, waypoints=place[None], tolerance=self._params.start_tolerance_m, gap_crossing=False)
             led = self._approach.lead(there, terrain, T_world_body, standing.body, state.stamp_ns)
             if isinstance(led, NoPath):
                 return CannotCross(f"no path to the edge of the gap: {led.reason}")

@@ -36,14 +36,14 @@ def make_plan_message(
         heading=yaw_of(T_world_strip),
         goal=goal,
         furthest=float(end.body[0]),
-        generated=found.generated,
-        expanded=found.expanded,
+        generated_nodes=found.generated,
+        expanded_nodes=found.expanded,
         planning_ms=1e3 * seconds,
         leg=np.array([step.leg if step.leg >= 0 else WHOLE_ROBOT for step in steps], dtype=np.uint8),
         footholds=apply(T_world_strip, np.array([step.touchdown for step in steps]).reshape(-1, 3)),
         body=apply(T_world_strip, np.array([step.body for step in steps]).reshape(-1, 3)),
-        edges=apply(T_world_strip, edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
-        stopped=apply(T_world_strip, _stopped(found)),
+        tree_edges=apply(T_world_strip, edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
+        failure_point=apply(T_world_strip, _stopped(found)),
     )
 
 

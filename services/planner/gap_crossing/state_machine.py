@@ -147,11 +147,11 @@ class GapCrossing:
             return Wait(f"surveying the gap{self._because}{usable and f'; the received map is invalid: {usable}'}")
         if self._stage == "survey":
             self._walking_pose = standing.body
-        if self._views.allows(usable) and is_near(usable.T_world_look, self._walking_pose):
+        if self._views.allows(usable) and is_near(usable.T_world_next_view, self._walking_pose):
             self._views.spend()
-            rise = float(usable.T_world_look[2, 3] - self._walking_pose[2, 3])
+            rise = float(usable.T_world_next_view[2, 3] - self._walking_pose[2, 3])
             move = f"raising the body by {rise * 100:.0f} cm" if rise > _RISE else "turning the body"
-            return self._enter("look", self._move_body(state, standing, usable.T_world_look, f"{move} for a better view"))
+            return self._enter("look", self._move_body(state, standing, usable.T_world_next_view, f"{move} for a better view"))
         self._field = StripMap.of(usable)
         if self._stage == "look":
             self._returns = 0

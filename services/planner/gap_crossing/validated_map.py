@@ -34,7 +34,7 @@ def validation_error(map_: PassageMap, T_world_strip: Array, size: tuple[float, 
     turned = abs(float(rpy_from_rotation(off[:3, :3])[2]))
     if np.abs(off[:2, 3]).max() > _SAME_PLACE * map_.resolution or turned > _SAME_WAY:
         return "the map shows another strip"
-    if not is_rigid(map_.T_world_look):
+    if not is_rigid(map_.T_world_next_view):
         return "the proposed viewing pose is not a rigid transform"
     return ""
 

@@ -24,7 +24,7 @@ class ViewBudget:
 
     def allows(self, map_: PassageMap) -> bool:
         """Return whether the view that a map proposes is worth taking."""
-        return self._taken < _MAX_VIEWS and int(map_.look_shows.sum()) >= self._min_cells
+        return self._taken < _MAX_VIEWS and int(map_.next_view_cells.sum()) >= self._min_cells
 
     def spend(self) -> None:
         """Count a view."""

@@ -29,11 +29,11 @@ class YieldedGround:
 
     def record(self, state: ActuatorState) -> None:
         """Record places where a foot found no ground."""
-        before, self._touch_ns = self._touch_ns, state.touch_ns.copy()
+        before, self._touch_ns = self._touch_ns, state.touchdown_ns.copy()
         if before is None:
             return
-        new = np.flatnonzero((state.touch_ns > before) & ~state.touch_carries).tolist()
-        self.add([apply(state.T_world_odom, state.touch[leg]) for leg in new])
+        new = np.flatnonzero((state.touchdown_ns > before) & ~state.touchdown_contact).tolist()
+        self.add([apply(state.T_world_odom, state.touchdown_point[leg]) for leg in new])
         if new:
             self.reason = f"no ground under the {' and '.join(LEGS[leg] for leg in new)} foot"
 

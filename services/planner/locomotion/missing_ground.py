@@ -29,10 +29,10 @@ class MissingGround:
 
     def update(self, state: ActuatorState, T_world_odom: Array) -> None:
         """Add the newest places from the actuator's state."""
-        new = (state.touch_ns != self._heard_ns) & ~state.touch_carries & (state.touch_ns >= 0)
-        self._heard_ns = state.touch_ns.copy()
+        new = (state.touchdown_ns != self._heard_ns) & ~state.touchdown_contact & (state.touchdown_ns >= 0)
+        self._heard_ns = state.touchdown_ns.copy()
         if new.any():
-            found = apply(T_world_odom, state.touch[new])[:, :2]
+            found = apply(T_world_odom, state.touchdown_point[new])[:, :2]
             self.places = np.concatenate([self.places, found])[-_KEPT:]
             self._count += len(found)
 

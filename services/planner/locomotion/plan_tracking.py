@@ -68,12 +68,12 @@ class PlanTracker:
         if not is_resting(state):
             self._moved_ns = state.stamp_ns
         begun = self._update_running(state)
-        refused = next((sent for sent in self._sent if sent.plan.stamp_ns == state.refused_ns), None)
+        refused = next((sent for sent in self._sent if sent.plan.stamp_ns == state.refused_plan_ns), None)
         if refused is not None:
             self._sent.remove(refused)
             waiting = state.phase < 1.0 and any(sent.plan.step == refused.plan.step for sent in self._sent)
             if refused.plan.step == state.step + 1 and not waiting:
-                self.refusals.add(refused.step.variant, state.refused)
+                self.refusals.add(refused.step.variant, state.plan_refusal)
         return begun
 
     def _update_running(self, state: ActuatorState) -> bool:
@@ -118,8 +118,8 @@ class PlanTracker:
         plan = self.running.plan
         moved = T_world_odom @ inverse(plan.T_world_odom)  # from the plan's estimate of {world} to the newest
         feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
-        met = plan.swing & state.touch_carries & (state.touch_ns > self._begun_ns)  # met ground early
-        feet[met] = apply(T_world_odom, state.touch)[met] + self._sole_to_centre
+        met = plan.swing & state.touchdown_contact & (state.touchdown_ns > self._begun_ns)  # met ground early
+        feet[met] = apply(T_world_odom, state.touchdown_point)[met] + self._sole_to_centre
         return WorldStance(moved @ plan.body_goal, feet)
 
     def send(self, state: ActuatorState, step: NumberedStep) -> StepPlan:

@@ -63,7 +63,7 @@ def points(scan: Scan) -> PointCloud:
     """Return the points of a scan, with the number of pixels of each."""
     packed = np.empty(len(scan.points_mm), dtype=_POINT)
     packed["x"], packed["y"], packed["z"] = _rounded(scan.points, _LENGTH).T
-    packed["pixels"] = scan.count
+    packed["pixels"] = scan.pixel_count
     return _cloud(scan.stamp_ns, packed)
 
 

@@ -37,7 +37,7 @@ def walk(state: ActuatorState, T_world_body: Array) -> Message:
         height=float(T_world_body[2, 3]),
         roll=roll,
         pitch=pitch,
-        pace=state.pace,
+        pace=state.speed_scale,
         phase=state.phase,
         slip=state.slip,
         voltage=state.voltage,

@@ -35,7 +35,7 @@ def frames(state: ActuatorState, T_world_odom: Array, T_body_camera: Array) -> F
 
 def body(state: ActuatorState, T_world_body: Array) -> Odometry:
     """Return the body pose, with the mode of the actuator as metadata."""
-    words = {"mode": str(state.mode), "reason": state.reason, "lease": state.lease, "refused": state.refused}
+    words = {"mode": str(state.mode), "reason": state.reason, "lease": state.lease, "refused": state.plan_refusal}
     return Odometry(
         timestamp=parts.time(state.stamp_ns),
         frame_id="world",

@@ -189,7 +189,7 @@ def test_plan_without_walk_order_is_refused_with_reason() -> None:
     rig.hear(rig.plan(rig.cycle(2)))
     state = rig.cycle()
     assert state.mode is Mode.HOLD
-    assert "not ordered to walk" in state.refused
+    assert "not ordered to walk" in state.plan_refusal
     assert "not ordered to walk" in rig.actuator.doing()
 
 
@@ -210,7 +210,7 @@ def test_plan_is_executed_then_robot_holds_with_torque_on() -> None:
     assert state.step == plan.step
     assert (np.diff(phases) >= 0).all()
     assert phases[-1] == 1.0
-    assert state.refused == ""
+    assert state.plan_refusal == ""
     assert (inverse(start) @ state.T_odom_body)[0, 3] == pytest.approx(0.04, abs=0.015)
     held = rig.goals
     rig.cycle(50)
@@ -231,7 +231,7 @@ def test_published_odometry_matches_joint_odometry() -> None:
     assert odometry.stamp_ns == state.stamp_ns
     np.testing.assert_array_equal(odometry.T_odom_body, state.T_odom_body)
     np.testing.assert_allclose(state.T_odom_body[:2, 3], state.body_ref[:2, 3], atol=5e-3)
-    assert odometry.travelled >= np.linalg.norm(state.T_odom_body[:2, 3]) - 1e-9
+    assert odometry.path_length >= np.linalg.norm(state.T_odom_body[:2, 3]) - 1e-9
 
 
 def test_refused_plan_does_not_change_step_or_mode() -> None:
@@ -240,10 +240,10 @@ def test_refused_plan_does_not_change_step_or_mode() -> None:
     rig.hear(rig.plan(state, duration=99.0))
     after = rig.cycle()
     assert after.mode is Mode.HOLD
-    assert "99.00 s" in after.refused
+    assert "99.00 s" in after.plan_refusal
     assert after.step == state.step
     rig.hear(rig.plan(after))
-    assert rig.cycle().refused == ""
+    assert rig.cycle().plan_refusal == ""
 
 
 def test_an_old_plan_is_refused() -> None:
@@ -252,7 +252,7 @@ def test_an_old_plan_is_refused() -> None:
     plan = rig.plan(state)
     rig.cycle(60)
     rig.hear(plan)
-    assert "s old" in rig.cycle().refused
+    assert "s old" in rig.cycle().plan_refusal
 
 
 def test_next_plan_waits_for_running_step_without_a_pause() -> None:
@@ -267,7 +267,7 @@ def test_next_plan_waits_for_running_step_without_a_pause() -> None:
     touchdown[:, 2] = first.touchdown[:, 2]
     rig.hear(replace(first, stamp_ns=state.stamp_ns, step=first.step + 1, swing=swing, touchdown=touchdown, body_goal=goal))
     state = rig.cycle()
-    assert state.refused == ""
+    assert state.plan_refusal == ""
     assert state.step == first.step
     modes = []
     for _ in range(20):

@@ -43,7 +43,7 @@ def test_servo_shutdown_is_named_and_robot_holds() -> None:
     words = "the femur servo of the right middle leg (id 16) has shut down because of overload"
     assert state.reason == words
     rig.hear(rig.plan(state))
-    assert words in rig.cycle().refused
+    assert words in rig.cycle().plan_refusal
     assert rig.torque
     rig.command("stand")
     state = rig.cycle(2)
@@ -93,7 +93,7 @@ def test_walk_resumes_only_after_reset_servo_has_caught_up() -> None:
     while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
         state = rig.cycle()
     del rig.stuck[row]
-    seen, highest, found, course = set(), -1.0, state.touch_ns, [rig.goals[leg]]
+    seen, highest, found, course = set(), -1.0, state.touchdown_ns, [rig.goals[leg]]
     lies, last = float(state.feet[leg, 2]), rig.goals
     while state.mode is Mode.FAULT:
         seen.add(state.reason)
@@ -102,7 +102,7 @@ def test_walk_resumes_only_after_reset_servo_has_caught_up() -> None:
         highest, last = max(highest, float(state.feet[leg, 2])), rig.goals
         course.append(last[leg])
         if state.mode is Mode.FAULT and state.phase < 0.5:
-            assert state.touch_ns[leg] == found[leg]
+            assert state.touchdown_ns[leg] == found[leg]
     assert highest > lies + 0.005, "it goes up before it comes down"
     steps = np.diff(np.array(course), axis=0)
     turns = (steps[1:] * steps[:-1] < 0.0).sum(axis=0)
@@ -235,7 +235,7 @@ def test_restarted_actuator_holds_pose_and_requires_new_walk_order() -> None:
     assert (state.step, state.phase) == (0, 1.0)
     assert np.abs(rig.goals - before).max() < 0.06
     rig.hear(rig.plan(state))
-    assert "not ordered to walk" in rig.cycle().refused  # the new process requires a new order
+    assert "not ordered to walk" in rig.cycle().plan_refusal  # the new process requires a new order
     rig.order += 1
     rig.command("walk")
     state = rig.cycle(2)
@@ -279,7 +279,7 @@ def test_plans_are_refused_until_joints_have_caught_up_after_pause() -> None:
             state = rig.cycle()
             if state.mode is Mode.WALK:
                 break
-            refused.append(state.refused)
+            refused.append(state.plan_refusal)
             assert np.abs(rig.goals - before).max() <= np.radians(30.0) * 0.02 + TICK
     assert state.mode is Mode.WALK
     assert refused

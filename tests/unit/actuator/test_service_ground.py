@@ -35,13 +35,13 @@ def test_foot_without_ground_reaches_down_then_step_is_reversed() -> None:
     assert any("the foot reaches down" in r for r in reasons)
     assert state.mode is Mode.HOLD
     assert "the step is reversed" in state.reason
-    assert state.touch_ns[lost] > 0
-    assert not state.touch_carries[lost]
-    assert state.touch[lost, 2] < -0.02, "it has looked below the ground"
-    others = [leg for leg in range(6) if leg != lost and state.touch_ns[leg] > 0]
+    assert state.touchdown_ns[lost] > 0
+    assert not state.touchdown_contact[lost]
+    assert state.touchdown_point[lost, 2] < -0.02, "it has looked below the ground"
+    others = [leg for leg in range(6) if leg != lost and state.touchdown_ns[leg] > 0]
     assert others
-    assert state.touch_carries[others].all()
-    np.testing.assert_allclose(state.touch[others, 2], 0.0, atol=6e-3)
+    assert state.touchdown_contact[others].all()
+    np.testing.assert_allclose(state.touchdown_point[others, 2], 0.0, atol=6e-3)
     feet = apply(state.T_odom_body, state.feet)
     np.testing.assert_allclose(feet[lost, :2], stood[lost, :2], atol=0.015)
     assert not state.swing.any()
@@ -58,7 +58,7 @@ def test_plan_is_refused_while_a_foot_searches_for_ground() -> None:
     while "the foot reaches down" not in rig.cycle().reason:
         assert rig.now_ns < 10_000_000_000
     rig.hear(rig.plan(rig.state))
-    assert "no ground under" in rig.cycle(2).refused
+    assert "no ground under" in rig.cycle(2).plan_refusal
 
 
 def measured_up(rig: Rig, R_level_ground: Array) -> Array:
@@ -115,7 +115,7 @@ def test_tipping_robot_finishes_step_then_holds_with_reason() -> None:
     assert "deg from the commanded pose, by the IMU" in state.reason
     assert any("by the IMU" in warning for warning in state.warnings)
     rig.hear(rig.plan(state))
-    assert "by the IMU" in rig.cycle().refused
+    assert "by the IMU" in rig.cycle().plan_refusal
     assert rig.torque
 
 
@@ -194,7 +194,7 @@ def test_walking_after_tipping_requires_new_order(heard: bool) -> None:
     rig.hear(rig.plan(state))
     state = rig.cycle()
     assert state.mode is Mode.HOLD
-    assert "by the IMU" in state.refused
+    assert "by the IMU" in state.plan_refusal
     rig.command("walk")
     state = cycle_with_imu(rig, UP) if heard else rig.cycle()
     rig.hear(rig.plan(state))
@@ -210,7 +210,7 @@ def test_robot_on_its_side_refuses_walk_order() -> None:
     rig.hear(rig.plan(state))
     assert cycle_with_imu(rig, up).mode is Mode.HOLD
     rig.hear(rig.plan(state))
-    assert "by the IMU" in cycle_with_imu(rig, up).refused
+    assert "by the IMU" in cycle_with_imu(rig, up).plan_refusal
 
 
 def test_second_stand_up_does_not_twist_the_coxae() -> None:

@@ -209,7 +209,7 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
         "height": 0.1,
         "lift": 0.04,
         "gait": "tripod",
-        "by_touch": False,
+        "blind_walking": False,
     }
     sent: list[Message] = []
     limit = time.monotonic() + PATIENCE_S
@@ -333,8 +333,8 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     rig.hear(PassagePlan(1, 1, "no way", words, np.zeros(2), *numbers, steps, points, points, edges, points[:1]))
     told = page.until("health", lambda told: told["services"])
     assert told["services"][0] | {"age_s": 0} == {
-        "name": "mapper", "doing": "mapping", "age_s": 0, "silent": False, "refused": 2, "dropped": 3,
-        "robot_ahead_s": 0.0, "stages": {"map": 2.5},
+        "name": "mapper", "status": "mapping", "age_s": 0, "silent": False, "refused": 2, "dropped": 3,
+        "robot_clock_offset_s": 0.0, "stages": {"map": 2.5},
     }  # fmt: skip
     passage = page.until("passage")
     assert (passage["state"], passage["legs"], passage["footholds"]) == ("no way", [2], [1.0, 1.0, 1.0])

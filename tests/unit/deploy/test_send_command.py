@@ -85,7 +85,7 @@ def test_walk_order_continues_until_withdrawn() -> None:
     desk.run_ticks(2)
     desk.run_ticks(200, mode=Mode.WALK, reason="walking", lease="me")
     assert not desk.order.finished
-    assert all(m.take for m in desk.given)
+    assert all(m.take_over for m in desk.given)
     stop, anyway = desk.order.withdraw()
     assert (stop.mode, stop.holder) == ("stop", "me")
     assert stop.sequence > desk.given[-1].sequence

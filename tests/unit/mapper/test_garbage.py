@@ -30,8 +30,8 @@ def scan(points_mm, stamp_ns: int = 0, **changes: object) -> Scan:  # type: igno
         stamp_ns=stamp_ns,
         origin=np.zeros(3),
         points_mm=np.asarray(points_mm, dtype=np.int16),
-        count=np.full(n, 20, dtype=np.uint8),
-        spread_mm=np.zeros(n, dtype=np.uint8),
+        pixel_count=np.full(n, 20, dtype=np.uint8),
+        height_range_mm=np.zeros(n, dtype=np.uint8),
         p_world_camera=np.array(CAMERA),
         pose_covariance=1e-6 * np.eye(6),
     )
@@ -70,7 +70,7 @@ class Rig:
 
 
 GARBAGE = {
-    "no pixels behind its points": (scan(ground(), count=np.zeros(len(ground()), np.uint8)), "counts of at least 1"),
+    "no pixels behind its points": (scan(ground(), pixel_count=np.zeros(len(ground()), np.uint8)), "counts of at least 1"),
     "a negative variance": (scan(ground(), pose_covariance=-np.eye(6)), "covariance"),
     "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "1e+12 m away from its camera"),
     "points far from their camera": (scan(ground(), origin=np.array([1e5, 0.0, 0.0])), "1e+05 m away from its camera"),
@@ -124,7 +124,7 @@ def test_refused_scan_does_not_move_map() -> None:
     away, camera = np.array([30.0, 0.0, 0.0]), np.array(CAMERA)
     rig.stand((30.0, 0.0, 0.1))
     no_pixels = np.zeros(len(ground()), np.uint8)
-    assert rig.map(scan(ground(), origin=away, p_world_camera=camera + away, count=no_pixels)) is None
+    assert rig.map(scan(ground(), origin=away, p_world_camera=camera + away, pixel_count=no_pixels)) is None
     rig.stand((0.0, 0.0, 0.1))
     after = rig.map(scan(EMPTY))
     assert before is not None
@@ -203,8 +203,8 @@ def test_mapper_recovers_from_any_scan(
     rig, rng = Rig(), np.random.default_rng(seed)
     wild = scan(
         rng.integers(-32768, 32768, (n, 3)),
-        count=rng.integers(0, 256, n).astype(np.uint8),
-        spread_mm=rng.integers(0, 256, n).astype(np.uint8),
+        pixel_count=rng.integers(0, 256, n).astype(np.uint8),
+        height_range_mm=rng.integers(0, 256, n).astype(np.uint8),
         origin=np.array([origin, 0.0, -origin]),
         pose_covariance=variance * np.eye(6),
     )

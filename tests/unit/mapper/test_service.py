@@ -50,8 +50,8 @@ def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0
         stamp_ns=stamp_ns,
         origin=np.zeros(3),
         points_mm=np.rint(mm).astype(np.int16),
-        count=np.full(n, 20, dtype=np.uint8),
-        spread_mm=np.zeros(n, dtype=np.uint8),
+        pixel_count=np.full(n, 20, dtype=np.uint8),
+        height_range_mm=np.zeros(n, dtype=np.uint8),
         p_world_camera=np.array([0.1, 0.0, 0.25]),
         pose_covariance=np.eye(6) * 1e-6,
     )
@@ -271,10 +271,10 @@ def test_passage_map_distinguishes_measured_assumed_and_unseen_cells() -> None:
     beyond = (x[:, None] > 1.1) & np.ones(100, dtype=bool)
     assert np.isnan(told.elevation[beyond]).all()
     assert not told.normals[beyond].any()
-    assert told.unseen == pytest.approx(np.isnan(told.elevation).mean())
+    assert told.unseen_share == pytest.approx(np.isnan(told.elevation).mean())
     assert told.reason.startswith(f"{np.isnan(told.elevation).sum()} of 27000 cells not seen: ")
-    assert told.look_shows.sum() > 20
-    assert np.isnan(told.elevation[told.look_shows]).all()
+    assert told.next_view_cells.sum() > 20
+    assert np.isnan(told.elevation[told.next_view_cells]).all()
     assert len(codec.encode(told)) < 500_000
     assert (told.evaluation[(x[:, None] > 0.6) & (x[:, None] < 0.9) & (np.abs(y) < 0.2)] == -5).all()
     assert (told.evaluation[beyond] == 127).all()
@@ -299,9 +299,9 @@ def test_no_view_is_proposed_while_legs_swing() -> None:
     rig.stand(at(), legs(swing))
     rig.scan()
     (told,) = surveyed(rig, STRIP, swing=swing)
-    assert not told.look_shows.any()
+    assert not told.next_view_cells.any()
     assert "legs swing" in told.reason
-    np.testing.assert_array_equal(told.T_world_look, at())
+    np.testing.assert_array_equal(told.T_world_next_view, at())
 
 
 def test_passage_map_includes_ground_measured_before_request() -> None:
@@ -342,7 +342,7 @@ def test_invalid_strip_is_refused_with_reason(
     told = surveyed(rig, PassageRequest(0, np.array(origin), heading, length, width))
     assert [m.elevation.size for m in told] == [0]
     assert words in told[0].reason
-    assert told[0].unseen == 1.0
+    assert told[0].unseen_share == 1.0
     assert len(surveyed(rig, STRIP)) == 1
 
 

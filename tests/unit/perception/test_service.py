@@ -235,7 +235,7 @@ def test_blind_camera_sends_no_free_space_rays(world) -> None:  # type: ignore[n
         rig.frame(body_at(0.0))
     scans = [m for _ in range(30) for m in rig.frame(body_at(0.0), depth=dark) if isinstance(m, Scan)]
     assert len(scans) > 20
-    assert all(len(scan.sights_mm) == 0 for scan in scans)
+    assert all(len(scan.free_rays_mm) == 0 for scan in scans)
 
 
 def test_missing_odometry_is_a_fault_only_on_unobservable_ground(world) -> None:  # type: ignore[no-untyped-def]

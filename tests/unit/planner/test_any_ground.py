@@ -78,10 +78,10 @@ def any_strip(rng: np.random.Generator, request: PassageRequest, resolution: flo
         normals=np.zeros((*shape, 3), dtype=np.int16),
         roughness=np.zeros(shape, dtype=np.float32),
         assumed=np.zeros(shape, dtype=np.bool_),
-        unseen=float(np.isnan(height).mean()),
+        unseen_share=float(np.isnan(height).mean()),
         reason="",
-        T_world_look=from_xyz_rpy((*request.origin, HEIGHT), (0.0, 0.0, request.heading)),
-        look_shows=np.zeros(shape, dtype=np.bool_),
+        T_world_next_view=from_xyz_rpy((*request.origin, HEIGHT), (0.0, 0.0, request.heading)),
+        next_view_cells=np.zeros(shape, dtype=np.bool_),
     )
 
 
@@ -142,7 +142,7 @@ def test_planner_steps_or_reports_reason_on_any_map_and_strip(seed: int) -> None
     rig = Rig()
     rig.command, rig.terrain = None, any_map(rng)
     waypoints = rng.uniform(-1.5, 1.5, (int(rng.integers(1, 4)), 2)) * rng.choice([0.03, 1.0, 4.0])
-    rig.goal = Goal(0, waypoints, 0.05, 0.1, HEIGHT, 0.03, passage=bool(rng.random() < 0.5))
+    rig.goal = Goal(0, waypoints, 0.05, 0.1, HEIGHT, 0.03, gap_crossing=bool(rng.random() < 0.5))
     for _ in range(40):
         said = rig.cycle()
         for request in (m for m in said if isinstance(m, PassageRequest)):

@@ -118,7 +118,7 @@ def test_planner_steps_with_all_inputs() -> None:
 
 def test_reduced_servo_pace_shortens_step() -> None:
     rig = Rig()
-    rig.state = replace(rig.state, pace=0.5)
+    rig.state = replace(rig.state, speed_scale=0.5)
     (plan,) = rig.plans()
     assert plan.body_goal[0, 3] == pytest.approx(0.03 * PROFILE.stance.step_s)
 
@@ -395,7 +395,7 @@ def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000)
         if len(plans) == until:
             break
         newest = plans[-1].stamp_ns if plans else -1
-        plans += rig.plans(refused=why if plans else "", refused_ns=newest)
+        plans += rig.plans(plan_refusal=why if plans else "", refused_plan_ns=newest)
     return plans
 
 
@@ -521,7 +521,7 @@ def test_zero_command_resets_refusals() -> None:
 
 def test_plan_refused_for_mode_is_repeated_unchanged() -> None:
     rig = Rig()
-    plans = rig.plans(100, refused="plan of step 1 refused: the mode is hold, not ordered to walk")
+    plans = rig.plans(100, plan_refusal="plan of step 1 refused: the mode is hold, not ordered to walk")
     assert len(plans) > 5
     np.testing.assert_array_equal(plans[-1].body_goal, plans[0].body_goal)
 
@@ -530,7 +530,7 @@ def test_accepted_step_resets_refusals() -> None:
     rig = Rig()
     plan = refused(rig, 100, until=4)[-1]
     rig.begin(plan)
-    rig.plans(1, phase=0.1, refused="")
+    rig.plans(1, phase=0.1, plan_refusal="")
     rig.finish(plan)
     assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s, abs=1e-6)
 
@@ -614,7 +614,7 @@ def by_touch() -> Rig:
     rig.cycle()
     rig.pose = rig.terrain = None
     assert rig.command is not None
-    rig.command = replace(rig.command, by_touch=True)
+    rig.command = replace(rig.command, blind_walking=True)
     rig.now_ns += 5_000 * MS
     return rig
 
@@ -637,7 +637,7 @@ def test_blind_walking_without_pose_and_map_is_slow_with_high_lift() -> None:
 def test_no_blind_walking_without_operator_request() -> None:
     rig = by_touch()
     assert rig.command is not None
-    rig.command = replace(rig.command, by_touch=False)
+    rig.command = replace(rig.command, blind_walking=False)
     assert not rig.plans(20)
     assert rig.status().state == "waiting"
     assert "no fresh pose" in rig.status().reason
@@ -674,7 +674,7 @@ def test_blind_walking_needs_at_least_one_pose() -> None:
     rig = Rig()
     rig.pose = rig.terrain = None
     assert rig.command is not None
-    rig.command = replace(rig.command, by_touch=True)
+    rig.command = replace(rig.command, blind_walking=True)
     assert not rig.plans(20)
     assert "no pose from perception yet" in rig.status().reason
 
@@ -759,7 +759,7 @@ def test_planner_delay_does_not_count_as_stall() -> None:
 def test_repeated_refusals_by_actuator_count_as_stall() -> None:
     def refuse(rig: Rig, _: int) -> None:
         newest = max((m.stamp_ns for m in sent), default=-1)
-        rig.state = replace(rig.state, refused_ns=newest, refused="the foot would be out of reach")
+        rig.state = replace(rig.state, refused_plan_ns=newest, plan_refusal="the foot would be out of reach")
 
     rig, sent = Rig(), list[StepPlan]()
     rig.command, rig.goal = None, GOAL

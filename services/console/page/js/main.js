@@ -66,7 +66,7 @@ const link = new Link({
 const pad = new Pad(
   (fields) => link.ask("drive", fields),
   () => link.ask("release"),
-  () => ({ speed: Number($("speed").value), fastest, ...walk(), by_touch: $("by-touch").checked }),
+  () => ({ speed: Number($("speed").value), fastest, ...walk(), blind_walking: $("by-touch").checked }),
   (words) => panels.notice(words),
 );
 

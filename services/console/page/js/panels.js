@@ -107,7 +107,7 @@ export class Panels {
     const { stall_torque: stall, temperature_limit: hot, warn_voltage: low } = this.robot;
     const volts = legs.voltage === null ? "voltage unknown" : `${legs.voltage.toFixed(1)} V`;
     const warm = legs.temperature === null ? "temperature unknown" : `hottest ${legs.temperature.toFixed(0)} °C`;
-    const tired = legs.pace < 1 ? `, walking at ${(100 * legs.pace).toFixed(0)} %` : "";
+    const tired = legs.speed_scale < 1 ? `, walking at ${(100 * legs.speed_scale).toFixed(0)} %` : "";
     const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot - 12);
     set("power", `${volts}, ${warm}${tired}`, bad ? "warn" : "");
     this.cells.forEach(({ foot, bars }, i) => {
@@ -135,9 +135,9 @@ export class Panels {
       const name = document.createElement("b");
       name.textContent = `${service.name} `;
       const words = document.createElement("span");
-      words.textContent = service.silent ? `silent for ${service.age_s.toFixed(0)} s` : service.doing;
+      words.textContent = service.silent ? `silent for ${service.age_s.toFixed(0)} s` : service.status;
       line.className = service.silent ? "silent" : "";
-      const clock = service.robot_ahead_s ? [`another machine; the robot's clock is ${service.robot_ahead_s} s ahead of its clock`] : [];
+      const clock = service.robot_clock_offset_s ? [`another machine; the robot's clock is ${service.robot_clock_offset_s} s ahead of its clock`] : [];
       line.title = [...clock, ...Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`)].join("\n");
       line.append(name, words);
       return line;

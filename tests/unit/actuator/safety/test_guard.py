@@ -101,7 +101,7 @@ class Everything(RuleBasedStateMachine):
 
     def give(self, order: ModeCommand) -> None:
         """Give an order that is new to the guard."""
-        mode, holder, take, given_ns = order.mode, order.holder, order.take, order.sequence
+        mode, holder, take, given_ns = order.mode, order.holder, order.take_over, order.sequence
         self.newest[holder] = given_ns
         was, leads, last = self.robot.mode, self.leader, self.last
         may = mode in ("off", "stop") or not leads or leads == holder or take
@@ -132,7 +132,7 @@ class Everything(RuleBasedStateMachine):
 
     def check_obeyed_order(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
         guard, mode = self.robot.guard, order.mode
-        if mode not in ("off", "stop") or order.take:
+        if mode not in ("off", "stop") or order.take_over:
             self.ordered_to_walk &= self.holder == order.holder
             self.holder = order.holder
         if self.holder == order.holder:

@@ -139,7 +139,7 @@ def test_out_of_order_stop_does_not_take_over_the_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk", "b")
     robot.order("walk", "a", take=True)
-    assert robot.handle_order(ModeCommand(robot.now, "stop", 1, "b", take=True)) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "stop", 1, "b", take_over=True)) == ()
     assert robot.guard.lease(robot.now) == "a"
     assert not robot.accept_plan(robot.plan())
     assert "not ordered to walk" in robot.guard.refused
@@ -184,7 +184,7 @@ def test_inactive_client_is_forgotten_and_its_old_orders_are_refused() -> None:
     assert robot.guard.objection == ""
     assert robot.guard.lease(robot.now) == "holder 16"
     for mode in ("ready", "stand", "walk", "sit"):
-        assert robot.handle_order(ModeCommand(robot.now, mode, forgotten, "holder 0", take=True)) == ()  # type: ignore[arg-type]
+        assert robot.handle_order(ModeCommand(robot.now, mode, forgotten, "holder 0", take_over=True)) == ()  # type: ignore[arg-type]
         assert robot.guard.lease(robot.now) == "holder 16"
     assert robot.order("stop", "holder 0") == ()
     assert robot.order("off", "holder 16") == (Act.TORQUE_OFF,)

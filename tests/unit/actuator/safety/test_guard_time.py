@@ -137,15 +137,15 @@ def test_order_older_than_torque_off_does_not_turn_torque_on() -> None:
     off_ns = robot.now + 500_000_000
     robot.now = off_ns + 100_000_000
     robot.handle_order(ModeCommand(robot.now, "off", off_ns, "a"))
-    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns - 1, "b", take=True)) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns - 1, "b", take_over=True)) == ()
     assert robot.guard.objection.endswith("it was given before torque was ordered off; order it again")
     assert not robot.torque
-    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns, "b", take=True)) == (Act.TORQUE_ON, Act.RISE)
+    assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns, "b", take_over=True)) == (Act.TORQUE_ON, Act.RISE)
     assert robot.guard.given_ns == off_ns
     robot.now += CYCLE
     robot.perform(robot.guard.handle_stop(StopOrder(0, "off", 1, "viewer"), robot.now))
-    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now - 1, "b", take=True)) == ()
-    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.TORQUE_ON,)
+    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now - 1, "b", take_over=True)) == ()
+    assert robot.handle_order(ModeCommand(robot.now, "ready", robot.now, "b", take_over=True)) == (Act.TORQUE_ON,)
 
 
 def test_stop_order_does_not_block_older_stand_order() -> None:
@@ -224,7 +224,7 @@ def test_order_with_sequence_in_the_future_is_refused() -> None:
     ahead = robot.now + AHEAD_NS
     robot.handle_order(ModeCommand(robot.now, "sit", ahead + 1, "b"))
     assert robot.guard.objection == "`sit` of b refused: its sequence number, the time of the order [ns], lies in the future"
-    robot.handle_order(ModeCommand(robot.now, "sit", ahead, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now, "sit", ahead, "b", take_over=True))
     assert robot.guard.objection == ""
 
 
@@ -264,7 +264,7 @@ def test_stale_stop_is_obeyed_without_taking_or_extending_lease(mode: str) -> No
     given_ns, later = robot.now, robot.now + 1
     robot.now += ORDER_AGE_NS + 1
     old_ns = robot.now - ORDER_AGE_NS - 1
-    acts = robot.handle_order(ModeCommand(old_ns, mode, 1, "b", take=True))  # type: ignore[arg-type]
+    acts = robot.handle_order(ModeCommand(old_ns, mode, 1, "b", take_over=True))  # type: ignore[arg-type]
     assert acts == ((Act.TORQUE_OFF,) if mode == "off" else (Act.SET_DOWN,))
     assert robot.guard.lease(robot.now) == "a"
     robot.handle_order(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
@@ -276,9 +276,9 @@ def test_stale_stop_is_obeyed_without_taking_or_extending_lease(mode: str) -> No
 @pytest.mark.parametrize("off_ns", [-10 * ORDER_AGE_NS, 10 * ORDER_AGE_NS])
 def test_stop_with_wrong_stamp_does_not_block_its_client(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.handle_order(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take_over=True))
     assert robot.guard.lease(robot.now) == ""
-    robot.handle_order(ModeCommand(robot.now, "stop", 7, "b", take=True))
+    robot.handle_order(ModeCommand(robot.now, "stop", 7, "b", take_over=True))
     assert (robot.guard.objection, robot.guard.lease(robot.now)) == ("", "b"), "its numbers count from those of now"
     robot.handle_order(ModeCommand(robot.now, "walk", 8, "b"))
     assert robot.guard.objection == ""

@@ -62,7 +62,7 @@ def test_it_records_from_an_order_to_the_next(tmp_path: Path) -> None:
     desk = Desk(tmp_path / "recordings")
     resting = desk.beat()
     assert (resting.recording, resting.file, resting.sequence) == (False, "", -1)
-    assert resting.free == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.1)
+    assert resting.disk_free == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.1)
     assert not desk.link.listeners, "while it rests nothing is sent to it"
     with desk.recorder:
         began = desk.beat(True, 7)
@@ -72,9 +72,9 @@ def test_it_records_from_an_order_to_the_next(tmp_path: Path) -> None:
         desk.beat()
         ended = desk.beat(False, 8)
         assert (ended.recording, ended.sequence) == (False, 8)
-        assert ended.seconds == 1.0
+        assert ended.duration == 1.0
         assert not desk.link.listeners
-        assert desk.beat().seconds == 1.0
+        assert desk.beat().duration == 1.0
     recording = Recording(Path(ended.file).parent)
     assert sum(recording.counts().values()) == 10
     assert recording.complete
@@ -87,7 +87,7 @@ def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> No
         for _ in range(3):
             state = desk.beat(True, 1)
             assert state.recording
-        assert state.seconds == 1.0, "it did not restart"
+        assert state.duration == 1.0, "it did not restart"
         desk.beat(False, 2)
         assert not desk.beat(True, 2).recording
         assert not desk.beat(True, 1).recording, "one that was overtaken"

@@ -97,7 +97,7 @@ def test_a_scan_is_told_point_by_point() -> None:
     seen = scan(7)
     points = unpacked(ground.points(seen))
     assert np.allclose(np.column_stack([points["x"], points["y"], points["z"]]), seen.points, atol=MM)
-    assert np.array_equal(points["pixels"], seen.count)
+    assert np.array_equal(points["pixels"], seen.pixel_count)
 
 
 @given(seed=st.integers(0, 1000))

@@ -45,13 +45,17 @@ class Office:
         self.now += after_ns
         out = self.desk.beat(self.now, self.state(), status)
         for message in out:
-            if isinstance(message, ModeCommand) and (message.mode not in ("off", "stop") or message.take) and self.may(message):
+            if (
+                isinstance(message, ModeCommand)
+                and (message.mode not in ("off", "stop") or message.take_over)
+                and self.may(message)
+            ):
                 self.lease = message.holder
         self.out += out
         return out
 
     def may(self, order: ModeCommand) -> bool:
-        return order.take or self.lease in ("", order.holder)
+        return order.take_over or self.lease in ("", order.holder)
 
     def ask(self, page: int, request: object) -> str:
         return self.desk.ask(page, request, self.now)  # type: ignore[arg-type]
@@ -164,7 +168,7 @@ def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
     office.hold(1, press=1)
     assert office.ask(2, TakeOver()) == ""
     (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2 at here")
-    assert (taken.mode, taken.take) == ("stop", True)
+    assert (taken.mode, taken.take_over) == ("stop", True)
     assert office.lease == "console 2 at here"
     office.beat()  # the actuator has confirmed it
     assert "page 2 is in control" in office.ask(1, drive(2))

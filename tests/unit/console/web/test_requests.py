@@ -27,7 +27,7 @@ from sextant.services.console.web.requests import (
 )
 
 WALK = {"height": 0.1, "lift": 0.04, "gait": "tripod"}
-DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": -0.2, "by_touch": False, **WALK}
+DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": -0.2, "blind_walking": False, **WALK}
 GO = {"type": "go to", "waypoints": [[1.0, -0.5], [2, 0]], "speed": 0.1, "passage": False, **WALK}
 GOOD: list[tuple[dict[str, Any], object]] = [
     (DRIVE, Drive(1, 0.1, 0.0, -0.2, Walk(0.1, 0.04, "tripod"), False)),
@@ -68,7 +68,7 @@ def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _:
         ({**DRIVE, "press": -1}, "press: a whole number"),
         ({**DRIVE, "press": 1.0}, "press: a whole number"),
         ({**DRIVE, "gait": "gallop"}, "gait: one of tripod, ripple, wave expected, found gallop"),
-        ({**DRIVE, "by_touch": 1}, "by_touch: true or false"),
+        ({**DRIVE, "blind_walking": 1}, "blind_walking: true or false"),
         ({**GO, "waypoints": []}, "waypoints: 1 to 16 points"),
         ({**GO, "waypoints": [[1.0]]}, r"waypoints: points \[x, y\]"),
         ({**GO, "waypoints": [[1.0, 1e9]]}, "x: a number from -100 to 100"),

@@ -25,7 +25,7 @@ from tests.support.served import Serving
 
 PAGE = Path("services/console/page")
 PATIENCE_S = 20.0
-WALK = {"height": 0.1, "lift": 0.04, "gait": "wave", "by_touch": False}
+WALK = {"height": 0.1, "lift": 0.04, "gait": "wave", "blind_walking": False}
 DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": 0.0, **WALK}
 
 

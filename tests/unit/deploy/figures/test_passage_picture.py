@@ -75,7 +75,7 @@ def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_cro
     bare = replace(section.plan, leg=section.plan.leg[:0], footholds=section.plan.footholds[:0], body=section.plan.body[:0])
     stays = _drawn(tmp_path / "stays.png", scorer, replace(scorer.trace, sections=(replace(section, plan=bare),)))
     scale = min(0.86 * 1600 / (PASSAGE.goal.distance + 0.7), 0.265 * 1500 / 0.9)  # [pixels/m]
-    x, y = section.plan.stopped[0, :2]
+    x, y = section.plan.failure_point[0, :2]
     place = (round(1500 * (1 - 0.627 - 0.1325) - scale * y), round(0.07 * 1600 + scale * (0.35 + x)))
     mark = tuple(slice(c - 9, c + 10) for c in place)
     red, grey = (0xB3, 0x26, 0x1E), (0x5F, 0x63, 0x68)
@@ -87,7 +87,7 @@ def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_cro
 def test_failed_attempt_with_later_sections_is_not_marked(tmp_path, story, drawn_crossing):
     scorer, some = drawn_crossing(story)
     first, *others = scorer.trace.sections
-    failed = replace(first, plan=replace(first.plan, state="no way", stopped=first.plan.footholds[:1]))
+    failed = replace(first, plan=replace(first.plan, state="no way", failure_point=first.plan.footholds[:1]))
     pixels = _drawn(tmp_path / "p.png", scorer, replace(scorer.trace, sections=(failed, *others)))
     red = (0xB3, 0x26, 0x1E)
     assert _share(pixels, red, PLANNED) <= _share(some, red, PLANNED) + 1e-4

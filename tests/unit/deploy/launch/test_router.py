@@ -70,7 +70,7 @@ def test_router_reports_conflicting_presences_and_continues() -> None:
             for topic, claim in ((topics.PRESENCE_OF["robot"], robot), (topics.PRESENCE_OF["base"], older)):
                 link.send(topic, codec.encode(replace(claim, stamp_ns=time.monotonic_ns())))
             for frame in heard():
-                doing = codec.decode(frame, Health)[0].doing
+                doing = codec.decode(frame, Health)[0].status
             never.wait(0.05)
         assert f"with different messages for {robot.keys[0]}; install the same version on both" in doing
         assert process.poll() is None

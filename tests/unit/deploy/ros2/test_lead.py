@@ -68,7 +68,7 @@ def test_twists_become_velocity_commands_and_renew_lease() -> None:
     assert 45 <= len(found) <= 51, "every 40 ms"
     assert all(v.velocity.tolist() == [0.04, -0.02] and v.yaw_rate == 0.3 and v.body_height == 0.11 for v in found)
     orders = [m for m in desk.said if isinstance(m, ModeCommand)]
-    assert {(m.mode, m.holder, m.take) for m in orders} == {("walk", "ros2", False)}
+    assert {(m.mode, m.holder, m.take_over) for m in orders} == {("walk", "ros2", False)}
     assert len({m.sequence for m in orders}) == 1, "one order, repeated"
     assert 4 <= len(orders) <= 5, "twice a second"
 

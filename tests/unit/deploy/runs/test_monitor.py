@@ -30,7 +30,7 @@ def state(
     stamp_ns: int, mode: Mode = Mode.WALK, reason: str = "", refused: str = "", warnings: tuple[str, ...] = ()
 ) -> ActuatorState:
     no = np.zeros(6, dtype=np.bool_)
-    said = {"stamp_ns": stamp_ns, "mode": mode, "reason": reason, "refused": refused, "warnings": warnings}
+    said = {"stamp_ns": stamp_ns, "mode": mode, "reason": reason, "plan_refusal": refused, "warnings": warnings}
     return actuator_state(PROFILE, step=1, phase=0.5, contact=no, temperature=40.0, **said)
 
 
@@ -119,7 +119,7 @@ def test_stage_times_use_slowest_subscriber_of_topic() -> None:
 
 
 def test_status_cannot_control_the_terminal() -> None:
-    view = Bench().hear(S, replace(health(S, "mapper"), doing="\x1b[2J[red]busy"))
+    view = Bench().hear(S, replace(health(S, "mapper"), status="\x1b[2J[red]busy"))
     assert view.doing == {"mapper": "\N{REPLACEMENT CHARACTER}[2J[red]busy"}
 
 
@@ -173,7 +173,7 @@ def test_lateness_keeps_worst_input() -> None:
         return replace(
             health(round(at_s * S), "planner"),
             inputs=("mapper/terrain",),
-            **dict(zip(("input_age_s", "input_arrived_s", "input_limit_s", "input_late"), figures, strict=True)),
+            **dict(zip(("input_age_s", "input_arrived_s", "input_limit_s", "input_late_share"), figures, strict=True)),
         )
 
     for second, age_s in enumerate((1.0, 3.0, 3.0, 1.2, 1.2, 1.2, 1.2, 1.2)):

@@ -279,11 +279,11 @@ def test_blind_walking_is_requested_only_if_scenario_allows(allowed):
     robot = Robot(scenario=replace(SCENARIO, walk=replace(SCENARIO.walk, by_touch=allowed)))
     for _ in range(60):
         robot.beat()
-    assert not robot.velocities[-1].by_touch
+    assert not robot.velocities[-1].blind_walking
     robot.pose_comes, robot.waits = False, True
     began = robot.now
     robot.run(160)
-    asked = [v.stamp_ns - began for v in robot.velocities if v.by_touch]
+    asked = [v.stamp_ns - began for v in robot.velocities if v.blind_walking]
     assert bool(asked) == allowed
     if allowed:
         assert min(asked) == pytest.approx(2e9, abs=4 * PERIOD_NS)

@@ -110,12 +110,12 @@ def scan(n: int = 50, color: bool = True) -> Scan:
         stamp_ns=0,
         origin=np.array([0.8, -0.1, 0.25]),
         points_mm=rng.integers(-900, 900, (n, 3)).astype(np.int16),
-        count=np.arange(n, dtype=np.uint8),
-        spread_mm=np.zeros(n, dtype=np.uint8),
+        pixel_count=np.arange(n, dtype=np.uint8),
+        height_range_mm=np.zeros(n, dtype=np.uint8),
         p_world_camera=np.array([0.8, -0.1, 0.25]),
         pose_covariance=np.eye(6) * 1e-6,
         color=rng.integers(0, 63, (n if color else 0, 3)).astype(np.uint8),
-        sights_mm=rng.integers(-900, 900, (7, 3)).astype(np.int16),
+        free_rays_mm=rng.integers(-900, 900, (7, 3)).astype(np.int16),
     )
 
 
@@ -128,7 +128,7 @@ def test_pose_and_scan_move_together() -> None:
         assert isinstance(pose, BodyPose)
         assert isinstance(moved, Scan)
         assert np.abs(pose.T_world_body - T).max() > 1e-4
-        points, shifted = (s.origin + np.vstack([s.points_mm, s.sights_mm]) * 1e-3 for s in (before, moved))
+        points, shifted = (s.origin + np.vstack([s.points_mm, s.free_rays_mm]) * 1e-3 for s in (before, moved))
         np.testing.assert_allclose(apply(inverse(pose.T_world_body), shifted), apply(inverse(T), points), atol=1.2e-3)
         camera = apply(inverse(pose.T_world_body), moved.p_world_camera)
         np.testing.assert_allclose(camera, apply(inverse(T), before.p_world_camera), atol=1e-12)
@@ -153,7 +153,7 @@ def test_points_beyond_int16_range_are_dropped() -> None:
     for seed in range(6):
         _, moved = NoisyPerception(StaticPerception(far), shift, seed).step(0, Inbox((), Stages()))  # type: ignore[arg-type]
         assert isinstance(moved, Scan)
-        assert len(moved.points_mm) == len(moved.count) == len(moved.color) in (1, 2)
+        assert len(moved.points_mm) == len(moved.pixel_count) == len(moved.color) in (1, 2)
 
 
 def test_live_run_starts_noisy_perception_process() -> None:

@@ -105,7 +105,7 @@ def test_machines_of_same_schema_are_compatible() -> None:
 
 @pytest.mark.parametrize("base_up_s", [1.0, 500.0])
 def test_schema_mismatch_prevents_start_of_base_but_not_of_robot(base_up_s: float) -> None:
-    base = replace(with_other_schemas(BASE, "planner/step", "perception/scan"), up_s=base_up_s)
+    base = replace(with_other_schemas(BASE, "planner/step", "perception/scan"), uptime_s=base_up_s)
     at_robot, at_base = objection(ROBOT, base, "base"), objection(base, ROBOT, "robot")
     assert at_robot is not None
     assert at_base is not None
@@ -118,7 +118,7 @@ def test_schema_mismatch_prevents_start_of_base_but_not_of_robot(base_up_s: floa
 
 
 def test_only_robot_presence_prevents_start_of_mismatched_base() -> None:
-    found = objection(BASE, replace(with_other_schemas(ROBOT, "planner/step"), up_s=1e9), "console")
+    found = objection(BASE, replace(with_other_schemas(ROBOT, "planner/step"), uptime_s=1e9), "console")
     assert found is not None
     assert not found.bars_start
 
@@ -136,7 +136,7 @@ def test_topic_unknown_to_one_machine_is_no_mismatch() -> None:
 
 
 def test_later_of_two_machines_with_same_service_does_not_start() -> None:
-    late = replace(BASE, machine="laptop-3", up_s=2.0, services=("planner", "console"))
+    late = replace(BASE, machine="laptop-3", uptime_s=2.0, services=("planner", "console"))
     first, second = objection(BASE, late, "base"), objection(late, BASE, "base")
     assert first is not None
     assert second is not None
@@ -163,8 +163,8 @@ def test_later_of_two_machines_with_same_service_does_not_start() -> None:
 )
 def test_service_claim_counts_only_for_permitted_role(role: str, service: str, may: bool) -> None:
     assert peer_handshake.may_run(role, service) is may
-    own = replace(BASE, services=(service,), up_s=0.0)
-    claim = replace(ROBOT, services=(service,), up_s=1e9)
+    own = replace(BASE, services=(service,), uptime_s=0.0)
+    claim = replace(ROBOT, services=(service,), uptime_s=1e9)
     assert (objection(own, claim, role) is not None) is may
 
 
@@ -177,12 +177,14 @@ def test_presence_claim_never_ends_running_robot(role: str) -> None:
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator", "stop", "planner")
     run_machines(clock, 4.0, robot)
-    claim = replace(with_other_schemas(ROBOT, "planner/step"), machine="z", up_s=1e9, services=("actuator", "stop", "planner"))
+    claim = replace(
+        with_other_schemas(ROBOT, "planner/step"), machine="z", uptime_s=1e9, services=("actuator", "stop", "planner")
+    )
     for _ in range(20):
         robot.hear(role, claim)
         run_machines(clock, 0.2, robot)
     assert robot.said[0] == "z (onboard) has connected, running actuator, stop, planner"
-    assert "z (onboard) runs Sextant 0.2.0, this machine 0.1.0" in robot.link.health[-1].doing, "the console shows it"
+    assert "z (onboard) runs Sextant 0.2.0, this machine 0.1.0" in robot.link.health[-1].status, "the console shows it"
     assert robot.link.health[-1].stamp_ns > clock[0] - SEC, "it goes on"
     assert not hasattr(robot.meeting, "refused"), "no message can end a running process"
 
@@ -230,15 +232,15 @@ def test_machines_connect_in_any_order_and_log_peer_changes() -> None:
     base = Machine(wire, clock, "desk-9", "offboard", "mapper", "planner")
     run_machines(clock, 3.0, base)
     assert base.said == []
-    assert base.link.health[-1].doing == "no other machine yet"
+    assert base.link.health[-1].status == "no other machine yet"
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
     run_machines(clock, 3.0, base, robot)
     assert base.said == ["hexapod-7 (onboard) has connected, running actuator"]
     assert robot.said == ["desk-9 (offboard) has connected, running mapper, planner"]
-    assert base.link.health[-1].doing == "connected to hexapod-7 (onboard)"
+    assert base.link.health[-1].status == "connected to hexapod-7 (onboard)"
     run_machines(clock, 6.0, robot)
     assert robot.said[1:] == ["no message from desk-9 (offboard) for 5 s"]
-    assert robot.link.health[-1].doing == "no other machine yet"
+    assert robot.link.health[-1].status == "no other machine yet"
     run_machines(clock, 3.0, base, robot)
     assert robot.said[2:] == ["desk-9 (offboard) has reconnected"]
 
@@ -253,7 +255,7 @@ def test_conflict_is_reported_once_and_prevents_start_of_later() -> None:
     assert "already runs planner" in base.meeting.start_refusal
     assert sum("already runs planner" in words for words in robot.said) == 1
     assert "hexapod-7 (onboard) runs Sextant 0.3.0, this machine 0.1.0" in base.said
-    assert "already runs planner" in robot.link.health[-1].doing, "the console shows it"
+    assert "already runs planner" in robot.link.health[-1].status, "the console shows it"
 
 
 def test_undecodable_presence_is_reported() -> None:
@@ -262,4 +264,4 @@ def test_undecodable_presence_is_reported() -> None:
     robot.link.frames["machine/presence/base"] += [b"\x05\x00\x00\x00hello", of_another_version(BASE)]
     run_machines(clock, 1.0, robot)
     assert "different versions" in robot.said[-1]
-    assert "cannot be decoded" in robot.link.health[-1].doing
+    assert "cannot be decoded" in robot.link.health[-1].status

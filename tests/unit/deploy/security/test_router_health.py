@@ -28,7 +28,7 @@ def test_health_is_published_each_second_and_soon_after_refusal() -> None:
     refused.add("a client without a certificate")
     assert reporter.beat(250_000_000) == "refused: a client without a certificate"
     assert [(word.refused, word.last_refusal) for word in said] == [(0, ""), (1, "refused: a client without a certificate")]
-    assert said[-1].doing == "listening; refused: a client without a certificate: 1 times"
+    assert said[-1].status == "listening; refused: a client without a certificate: 1 times"
     refused.add("a client without a certificate")
     assert reporter.beat(300_000_000) == "", "each kind is reported once on the terminal"
     reporter.beat(600_000_000)
@@ -44,8 +44,8 @@ def test_kinds_of_refusals_are_bounded() -> None:
     RouterHealthReporter(refused, said.append, "router", "listening").beat(0)
     count, newest = refused.read()
     assert (len(count), count.total(), newest) == (65, 1000, "other kinds")
-    assert (said[0].refused, len(said[0].doing)) == (1000, 500)
-    assert said[0].doing.startswith("listening; refused: other kinds: 936 times, fault 0: 1 times")
+    assert (said[0].refused, len(said[0].status)) == (1000, 500)
+    assert said[0].status.startswith("listening; refused: other kinds: 936 times, fault 0: 1 times")
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_router_reports_refused_connections(keys: Path) -> None:
 
     def hear(_topic: object, frame: bytes) -> None:
         words.append(codec.decode(frame, Health)[0])
-        if "a certificate of a foreign authority" in words[-1].doing:
+        if "a certificate of a foreign authority" in words[-1].status:
             told.set()
 
     with running_router(keys / "robot", "--listen", secure, "--namespace", NAMESPACE) as (plain, end):
@@ -98,7 +98,7 @@ def test_router_reports_refused_connections(keys: Path) -> None:
             link.subscribe(topics.HEALTH, hear)
             with pytest.raises(zenoh.ZError):
                 stranger(secure, tls_of(keys / "foreign", trusted=keys / "robot"))
-            assert told.wait(PATIENCE_S), [word.doing for word in words[-3:]]
+            assert told.wait(PATIENCE_S), [word.status for word in words[-3:]]
         printed = end()
     assert words[-1].last_refusal == "refused: a certificate of a foreign authority"
     assert words[-1].service == "router of robot"

@@ -39,7 +39,7 @@ def evidence() -> FootEvidence:
 def touched(place: Array) -> ActuatorState:
     touch = np.zeros((6, 3))
     touch[0] = place
-    return legs(touch=touch, touch_ns=np.where(FRONT, S, -1), touch_carries=FRONT)
+    return legs(touchdown_point=touch, touchdown_ns=np.where(FRONT, S, -1), touchdown_contact=FRONT)
 
 
 def test_touchdown_corrects_the_map_once() -> None:

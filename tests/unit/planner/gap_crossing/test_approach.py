@@ -67,7 +67,7 @@ def walk_until_request(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tupl
 
 @pytest.mark.parametrize("ordered", [False, True])
 def test_robot_walks_to_gap_edge_and_requests_passage_map(ordered: bool) -> None:
-    rig, heard = walk_until_request(replace(GOAL, passage=ordered), gap(0.8))
+    rig, heard = walk_until_request(replace(GOAL, gap_crossing=ordered), gap(0.8))
     request = heard[-1] if isinstance(heard[-1], PassageRequest) else next(m for m in heard if isinstance(m, PassageRequest))
     body = rig.state.T_odom_body
     assert body[0, 3] == pytest.approx(EDGE - 0.36, abs=0.07)
@@ -102,7 +102,7 @@ def test_refusal_without_gap_names_path_and_obstacle() -> None:
 
 
 def test_velocity_command_overrides_gap_crossing() -> None:
-    rig, _ = walk_until_request(replace(GOAL, passage=True), gap(0.8))
+    rig, _ = walk_until_request(replace(GOAL, gap_crossing=True), gap(0.8))
     rig.command = VelocityCommand(0, np.array([-0.05, 0.0]), 0.0, HEIGHT, 0.03)
     said = [m for _ in range(40) for m in rig.cycle()]
     assert any(isinstance(m, StepPlan) and m.body_goal[0, 3] < rig.state.T_odom_body[0, 3] for m in said)
@@ -111,7 +111,7 @@ def test_velocity_command_overrides_gap_crossing() -> None:
 
 def test_ordered_crossing_without_mapped_gap_requests_map_in_place() -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, passage=True)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing=True)
     heard = [m for _ in range(60) for m in rig.cycle()]
     assert not any(isinstance(m, StepPlan) for m in heard)
     request = next(m for m in heard if isinstance(m, PassageRequest))
@@ -130,7 +130,7 @@ def test_ordered_crossing_without_mapped_gap_requests_map_in_place() -> None:
 )
 def test_invalid_goal_is_refused_with_reason(changes: dict[str, Any], words: str, passage: bool) -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, passage=passage, **changes)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing=passage, **changes)
     assert rig.plans(20) == []
     assert rig.status().state == "blocked"
     assert words in rig.status().reason
@@ -148,7 +148,7 @@ def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
 
 def test_crossing_without_map_is_refused_and_retried_later() -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, passage=True)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing=True)
     rig.plans(400)  # 8 s
     assert rig.status().reason.startswith("no gap crossing: no valid map of the gap received from the mapper")
     asked_s = [t * 0.02 for t in range(3000) if any(isinstance(m, PassageRequest) for m in rig.cycle())]
@@ -180,7 +180,7 @@ def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, mon
     body = rig.state.T_odom_body.copy()
     body[0, 3] = EDGE - GapApproachParams().start_distance_m
     standing = WorldStance(body, apply(body, rig.state.feet))
-    goal = replace(GOAL, passage=True)
+    goal = replace(GOAL, gap_crossing=True)
 
     def ended() -> Outcome | MotionCommand:
         for k in range(100):

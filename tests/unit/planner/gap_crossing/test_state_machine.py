@@ -161,7 +161,7 @@ def test_planning_report_is_returned_once() -> None:
         reports += [r for r in [robot.crossing.report] if r is not None]
     assert robot.crossing.report is None
     (report,) = reports
-    assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
+    assert (report.state, report.section, report.generated_nodes, report.expanded_nodes) == ("no way", 1, 5, 5)
 
 
 def test_robot_approaches_unknown_ground_only_without_other_path() -> None:
@@ -193,7 +193,7 @@ def test_failure_report_has_path_to_furthest_stance_and_failed_leg(leg: int) -> 
     assert report.leg.tolist() == [*range(6), 6]
     (field, *_), *_ = robot.sections.begun
     np.testing.assert_allclose(apply(field.T_strip_world, report.body[-1]), leant.body, atol=1e-9)
-    (stopped,) = apply(field.T_strip_world, report.stopped)
+    (stopped,) = apply(field.T_strip_world, report.failure_point)
     np.testing.assert_allclose(stopped, leant.body if leg == 6 else furthest.feet[leg], atol=1e-9)
     assert report.furthest == leant.body[0]
 
@@ -204,7 +204,7 @@ def test_success_report_has_no_failed_leg() -> None:
     while report is None:
         robot.tick()
         report = robot.crossing.report
-    assert (report.state, len(report.stopped), report.leg.tolist()) == ("complete", 0, [*range(6)])
+    assert (report.state, len(report.failure_point), report.leg.tolist()) == ("complete", 0, [*range(6)])
 
 
 def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
@@ -275,7 +275,7 @@ def test_foothold_that_did_not_carry_is_excluded_from_planning() -> None:
     gone = np.array([0.45, 0.2, -0.03])
     touch, carries, touch_ns = np.zeros((6, 3)), np.ones(6, dtype=np.bool_), np.full(6, -1, dtype=np.int64)
     touch[0], carries[0], touch_ns[0] = gone, False, robot.now_ns
-    robot.state = replace(robot.state, touch=touch, touch_carries=carries, touch_ns=touch_ns)
+    robot.state = replace(robot.state, touchdown_point=touch, touchdown_contact=carries, touchdown_ns=touch_ns)
     robot.until(lambda: len(robot.sections.begun) == 2)
     field = robot.sections.begun[1][0]
     x, y, _ = apply(inverse(field.T_world_strip), gone)
@@ -344,7 +344,7 @@ def test_actuator_restart_during_planning_replans_from_new_stance() -> None:
         ({"heading": 1.0}, "another strip"),
         ({"origin": np.array([3.0, 1.0])}, "another strip"),
         ({"resolution": 0.5}, "cells of 0.002 to 0.1 m expected"),
-        ({"T_world_look": np.zeros((4, 4))}, "not a rigid transform"),
+        ({"T_world_next_view": np.zeros((4, 4))}, "not a rigid transform"),
     ],
 )
 def test_map_of_other_strip_or_invalid_map_is_refused(changes: dict[str, object], words: str) -> None:
@@ -360,7 +360,7 @@ def test_map_of_other_strip_or_invalid_map_is_refused(changes: dict[str, object]
 def test_distant_view_pose_is_not_taken() -> None:
     robot = Robot(ScriptedRoadmap(*[no_way()] * PLANNINGS * ATTEMPTS), looks=5)
     look = robot.look
-    robot.look = lambda: replace(look(), T_world_look=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
+    robot.look = lambda: replace(look(), T_world_next_view=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
     robot.until_end()
     assert robot.moves == []
 

@@ -15,7 +15,7 @@ MAP = PassageMap(
 
 
 def revealing(cells: int) -> PassageMap:
-    return replace(MAP, look_shows=(np.arange(400) < cells).reshape(20, 20))
+    return replace(MAP, next_view_cells=(np.arange(400) < cells).reshape(20, 20))
 
 
 def test_view_must_reveal_enough() -> None:

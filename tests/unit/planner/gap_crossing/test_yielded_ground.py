@@ -35,7 +35,7 @@ def evaluation_at(field: StripMap, x: float, y: float = 0.0) -> int:
 def missing(leg: int, place: Array, at_ns: int) -> dict[str, Array]:
     touch, touch_ns = np.zeros((6, 3)), np.full(6, -1, dtype=np.int64)
     touch[leg], touch_ns[leg] = place, at_ns
-    return {"touch": touch, "touch_ns": touch_ns, "touch_carries": np.zeros(6, dtype=np.bool_)}
+    return {"touchdown_point": touch, "touchdown_ns": touch_ns, "touchdown_contact": np.zeros(6, dtype=np.bool_)}
 
 
 def test_ground_that_carries_is_unchanged() -> None:

@@ -22,7 +22,7 @@ def ground_not_found_at(at: tuple[float, float], stamp_ns: int = 5) -> ActuatorS
     """Return a state in which the third leg found no ground at a place {odom}."""
     touch, stamps = np.zeros((6, 3)), np.full(6, -1, dtype=np.int64)
     touch[2], stamps[2] = (*at, -0.05), stamp_ns
-    return actuator_state_with(touch=touch, touch_ns=stamps, touch_carries=np.zeros(6, dtype=bool))
+    return actuator_state_with(touchdown_point=touch, touchdown_ns=stamps, touchdown_contact=np.zeros(6, dtype=bool))
 
 
 def test_map_is_unchanged_without_missing_ground() -> None:
@@ -49,7 +49,7 @@ def test_missing_ground_is_stored_once_and_carrying_ground_is_not() -> None:
     for _ in range(5):
         holes.update(ground_not_found_at((0.2, 0.1)), np.eye(4))
     assert len(holes.places) == 1
-    carries = replace(ground_not_found_at((0.4, 0.1), 9), touch_carries=np.ones(6, dtype=bool))
+    carries = replace(ground_not_found_at((0.4, 0.1), 9), touchdown_contact=np.ones(6, dtype=bool))
     holes.update(carries, np.eye(4))
     assert len(holes.places) == 1
     holes.update(ground_not_found_at((0.5, 0.1), 12), np.eye(4))

@@ -75,7 +75,7 @@ def test_plan_of_another_planner_is_unknown(plans: PlanTracker) -> None:
 def test_refusal_of_next_step_excludes_its_way(plans: PlanTracker) -> None:
     for now_ms in (0, 100):
         plan = plans.send(state(now_ms), numbered(variant=(0, 3)))
-        plans.update(state(now_ms + 50, refused_ns=plan.stamp_ns, refused="out of reach"))
+        plans.update(state(now_ms + 50, refused_plan_ns=plan.stamp_ns, plan_refusal="out of reach"))
     assert plans.refusals.count == 2
     assert plans.refusals.of(0) == {3}
     assert plans.refusals.reason == "out of reach"
@@ -85,7 +85,7 @@ def test_refused_revision_does_not_replace_running_plan(plans: PlanTracker) -> N
     first = plans.send(state(), numbered())
     plans.update(during(first, 20))
     second, third = plans.send(during(first, 40), numbered(2)), plans.send(during(first, 240), numbered(2))
-    plans.update(during(first, 260, refused="out of reach", refused_ns=third.stamp_ns))
+    plans.update(during(first, 260, plan_refusal="out of reach", refused_plan_ns=third.stamp_ns))
     assert plans.refusals.count == 0, "the accepted plan waits for the end of the running step"
     plans.update(during(second, 280))
     assert plans.running is not None
@@ -94,7 +94,7 @@ def test_refused_revision_does_not_replace_running_plan(plans: PlanTracker) -> N
 
 def test_started_step_resets_refusals(plans: PlanTracker) -> None:
     plan = plans.send(state(), numbered())
-    plans.update(state(20, refused_ns=plan.stamp_ns, refused="out of reach"))
+    plans.update(state(20, refused_plan_ns=plan.stamp_ns, plan_refusal="out of reach"))
     plans.update(during(plans.send(state(40), numbered()), 60))
     assert plans.refusals.count == 0
 
@@ -115,7 +115,7 @@ def test_plan_without_answer_from_resting_legs_is_unanswered(plans: PlanTracker)
     assert not plans.is_unanswered(state(300))
     assert plans.is_unanswered(state(320))
     assert not plans.is_unanswered(during(plan, 320, step=0)), "the legs are busy"
-    plans.update(state(340, refused_ns=plan.stamp_ns, refused="out of reach"))
+    plans.update(state(340, refused_plan_ns=plan.stamp_ns, plan_refusal="out of reach"))
     plans.send(state(360), numbered())
     assert not plans.is_unanswered(state(800)), "a refusal is an answer"
 
@@ -151,7 +151,7 @@ def test_foot_that_met_ground_early_counts_where_it_stands(plans: PlanTracker) -
     plans.update(running)
     touch, legs = np.zeros((6, 3)), np.arange(6) == 2
     touch[2] = (0.2, -0.1, 0.03)
-    met = replace(running, touch=touch, touch_ns=np.where(legs, 30 * MS, -1), touch_carries=legs)
+    met = replace(running, touchdown_point=touch, touchdown_ns=np.where(legs, 30 * MS, -1), touchdown_contact=legs)
     stance = plans.stance_after(RobotEstimate(met, pose(np.eye(4))))
     assert stance is not None
     np.testing.assert_allclose(stance.feet[2], (0.2, -0.1, 0.03 + PROFILE.foot.radius))

@@ -27,7 +27,7 @@ def test_names_of_one_role_crowd_out_no_other_and_those_that_were_there_stay() -
     named = table.named()
     assert len(named) == 2 + MOST_SERVICES
     assert {"actuator", "planner (base)", "console (console)"} <= named.keys()
-    assert named["console (console)"][0].doing == "still there"
+    assert named["console (console)"][0].status == "still there"
     assert max(map(len, named)) < 100
 
 
@@ -35,8 +35,8 @@ def test_another_role_is_not_taken_for_the_robots_service() -> None:
     table = HealthTable()
     table.add("robot", health("actuator", "holds"), 0)
     table.add("console", health("actuator", "a claim"), SEC)
-    assert table.named()["actuator"][0].doing == "holds"
-    assert table.named()["actuator (console)"][0].doing == "a claim"
+    assert table.named()["actuator"][0].status == "holds"
+    assert table.named()["actuator (console)"][0].status == "a claim"
 
 
 def test_what_is_silent_for_long_is_forgotten_and_makes_room() -> None:

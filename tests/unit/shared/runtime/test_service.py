@@ -207,7 +207,7 @@ def test_a_step_sends_what_it_makes_in_order_and_reports_health_once_a_second() 
     assert [h.stamp_ns for h in healths] == [0, 1000 * MS, 2000 * MS]
     assert [h.steps for h in healths] == [1, 11, 21]
     assert healths[0].service == "planner"
-    assert healths[0].doing == "what it is told"
+    assert healths[0].status == "what it is told"
     assert "planner" in healths[1].stages
 
 
@@ -259,7 +259,7 @@ def test_health_tells_that_nothing_comes_to_step_for() -> None:
             worker.inbox.receive(VELOCITY, codec.encode(velocity(now[0])), now[0])
             worker.arrived()
         worker.report_health(now[0])
-        doing.append([codec.decode(frame, Health)[0].doing for topic, frame in sent if topic is HEALTH][-1])
+        doing.append([codec.decode(frame, Health)[0].status for topic, frame in sent if topic is HEALTH][-1])
     assert doing[0] == doing[1] == "what it is told"
     assert doing[4] == "no message on operator/velocity for 4 s; last status: what it is told"
     assert doing[5] == "what it is told"
@@ -311,9 +311,9 @@ def test_the_ages_of_inputs_go_out_with_the_health() -> None:
     assert desk.health[0].inputs == ()
     (told,) = desk.health[1:]
     assert told.inputs == (VELOCITY.key,)
-    columns = (told.input_age_s, told.input_arrived_s, told.input_limit_s, told.input_late)
+    columns = (told.input_age_s, told.input_arrived_s, told.input_limit_s, told.input_late_share)
     assert [float(column[0]) for column in columns] == pytest.approx([0.9, 0.05, 0.2, 7 / 9])
-    assert told.missed_beats == 1, "the one at 100 ms"
+    assert told.missed_ticks == 1, "the one at 100 ms"
 
 
 def test_simulated_time_may_go_on_until_an_input_or_the_beat_would_be_late() -> None:

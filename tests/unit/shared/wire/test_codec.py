@@ -251,9 +251,9 @@ def test_a_pose_in_a_frame_lies_near_the_origin_of_its_frame() -> None:
 @pytest.mark.parametrize(
     ("kind", "changes"),
     [
-        (m.Odometry, {"travelled": 1.1e12}),
+        (m.Odometry, {"path_length": 1.1e12}),
         (m.BodyPose, {"covariance": np.full((6, 6), 1e300)}),
-        (m.PassagePlan, {"edges": np.full((1, 2, 3), 1e30, np.float32)}),
+        (m.PassagePlan, {"tree_edges": np.full((1, 2, 3), 1e30, np.float32)}),
     ],
 )
 def test_a_number_in_a_frame_is_small_enough_to_compute_with(kind: type[Message], changes: dict[str, Any]) -> None:
@@ -399,8 +399,8 @@ def test_arrays_that_are_not_as_declared(value: object, words: str) -> None:
     ],
 )
 def test_packed_arrays_that_are_not_as_declared(value: object, words: str) -> None:
-    found = refusal(with_field(m.Scan, "count", value), m.Scan)
-    assert found.startswith("Scan.count: ")
+    found = refusal(with_field(m.Scan, "pixel_count", value), m.Scan)
+    assert found.startswith("Scan.pixel_count: ")
     assert words in found
 
 

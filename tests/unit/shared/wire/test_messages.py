@@ -130,8 +130,8 @@ def test_an_empty_picture_and_an_empty_scan_are_messages() -> None:
     dataclasses.replace(
         example(m.Scan),
         points_mm=np.zeros((0, 3), np.int16),  # type: ignore[call-arg]
-        count=np.zeros(0, np.uint8),
-        spread_mm=np.zeros(0, np.uint8),
+        pixel_count=np.zeros(0, np.uint8),
+        height_range_mm=np.zeros(0, np.uint8),
         color=np.zeros((0, 3), np.uint8),
     )
 
