@@ -690,9 +690,7 @@ class Scenario:
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
     movers: tuple[Mover, ...] = ()  # moving obstacles; the depth camera sees them, but they have no contacts
     link: Link = field(default_factory=Link)
-    params: dict[str, object] = field(
-        default_factory=dict, hash=False
-    )  # service -> parameters that differ (docs/parameters.md)
+    params: dict[str, object] = field(default_factory=dict, hash=False)  # service -> parameters that differ; docs/parameters.md
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # folder of the files named in the scenario; set on loading
 
