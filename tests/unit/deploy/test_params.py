@@ -125,6 +125,11 @@ def test_scenario_with_unknown_parameter_is_refused() -> None:
         params.assigned(scenario, [])
 
 
+def test_partial_group_keeps_other_values_of_its_service() -> None:
+    score = params.of_scenario(params.assigned(FLAT, ["mapper.footholds.score.limit=0.9"])).mapper.footholds.score
+    assert score == replace(SystemParams().mapper.footholds.score, limit=0.9)
+
+
 def test_only_changed_parameters_are_kept() -> None:
     assert params.assigned(FLAT, ["planner.costmap.max_step_m=0.065"]) == params.assigned(FLAT, []) == FLAT
     assert params.assigned(FLAT, [STEP]).params == {"planner": {"costmap": {"max_step_m": 0.07}}}
