@@ -44,12 +44,12 @@ def bench_accuracy(jobs: int, seeds: range, out: str | None, as_json: bool) -> i
 @options.as_json
 def bench_speed(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
     """Compare the time of registration with other implementations, frame by frame."""
-    from benchmarks.peers import chart, speed, timing
+    from benchmarks.peers import chart, registration_speed, timing
 
     folder = out_folder(out, "bench-speed")
-    timings, missing = speed.registration(seeds, frames, open_progress(as_json).say)
+    timings, missing = registration_speed.registration(seeds, frames, open_progress(as_json).say)
     chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
-    words, text = timing.in_words(timings, missing, speed.HEADINGS), timing.to_json(timings, missing)
+    words, text = timing.in_words(timings, missing, registration_speed.HEADINGS), timing.to_json(timings, missing)
     return _tell_bench(words, text, folder / "speed.json", as_json)
 
 
@@ -60,12 +60,12 @@ def bench_speed(frames: int, seeds: range, out: str | None, as_json: bool) -> in
 @options.as_json
 def bench_stages(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
     """Compare the times of the mapping stages with other implementations."""
-    from benchmarks.peers import chart, stages, timing
+    from benchmarks.peers import chart, map_stages, timing
 
     folder = out_folder(out, "bench-stages")
-    found = stages.stages(seeds, frames, open_progress(as_json).say)
+    found = map_stages.stages(seeds, frames, open_progress(as_json).say)
     chart.draw(folder / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
-    words = f"{timing.in_words(found.timings, found.missing, stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
+    words = f"{timing.in_words(found.timings, found.missing, map_stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
     text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)
     return _tell_bench(words, text, folder / "stages.json", as_json)
 

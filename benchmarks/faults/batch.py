@@ -14,7 +14,7 @@ from benchmarks.faults.cases import BY_NAME, Case
 from benchmarks.faults.fault_run import SCENARIO, in_walks
 from benchmarks.faults.live_walk import LiveWalk
 from benchmarks.faults.lockstep_walk import FaultWalk
-from benchmarks.faults.score import Outcome, score
+from benchmarks.faults.walk_verdict import Outcome, score
 from sextant.deploy import provenance
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.trials import fingerprint, refuse_another_program

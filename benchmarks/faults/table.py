@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.faults.batch import Injection
 from benchmarks.faults.cases import BY_NAME, Case
-from benchmarks.faults.score import Outcome
+from benchmarks.faults.walk_verdict import Outcome
 from sextant.deploy.campaign.statistics import wilson
 from sextant.services.actuator.safety.health_monitor import LATE_CYCLES
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.footholds.foothold_score import WalkabilityScorer, published_score
 from sextant.services.mapper.footholds.layers import FootholdLayers
 from sextant.services.mapper.footholds.params import ScoreParams
-from sextant.services.mapper.footholds.score import WalkabilityScorer, published_score
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception

@@ -10,7 +10,7 @@ import numpy as np
 
 from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
+from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
@@ -53,7 +53,7 @@ def calibrate(
     if not ready(bus, profile, operator):
         return False
     kept = 0
-    with limp_if_broken_off(bus, operator):
+    with torque_off_if_interrupted(bus, operator):
         for leg in legs:
             trims = _measure_leg(bus, profile, operator, LEGS.index(leg), pose_deg)
             if trims == _LEAVE:

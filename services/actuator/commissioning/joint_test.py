@@ -8,7 +8,7 @@ import numpy as np
 from sextant.services.actuator.commissioning.bus_scan import BusResponse, health_problem, retry, scan_servo
 from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
+from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -76,7 +76,7 @@ def run_joint_test(
         operator.say("nothing was moved, torque is off")
         return None
     moved = []
-    with limp_if_broken_off(bus, operator):
+    with torque_off_if_interrupted(bus, operator):
         for leg in legs:
             for joint in range(len(JOINTS)):
                 moved.append(move(bus, profile, clock, LEGS.index(leg), joint))

@@ -33,7 +33,7 @@ def torque_off(bus: Servos) -> dict[int, str]:
 
 
 @contextmanager
-def limp_if_broken_off(bus: ServoBus, operator: Operator) -> Iterator[None]:
+def torque_off_if_interrupted(bus: ServoBus, operator: Operator) -> Iterator[None]:
     """Turn all torque off if the operator interrupts or a servo falls silent."""
     try:
         yield

@@ -16,7 +16,7 @@ class LegRecovery:
         self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not recovered yet
         self.dangling: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) those of them that were in the air
         self._coming: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) in recovery
-        self._limped: _Flags = np.zeros((6, 3), dtype=np.bool_)
+        self._torque_lost: _Flags = np.zeros((6, 3), dtype=np.bool_)
         self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints that caused it
         self._lost: _Flags = np.zeros(6, dtype=np.bool_)
 
@@ -24,7 +24,7 @@ class LegRecovery:
         """Update with the state of the legs.
 
         Args:
-            limp: (6, 3) joints whose servo has no torque.
+            torque_disabled: (6, 3) joints whose servo has no torque.
             unsure: (6, 3) the same, and joints whose servo is silent or has not reached its goal since.
             flying: (6,) legs in the air.
 
@@ -37,13 +37,13 @@ class LegRecovery:
         self.hung = self.hung | self._lost
         self._coming = self._coming & flying & ~self._lost
         self._failed = (self._failed | unsure) & (self.hung | self._coming)[:, None]
-        self._limped = (self._limped | torque_disabled) & self.hung[:, None]
+        self._torque_lost = (self._torque_lost | torque_disabled) & self.hung[:, None]
         return back
 
     def put_back(self) -> float:
         """Start recovery of controllable legs; return their speed limit [rad/s]."""
         self._coming = self.hung & ~self._lost
-        top = GENTLE if self._limped[self._coming].any() else FETCHED
+        top = GENTLE if self._torque_lost[self._coming].any() else FETCHED
         self.hung, self.dangling = self._lost.copy(), self.dangling & self._lost
         return float(top)
 

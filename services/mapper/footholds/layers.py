@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.foothold_map import DISCS, TOO_WIDE, EvaluationFunction
+from sextant.services.mapper.footholds.foothold_score import Scalar, WalkabilityScorer, reference_height
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.params import FootholdLayersParams, FootholdMapParams, ScoreParams
-from sextant.services.mapper.footholds.score import Scalar, WalkabilityScorer, reference_height
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.wire.messages import UNKNOWN, BodyPose
 

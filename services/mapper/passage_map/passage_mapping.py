@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
 from sextant.services.mapper.elevation.start_ground import feet_plane
+from sextant.services.mapper.footholds.foothold_score import Scalar
 from sextant.services.mapper.footholds.layers import FootholdLayers
 from sextant.services.mapper.footholds.params import FootholdLayersParams
-from sextant.services.mapper.footholds.score import Scalar
 from sextant.services.mapper.passage_map.next_best_view import (
     View,
     best_view,

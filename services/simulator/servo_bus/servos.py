@@ -178,7 +178,7 @@ def _measure(
 def _pull(
     goal: Array,
     reach: Array,
-    limp: NDArray[np.bool_],
+    torque_off: NDArray[np.bool_],
     q: Array,
     margin: Array,
     stiffness: Array,
@@ -197,7 +197,7 @@ def _pull(
     for i in range(goal.size):
         step = goal[i] - ramp[i]
         ramp[i] = goal[i] if abs(step) <= reach[i] else ramp[i] + (reach[i] if step > 0.0 else -reach[i])
-        if limp[i]:
+        if torque_off[i]:
             ramp[i] = q[i]
         error = ramp[i] - q[i]
         side = 1 if error > 0.0 else 0
@@ -283,7 +283,7 @@ class ServoBank:
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
-        self._limp = np.ones(n, dtype=np.bool_)
+        self._torque_off = np.ones(n, dtype=np.bool_)
         self._ailments = ServoFaults.none(n)
         self._ailing = False
         self._jammed_at = np.zeros(n)  # [rad]
@@ -444,7 +444,7 @@ class ServoBank:
     def _control(self, dt: float) -> ServoCommand:
         out = self._out
         _pull(
-            self._goal, self._speed * dt, self._limp, self._q, self._margin, self._stiffness,
+            self._goal, self._speed * dt, self._torque_off, self._q, self._margin, self._stiffness,
             self._setpoint, out.setpoint, out.stiffness,
         )  # fmt: skip
         if self._ailing and self._ailments.jammed.any():
@@ -490,7 +490,7 @@ class ServoBank:
         limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
         off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._ailments.unpowered
         self._limit[:] = np.where(off, 0.0, self.motor.stall_torque * limit)
-        self._limp = self._limit == 0.0
+        self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
 
     def _column(self, register: dxl.Register) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -528,7 +528,7 @@ class ServoBank:
         temperature = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
         reads = self._ailments.reads_hot if before is not None else -1
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.where(reads >= 0, reads, temperature)
-        self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
+        self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._torque_off
 
 
 def bank_of(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:

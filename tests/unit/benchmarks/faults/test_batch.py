@@ -10,7 +10,7 @@ import pytest
 from benchmarks.faults import table as tables
 from benchmarks.faults.batch import FILE, Injection, read, run_faults
 from benchmarks.faults.cases import BY_NAME, CASES, LIVE_CASES
-from benchmarks.faults.score import score
+from benchmarks.faults.walk_verdict import score
 from sextant.deploy import provenance
 from sextant.deploy.campaign import results_store
 from tests.support.timelines import PROFILE, timeline

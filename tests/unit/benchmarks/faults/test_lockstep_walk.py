@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.faults.cases import BY_NAME
 from benchmarks.faults.lockstep_walk import FaultWalk, gap_after
-from benchmarks.faults.score import score
+from benchmarks.faults.walk_verdict import score
 
 NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
 

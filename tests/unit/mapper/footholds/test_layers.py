@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from sextant.services.mapper.footholds.foothold_score import published_score
 from sextant.services.mapper.footholds.layers import FootholdLayers, Layers, Margin
 from sextant.services.mapper.footholds.params import ScoreParams
-from sextant.services.mapper.footholds.score import published_score
 from sextant.shared.wire.messages import UNKNOWN
 
 Heights = NDArray[np.float32]

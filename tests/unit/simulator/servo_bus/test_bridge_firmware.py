@@ -131,7 +131,7 @@ def test_new_session_adopts_torque_state_without_writing() -> None:
     bench = Bench(torque=True)
     bench.bank.tables[1, dxl.TORQUE_ENABLE.address] = 0
     bench.pass_time(20 * MS, bench.hello())
-    assert bench.state().mode is Mode.OFF, "one servo is limp: only an order makes them one again"
+    assert bench.state().mode is Mode.OFF, "one servo has no torque: only an order makes them one again"
 
 
 def test_repeated_hello_is_ignored_and_new_session_ends_old_one() -> None:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from benchmarks.faults.bus_log import Goals, Switch
 from benchmarks.faults.cases import BY_NAME
-from benchmarks.faults.score import cycles, off_time, score
 from benchmarks.faults.timeline import Timeline
+from benchmarks.faults.walk_verdict import cycles, off_time, score
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import Mode
 from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeline, word

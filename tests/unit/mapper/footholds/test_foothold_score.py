@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from sextant.services.mapper.footholds.foothold_score import ScoreTerms, Walkability, WalkabilityScorer
 from sextant.services.mapper.footholds.params import ScoreParams
-from sextant.services.mapper.footholds.score import ScoreTerms, Walkability, WalkabilityScorer
 
 RESOLUTION = 0.01
 
