@@ -46,7 +46,7 @@ def _compiled_before() -> bool:
 
     If it has, little is usually left to compile.
     """
-    from sextant.services.planner.gap_crossing import roadmap_search
+    from sextant.services.planner.roadmap import roadmap_search
 
     search: Any = roadmap_search.grow
     return any(Path(search.stats.cache_path).glob(f"{roadmap_search.__name__.rpartition('.')[2]}.grow-*.nbi"))

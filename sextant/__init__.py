@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sextant.services.mapper.elevation.elevation_grid import ElevationGrid as ElevationGrid
     from sextant.services.mapper.footholds.layers import FootholdLayers as FootholdLayers
     from sextant.services.perception.registration.projective_icp import Registration as Registration
-    from sextant.services.planner.gap_crossing.roadmap import Roadmap as Roadmap
+    from sextant.services.planner.roadmap.roadmap import Roadmap as Roadmap
     from sextant.shared.robot.kinematics import leg_forward as leg_forward
     from sextant.shared.robot.kinematics import leg_inverse as leg_inverse
     from sextant.shared.robot.profile import RobotProfile as RobotProfile
@@ -33,7 +33,7 @@ _HOMES = {
     "ElevationGrid": "sextant.services.mapper.elevation.elevation_grid",
     "FootholdLayers": "sextant.services.mapper.footholds.layers",
     "Registration": "sextant.services.perception.registration.projective_icp",
-    "Roadmap": "sextant.services.planner.gap_crossing.roadmap",
+    "Roadmap": "sextant.services.planner.roadmap.roadmap",
     "leg_forward": "sextant.shared.robot.kinematics",
     "leg_inverse": "sextant.shared.robot.kinematics",
     "load_profile": "sextant.shared.robot.profiles",

@@ -19,11 +19,11 @@ from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
 from benchmarks.peers.timing import Race, Timing, installed, one_core
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile

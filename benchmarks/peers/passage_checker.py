@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
-from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.roadmap import PassageStep, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
 from sextant.shared.robot.profile import GRAVITY, JOINTS, LEGS, RobotProfile

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.roadmap import Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.roadmap import Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_inverse
 from sextant.shared.robot.profile import RobotProfile

@@ -7,7 +7,7 @@ footholds, legs and times. Failed candidates are not tested further.
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing.roadmap_search import (
+from sextant.services.planner.roadmap.roadmap_search import (
     APART,
     GROUND,
     LEGS,
@@ -33,7 +33,7 @@ _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
 class NumpyTests:
-    """`sextant.services.planner.gap_crossing.roadmap_search.judge` in NumPy."""
+    """`sextant.services.planner.roadmap.roadmap_search.judge` in NumPy."""
 
     def __init__(self, legs: Legs, rules: Rules, ground: Ground):
         """Store the parameters of the tests."""

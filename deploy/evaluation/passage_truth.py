@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from sextant.deploy.evaluation.course import Course
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
-from sextant.services.planner.gap_crossing.exhaustive import passable
-from sextant.services.planner.gap_crossing.params import GapApproachParams, PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Stance
-from sextant.services.planner.gap_crossing.sections import goal_behind
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.gap_crossing.params import GapApproachParams
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
+from sextant.services.planner.roadmap.exhaustive import passable
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Stance
+from sextant.services.planner.roadmap.sections import goal_behind
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import PillarField, Scenario

@@ -3,9 +3,9 @@
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Roadmap, Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import PassageMap

@@ -1,1 +1,1 @@
-"""Gap crossing: a roadmap over body motions and footholds (Masri 2016, chapter 5)."""
+"""Crossing of a gap that ends the ground: detection, approach, survey, and the walk of planned sections."""

@@ -12,12 +12,12 @@ import numpy as np
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, Outcome, Wait
-from sextant.services.planner.gap_crossing.params import PassageSettings
 from sextant.services.planner.gap_crossing.refusal_memory import RefusalMemory
-from sextant.services.planner.gap_crossing.roadmap import Roadmap
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, same_goal
 from sextant.services.planner.navigation.path_planner import NoPath
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, yaw_of

@@ -4,8 +4,8 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.failure_reasons import WHOLE_ROBOT
-from sextant.services.planner.gap_crossing.roadmap import NoSection, SectionPlan
+from sextant.services.planner.roadmap.failure_reasons import WHOLE_ROBOT
+from sextant.services.planner.roadmap.roadmap import NoSection, SectionPlan
 from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.wire.messages import MAX_SECTION, MAX_TREE, PassagePlan
 

@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 
 from sextant.services.planner.gap_crossing.plan_message import make_plan_message
-from sextant.services.planner.gap_crossing.roadmap import NoSection, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.roadmap import NoSection, SectionPlan, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import PassagePlan
 

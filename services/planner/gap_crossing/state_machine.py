@@ -10,17 +10,17 @@ from typing import Literal
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.backtracking import StepHistory
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, NextStep, Outcome, Wait
-from sextant.services.planner.gap_crossing.roadmap import NoSection, PassageStep, Stance
 from sextant.services.planner.gap_crossing.section_search import SectionPlanner, SectionSearch
 from sextant.services.planner.gap_crossing.section_walk import SectionWalk, body_step
-from sextant.services.planner.gap_crossing.sections import goal_behind
-from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.strip_survey import STILL_NS, StripSurvey
 from sextant.services.planner.gap_crossing.validated_map import is_near
 from sextant.services.planner.gap_crossing.view_budget import ViewBudget
 from sextant.services.planner.gap_crossing.yielded_ground import YIELDED_RADIUS_M, YieldedGround
+from sextant.services.planner.roadmap.backtracking import StepHistory
+from sextant.services.planner.roadmap.roadmap import NoSection, PassageStep, Stance
+from sextant.services.planner.roadmap.sections import goal_behind
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance, is_resting
 from sextant.shared.geometry import Array, apply, inverse, rpy_from_rotation
 from sextant.shared.robot.profile import RobotProfile

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
 from sextant.shared.wire.messages import PassageMap
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing.sections import without
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.sections import without
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import ActuatorState

@@ -10,10 +10,10 @@ from benchmarks.peers import passage as bench
 from benchmarks.peers.passage_checker import Demands, violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, random_blocks, thesis_blocks
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
-from sextant.services.planner.gap_crossing.backtracking import StepHistory
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import PassageStep, Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.backtracking import StepHistory
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import PassageStep, Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")

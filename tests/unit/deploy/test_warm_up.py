@@ -12,7 +12,7 @@ import pytest
 
 from sextant.deploy import warm_up
 from sextant.deploy.runs.live_run import CompiledFunctions
-from sextant.services.planner.gap_crossing import roadmap_search
+from sextant.services.planner.roadmap import roadmap_search
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])

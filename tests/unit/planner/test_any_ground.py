@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
 from sextant.services.planner.gap_crossing.params import GapDetectionParams
-from sextant.services.planner.gap_crossing.sections import bare, goal_behind, without
-from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_planner import NoPath, find_path
 from sextant.services.planner.navigation.traversability import LocalGroundMap, RequiredSpace
+from sextant.services.planner.roadmap.sections import bare, goal_behind, without
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile

@@ -7,9 +7,9 @@ import numpy as np
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, thesis_blocks
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Roadmap
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.warmup import compile_functions
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire import codec
@@ -19,8 +19,8 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 def compiled() -> int:
-    """Count the signatures of gap-crossing functions that are compiled or loaded."""
-    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.gap_crossing.")]
+    """Count the signatures of the roadmap's functions that are compiled or loaded."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.roadmap.")]
     found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return sum(len(f.signatures) for f in found.values())
 

@@ -62,7 +62,7 @@ def test_gap_without_pillars_is_impassable(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def _one_attempt(*told: object) -> bool | None:
-    from sextant.services.planner.gap_crossing.exhaustive import passable
+    from sextant.services.planner.roadmap.exhaustive import passable
 
     return passable(*told, attempts=1)  # type: ignore[arg-type]
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.roadmap import PassageStep
 from sextant.services.planner.gap_crossing.section_walk import SectionWalk, body_step
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.roadmap import PassageStep
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile

@@ -8,11 +8,11 @@ import pytest
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, NextStep, Outcome, Wait
-from sextant.services.planner.gap_crossing.roadmap import NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.gap_crossing.section_search import ATTEMPTS, PLANNINGS
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
-from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.strip_survey import STRIP
+from sextant.services.planner.roadmap.roadmap import NoSection, PassageStep, SectionPlan, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.profiles import load_profile

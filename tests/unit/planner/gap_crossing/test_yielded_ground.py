@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.services.planner.gap_crossing.strip_map import StripMap
 from sextant.services.planner.gap_crossing.yielded_ground import YieldedGround
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile

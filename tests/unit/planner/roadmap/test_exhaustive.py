@@ -8,10 +8,10 @@ import pytest
 
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, Block, heights, random_blocks, thesis_blocks
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
-from sextant.services.planner.gap_crossing.exhaustive import has_way, passable
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.exhaustive import has_way, passable
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")

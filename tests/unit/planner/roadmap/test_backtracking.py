@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.planner.gap_crossing.backtracking import StepHistory
-from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
+from sextant.services.planner.roadmap.backtracking import StepHistory
+from sextant.services.planner.roadmap.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import LEGS
 

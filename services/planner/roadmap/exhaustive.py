@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.search_tables import legs_of, rules_of
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.search_tables import legs_of, rules_of
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.compiled import compiled

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_strips import FAR, GAP, NEAR, heights, thesis_blocks
 from sextant.deploy.evaluation.passage_truth import field_of
-from sextant.services.planner.gap_crossing.sections import goal_behind, without
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.sections import goal_behind, without
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN
 
 PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))

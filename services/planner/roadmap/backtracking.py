@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.roadmap import PassageStep, Stance
+from sextant.services.planner.roadmap.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array
 
 _BACK = 0.12  # [m] of body travel

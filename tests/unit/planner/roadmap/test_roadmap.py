@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from benchmarks.peers.passage_checker import violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, Block, heights, thesis_blocks
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap import NoSection, Roadmap, SectionPlan, Stance
-from sextant.services.planner.gap_crossing.roadmap_search import nearest_seen
-from sextant.services.planner.gap_crossing.sections import bare
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap_search import nearest_seen
+from sextant.services.planner.roadmap.sections import bare
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile

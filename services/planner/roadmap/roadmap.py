@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.search_tables import ground_of, legs_of, rules_of, tree_of
-from sextant.services.planner.gap_crossing.sections import bare
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of, tree_of
+from sextant.services.planner.roadmap.sections import bare
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from sextant.services.planner.gap_crossing.params import PassageSettings
-from sextant.services.planner.gap_crossing.roadmap_search import (
+from sextant.services.planner.locomotion.leg_clearance import LEVEL, SWING_TIME, swing_shape
+from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.roadmap_search import (
     COUNTS,
     CROWDS,
     ROOT_FOOT,
@@ -14,8 +15,7 @@ from sextant.services.planner.gap_crossing.roadmap_search import (
     Tree,
     nearest_seen,
 )
-from sextant.services.planner.gap_crossing.strip_map import StripMap
-from sextant.services.planner.locomotion.leg_clearance import LEVEL, SWING_TIME, swing_shape
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import GRAVITY, RobotProfile

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from sextant.deploy.evaluation.passage_truth import field_of, stance_at
-from sextant.services.planner.gap_crossing import roadmap_search
-from sextant.services.planner.gap_crossing.failure_reasons import (
+from sextant.services.planner.roadmap import roadmap_search
+from sextant.services.planner.roadmap.failure_reasons import (
     TEST_NAMES,
     WHOLE_ROBOT,
     FailureReason,
     describe_fault,
     explain_failure,
 )
-from sextant.services.planner.gap_crossing.strip_map import StripMap
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN
