@@ -23,8 +23,8 @@ with zenoh.open(ROUTER) as robot, robot.declare_subscriber("sextant/actuator/sta
             frame, before = states.recv().payload.to_bytes(), said
             state = msgpack.unpackb(frame[4 : 4 + struct.unpack_from("<I", frame)[0]])[3]  # stamp, mode, reason and so on
             number, said = number or state[0], "; ".join((f"{state[1]}: {state[2]}", *state[21]))
-            send("mode", "ModeCommand:357a28ae", b"", state[0], order, number, "walk_client", False)  # by the robot's clock
-            send("velocity", "VelocityCommand:0fc8f79d", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
+            send("mode", "ModeCommand:73c90002", b"", state[0], order, number, "walk_client", False)  # by the robot's clock
+            send("velocity", "VelocityCommand:ac25fe80", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
             time.sleep(0.05)  # 20 Hz; an order that is repeated keeps the lease
             if said != before:
                 print(said, flush=True)

@@ -22,7 +22,9 @@ print(is_giving_way(), weight())
 
 def _script_output(file: Path) -> list[str]:
     root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", _SCRIPT, str(file)], cwd=root, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", _SCRIPT, str(file)]
+    # Without the file the script stays in its session, which gets one here: this worker may give way itself.
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True, start_new_session=not file.exists())
     return done.stdout.split("\n")[:2]
 
 

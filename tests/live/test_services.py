@@ -100,10 +100,12 @@ def test_systemd_units_start_in_order_pulse_and_stop(tmp_path: Path) -> None:
 
 
 def test_invalid_unit_setting_exits_with_no_restart_status(tmp_path: Path) -> None:
-    words = ("service", "install", "onboard", "--camera", "none", "--set", "actuator.arc=nonsense")
-    assert cli.main([*words, "--folder", str(tmp_path)]) == 0
+    words = ("service", "install", "onboard", "--camera", "none", "--folder", str(tmp_path), "--set")
+    assert cli.main([*words, "actuator.arc=nonsense"]) == 2, "refused before a unit is written"
+    assert cli.main([*words, "actuator.arc=flow"]) == 0
     service = read_unit((tmp_path / "sextant-actuator.service").read_text())["Service"]
-    command = words_of(service["ExecStart"][0])
+    command = [word.replace("arc=flow", "arc=nonsense") for word in words_of(service["ExecStart"][0])]  # edited later
+    assert "actuator.arc=nonsense" in command or "arc=nonsense" in " ".join(command)
     around = {**os.environ, **environment()}
     done = subprocess.run(command, env=around, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert [str(done.returncode)] == service["RestartPreventExitStatus"], done.stderr

@@ -355,7 +355,7 @@ def test_frozen_image_is_reported_once_legs_have_moved(world, moving: bool) -> N
     [("odometry_floor", 0.0), ("odometry_drift", np.nan), ("tilt_s", 0.0), ("scan_range", 40.0), ("settle_s", 2.0)],
 )
 def test_invalid_settings_are_refused(name: str, bad: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} from .* expected, found {bad:g}"):
+    with pytest.raises(ValueError, match=f"{name}: .* expected, found .*{bad:g}"):
         Settings(**{name: bad})
 
 

@@ -103,7 +103,7 @@ def test_without_a_recorder_that_is_said() -> None:
 
 def test_a_recorder_that_somebody_else_started_is_shown_and_left_alone() -> None:
     recorder = Recorder()
-    assert recorder.beat(recording=True, sequence=7, file="/r/1.mcap", seconds=61.2, size=2 * 10**6, free=-1) == []
+    assert recorder.beat(recording=True, sequence=7, file="/r/1.mcap", duration=61.2, size=2 * 10**6, disk_free=-1) == []
     view = recorder.clerk.view()
     assert view is not None
     assert view == {

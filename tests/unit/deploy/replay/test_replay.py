@@ -234,14 +234,14 @@ def test_partial_replay_skips_checks_of_other_topics() -> None:
 
 def test_run_with_custom_map_size_is_reproduced(tmp_path: Path) -> None:
     scenario = replace(load_scenario("flat"), map=MapOptions(cells=120, cells_y=100, resolution=0.02))
-    path = record(tmp_path, about(scenario, 0, "live"), Settings(120, 100, 0.02))
+    path = record(tmp_path, about(scenario, 0, "live"), Settings(cells=120, cells_y=100, resolution=0.02))
     table = replay_recording(path, tmp_path, Silent())
     assert table["maps"]["compared"] >= 2
     assert table["map_error_m"]["rmse"] == 0.0
 
 
 def test_map_size_mismatch_is_refused(tmp_path: Path) -> None:
-    path = record(tmp_path, {}, Settings(120, 100, 0.02))
+    path = record(tmp_path, {}, Settings(cells=120, cells_y=100, resolution=0.02))
     with pytest.raises(ReplayError, match=r"120x100 cells of 0\.02 m.* recorded.*256x256 cells of 0\.01 m.* made"):
         replay_recording(path, tmp_path, Silent())
     with pytest.raises(ReplayError, match="are invalid"):
