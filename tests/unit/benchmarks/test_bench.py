@@ -17,11 +17,11 @@ from benchmarks.peers import (
     accuracy,
     foothold_model,
     full_frame,
+    map_stages,
     reduction_peers,
     registration_peers,
+    registration_speed,
     score_peers,
-    speed,
-    stages,
     timing,
 )
 from benchmarks.peers.scenes import MAPPED, REGISTERED
@@ -134,8 +134,8 @@ def test_accuracy_command_writes_tables(
 
 def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     methods = ("projective (default)", "kiss-icp")
-    monkeypatch.setattr(speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
-    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    monkeypatch.setattr(registration_speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
+    monkeypatch.setattr(registration_speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
     assert cli.main(["speed", "--seeds", "1000:1001", "--frames", "14", "--out", str(tmp_path)]) == 0
     table = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))
     assert [row["method"] for row in table["timings"]] == list(methods)
@@ -151,7 +151,7 @@ def test_speed_requires_at_least_three_frames(capsys: pytest.CaptureFixture[str]
     assert cli.main(["speed", "--frames", "2"]) == 2
     assert "--frames: a whole number of 3 to 100000 expected, found '2'" in capsys.readouterr().err
     with pytest.raises(ValueError, match="at least 3 frames"):
-        speed.registration([1000], frames=2)
+        registration_speed.registration([1000], frames=2)
 
 
 @pytest.mark.parametrize(
@@ -172,13 +172,13 @@ def test_unavailable_method_is_named_and_skipped(monkeypatch: pytest.MonkeyPatch
         raise error
 
     ours = registration_peers.METHODS["projective (default)"]
-    monkeypatch.setattr(speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
-    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
-    timings, missing = speed.registration([1000], frames=12)
+    monkeypatch.setattr(registration_speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
+    monkeypatch.setattr(registration_speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    timings, missing = registration_speed.registration([1000], frames=12)
     assert missing[0].startswith(said)
     assert ("pip install" in missing[0]) is isinstance(error, ModuleNotFoundError)
     assert [(t.method, t.case, t.ratio.median) for t in timings] == [("projective (default)", "stairs", 1.0)]
-    assert said in timing.in_words(timings, missing, speed.HEADINGS)
+    assert said in timing.in_words(timings, missing, registration_speed.HEADINGS)
     assert json.loads(timing.to_json(timings, missing))["missing"] == missing
 
 
@@ -192,7 +192,7 @@ def test_stages_command_writes_timings_and_picture(
     def absent(*_: object) -> score_peers.Scores:
         raise ImportError("some library is not there")
 
-    monkeypatch.setattr(stages, "SCENES", ("steps",))
+    monkeypatch.setattr(map_stages, "SCENES", ("steps",))
     monkeypatch.setattr(reduction_peers, "REDUCTION", {"NumPy": reduction_peers.NumpyReduction})
     monkeypatch.setattr(score_peers, "SCORE", {"OpenCV + NumPy": score_peers.OpencvChain, "elsewhere": absent})
     cores = os.sched_getaffinity(0)
