@@ -10,7 +10,7 @@ SELDOM = (
     "services.perception.registration.relocalization_map._score_places",
     "services.mapper.passage_map.voxel_cloud._merge",
     "services.mapper.passage_map.next_best_view._sights",
-    "services.planner.gap_crossing.roadmap_search.grow",
+    "services.planner.roadmap.roadmap_search.grow",
     "shared.rendering.rasterizer.draw_capsules",
 )
 PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
