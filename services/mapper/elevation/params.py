@@ -25,15 +25,15 @@ class RayClearingParams(Params):
     every: int = ranged(2, 1, 1000)  # every n-th point of a scan has its ray traced, different ones in each scan
     short_cells: int = ranged(3, 1, 100)  # [cells] before its end at which a ray stops: a hit object has a thickness
     well_below_m: float = ranged(0.02, 0.0, 1.0)  # [m] beyond three sigma, by which a ray must pass below a cell's height
-    scans_inside: int = ranged(8, 1, 255)  # scans through a cell inside an object until it is cleared, if none measures it
-    scans_per_measurement: int = ranged(4, 1, 255)  # scans through a cell outside an object, for each scan that has measured it
+    scans_inside: int = ranged(8, 1, 255)  # largest number of scans through a cell inside an object until it is cleared
+    scans_per_measurement: int = ranged(4, 1, 255)  # scans through a cell that clear it, per scan that has measured it
     max_sigma_m: float = ranged(0.01, 0.0, 1.0)  # [m] cap of a cell's height sigma: a larger one is the spread of the object
     cleared_neighbours: int = ranged(3, 1, 8)  # cleared neighbours from which a cell at the rim of an object may be cleared
 
     @property
     def settled_scans(self) -> int:
         """Measuring scans after which a cleared cell counts as normal again."""
-        return 16 * self.scans_inside
+        return min(16 * self.scans_inside, 255)  # a layer of bytes counts them
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
 _REFRESHED = 16  # [scans] between searches for the highest cell
+_MOST_SCANS = 255  # scans that a layer of bytes counts
 
 
 class _Thresholds(NamedTuple):
@@ -51,7 +52,7 @@ class RayClearing:
         every: int = 1,
         nearest: float = 0.0,
     ) -> int:
-        """Clear the cells that rays of a scan pass through.
+        """Clear the cells that rays of a scan pass through; a cell counts at most once per call.
 
         Args:
             cells: Cells of the map.
@@ -87,6 +88,41 @@ class RayClearing:
 
 
 @compiled
+def _is_inside(
+    height: NDArray[np.float32], fell: NDArray[np.uint8], a: int, b: int, over: float, cleared_neighbours: int
+) -> bool:
+    """Return whether the cell at (a, b) of the buffer is inside an object that a ray at the height `over` [m] crosses.
+
+    It is if none of its eight neighbours is known to be lower than the ray, except those already cleared, and at most two are
+    unknown; or if enough neighbours are cleared. Objects narrower than three cells, rims that fill their cells partly, and
+    walls seen along their face have no inside.
+    """
+    rows, columns = height.shape
+    standing = fallen = low = 0
+    for p in range(-1, 2):
+        for q in range(-1, 2):
+            if p == 0 and q == 0:
+                continue
+            e, f = a + p, b + q
+            e = e - rows if e >= rows else (e + rows if e < 0 else e)
+            f = f - columns if f >= columns else (f + columns if f < 0 else f)
+            if height[e, f] > over:
+                standing += 1
+            elif fell[e, f] != 0:
+                fallen += 1
+            elif height[e, f] == height[e, f]:
+                low += 1
+    return (low == 0 and standing + fallen >= 6) or fallen >= cleared_neighbours
+
+
+@compiled
+def _scans_needed(within: bool, support: int, thresholds: _Thresholds) -> int:
+    """Return the number of scans through a cell that clear it, if `support` scans have measured it."""
+    needed = thresholds.scans_per_measurement * max(int(support), 1)
+    return min(needed, thresholds.scans_inside) if within else needed
+
+
+@compiled
 def _clear_along_sights(
     ends: NDArray[Any],
     origin: Array,
@@ -111,15 +147,16 @@ def _clear_along_sights(
     slot: NDArray[np.int32],
     thresholds: _Thresholds,
 ) -> int:
-    """Count cells that stand well above a ray once per scan, and clear frequent ones.
+    """Count cells that stand well above a ray, each once, and clear those counted often enough.
 
-    A cell counts inside an object: none of its eight neighbours is known to be lower than the ray, except those already
-    cleared, and at most two are unknown. Objects narrower than three cells, rims that fill their cells partly, and walls
-    seen along their face are therefore left to measurements. An object is cleared from the inside: a rim follows after its
-    inside. A cell outside an object needs several times as many scans through it as have measured it, so that a thin
-    passing object does not remain, and a thin object that stands does.
+    An object is cleared from the inside (`_is_inside`): a rim follows after its inside. A cell that is not inside an object
+    needs several times as many scans through it as have measured it. A thin object that passed is thus cleared, and one that
+    stands remains.
 
-    Returns the number of cells cleared.
+    The arguments are plain, because unpacking tuples of arrays in each call would be slow.
+
+    Returns:
+        The number of cells cleared.
     """
     rows, columns = height.shape
     heights = height.ravel()
@@ -169,33 +206,18 @@ def _clear_along_sights(
                 continue
             if slot[c] >= 0:
                 continue
-            standing = fallen = low = 0
-            for p in range(-1, 2):
-                for q in range(-1, 2):
-                    if p == 0 and q == 0:
-                        continue
-                    e, f = a + p, b + q
-                    e = e - rows if e >= rows else (e + rows if e < 0 else e)
-                    f = f - columns if f >= columns else (f + columns if f < 0 else f)
-                    if height[e, f] > over:
-                        standing += 1
-                    elif fell[e, f] != 0:
-                        fallen += 1
-                    elif height[e, f] == height[e, f]:
-                        low += 1
-            within = (low == 0 and standing + fallen >= 6) or fallen >= thresholds.cleared_neighbours
-            if within or thresholds.scans_per_measurement * int(support[a, b]) <= 255:
+            within = _is_inside(height, fell, a, b, over, thresholds.cleared_neighbours)
+            if _scans_needed(within, support[a, b], thresholds) <= _MOST_SCANS:
                 slot[c] = np.int32(within)
                 marked[m] = c
                 m += 1
     cleared = 0
     for k in range(m):
         c = marked[k]
-        within, slot[c] = slot[c], -1
+        within, slot[c] = slot[c] == 1, -1
         a, b = c // columns, c % columns
-        through[a, b] = min(through[a, b] + 1, 255)
-        needed = thresholds.scans_per_measurement * max(int(support[a, b]), 1)
-        if through[a, b] < (min(needed, thresholds.scans_inside) if within else needed):
+        through[a, b] = min(through[a, b] + 1, _MOST_SCANS)
+        if through[a, b] < _scans_needed(within, support[a, b], thresholds):
             continue
         height[a, b] = variance[a, b] = first[a, b] = np.nan
         support[a, b] = assumed[a, b] = votes[a, b] = through[a, b] = 0

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.params import RayClearingParams
 from tests.support.grid_scans import take
 
 RAYS_U, RAYS_V = np.meshgrid(np.linspace(-0.45, 0.45, 181), np.linspace(-0.38, 0.38, 181), indexing="ij")
@@ -228,3 +229,9 @@ def test_person_who_stands_and_leaves_is_cleared_behind_blocks() -> None:
     for _ in range(75):
         take(grid, clear_along_rays(low, camera, rng=rng), camera)
     assert np.nanmax(grid.snapshot().elevation) < 0.065, "lines of sight pass over the block 2 cm and more below that"
+
+
+@pytest.mark.parametrize("scans_inside", [1, 8, 16, 255])
+def test_cleared_cells_can_settle_within_counted_scans(scans_inside: int) -> None:
+    """Check that the count of measuring scans, a byte, reaches the limit at which a cleared cell is normal again."""
+    assert 16 <= RayClearingParams(scans_inside=scans_inside).settled_scans <= np.iinfo(np.uint8).max
