@@ -205,13 +205,17 @@ def test_restarted_map_accepts_rougher_surface(world):
     assert "restarts" in rough[2].reason
 
 
-def test_displaced_robot_is_relocalized(world):
-    registration = Registration(world.intrinsics, world.sensor)
-    rng = np.random.default_rng(3)
+def along_pillars(world):
+    """Return a registration after a walk of 0.55 m along pillars, its camera pose (4, 4), and the generator of noise."""
+    registration, rng, T = Registration(world.intrinsics, world.sensor), np.random.default_rng(3), np.eye(4)
     for x in np.arange(0.0, 0.6, 0.05):
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
-    expected = world.camera_pose(0.55)
+    return registration, T, rng
+
+
+def test_displaced_robot_is_relocalized(world):
+    registration, expected, rng = along_pillars(world)
     T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # placed elsewhere, unknown to the legs
     depth = world.depth_image(T, world.scenes["pillars"], rng)
     for i in range(12):
@@ -225,12 +229,7 @@ def test_displaced_robot_is_relocalized(world):
 @pytest.mark.parametrize("objection", ["", "too little overlap"], ids=["frames register", "frames are refused"])
 def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, objection):
     """Check a person who walks by: one place fits now, another half a second later."""
-    registration = Registration(world.intrinsics, world.sensor)
-    rng = np.random.default_rng(3)
-    T = world.camera_pose(0.55)
-    for x in np.arange(0.0, 0.6, 0.05):
-        T = world.camera_pose(x)
-        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    registration, T, rng = along_pillars(world)
     monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
     away = {"x": 0.0}
 
@@ -251,12 +250,7 @@ def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, obj
 @pytest.mark.parametrize("doubtful", [0, 4])
 def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch, doubtful):
     """Check a camera that the frame shows 4 cm from its prior, after frames in which a person was in view."""
-    registration = Registration(world.intrinsics, world.sensor)
-    rng = np.random.default_rng(3)
-    T = world.camera_pose(0.55)
-    for x in np.arange(0.0, 0.6, 0.05):
-        T = world.camera_pose(x)
-        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    registration, T, rng = along_pillars(world)
     with monkeypatch.context() as person:
         person.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))
         person.setattr(RelocalizationMap, "find", lambda *_: RelocalizationResult(None, "nowhere"))
@@ -271,12 +265,7 @@ def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch,
 @pytest.mark.parametrize("shown", [True, False])
 def test_slip_is_not_assumed_in_directions_that_the_ground_did_not_show(world, monkeypatch, shown):
     """Check a camera that the frame shows 4 cm from its prior, where the frame before showed x, y and yaw or not."""
-    registration = Registration(world.intrinsics, world.sensor)
-    rng = np.random.default_rng(3)
-    T = world.camera_pose(0.55)
-    for x in np.arange(0.0, 0.6, 0.05):
-        T = world.camera_pose(x)
-        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    registration, T, rng = along_pillars(world)
     monkeypatch.setattr(registration, "_unobserved", np.eye(6)[[] if shown else [0, 1, 5]])
     slipped = apply_twist(T, np.array([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]))
     found = registration.update(world.depth_image(slipped, world.scenes["pillars"], rng), 9, T, TIGHT)
@@ -290,7 +279,9 @@ def test_search_does_not_shift_unobservable_directions(world):
     rng = np.random.default_rng(3)
     T = world.camera_pose(0.0)
     registration.update(world.depth_image(T, world.scenes["flat"], rng), 0, T, TIGHT)
-    registration.update(world.depth_image(T, world.scenes["flat"], rng), 1, T, TIGHT)
+    found = registration.update(world.depth_image(T, world.scenes["flat"], rng), 1, T, TIGHT)
+    np.testing.assert_array_equal(registration._unobserved, found.degenerate, "a slip along these is not assumed either")
+    assert len(found.degenerate) == 3
     for along, refused in ((0.0, False), (0.18, True)):
         better = registration._aligner.align(apply_twist(T, np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])), np.linalg.inv(WIDE))
         assert len(better.degenerate) == 3
@@ -299,11 +290,7 @@ def test_search_does_not_shift_unobservable_directions(world):
 
 @pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
 def test_relocalization_candidate_must_fit_like_regular_frames(world, monkeypatch, away, taken):
-    registration = Registration(world.intrinsics, world.sensor)
-    rng = np.random.default_rng(3)
-    for x in np.arange(0.0, 0.6, 0.05):
-        T = world.camera_pose(x)
-        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    registration, T, rng = along_pillars(world)
     keyframes = len(registration.keyframe_poses)
     monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
     monkeypatch.setattr(
