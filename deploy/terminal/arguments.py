@@ -153,8 +153,9 @@ def _problem(error: click.UsageError) -> str:
             return f"unknown command {error.command_name!r}; {hint(error.command_name, known)}"
         case click.NoSuchOption():
             offered = [] if command is None else [one for one in command.params if not getattr(one, "hidden", False)]
-            near = nearest(error.option_name, [word for one in offered for word in one.opts])
-            return f"unknown option {error.option_name!r}" + (f"; did you mean {near!r}?" if near else "")
+            words = {word.lstrip("-"): word for one in offered for word in one.opts}  # dashes make any two similar
+            near = nearest(error.option_name.lstrip("-"), words)
+            return f"unknown option {error.option_name!r}" + (f"; did you mean {words[near]!r}?" if near else "")
         case click.MissingParameter():
             return f"{_name(error.param)} expected, found none"
         case click.BadParameter():

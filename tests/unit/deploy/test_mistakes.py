@@ -86,6 +86,7 @@ MISTAKES = [
     ("run flat --gait tripode", "--gait: unknown 'tripode'; did you mean 'tripod'?"),
     ("run flat --sed 3", "unknown option '--sed'; did you mean '--seed'?"),
     ("run flat --lockstepp", "unknown option '--lockstepp'; did you mean '--lockstep'?"),
+    ("servos emulate --port 7555", "unknown option '--port'; see"),
     ("run flat stairs", "unexpected extra argument (stairs)"),
     ("run", "SCENARIO expected, found none"),
     ("run flat --seed", "option '--seed' requires an argument"),
