@@ -1,4 +1,4 @@
-"""Simulated robot in real time with bus sniffer and page, for a browser."""
+"""Simulated robot that serves its page in real time, with a sniffer on its bus."""
 
 import contextlib
 import time

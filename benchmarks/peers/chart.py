@@ -22,7 +22,7 @@ def draw(
 
     Args:
         path: Output file; its suffix determines the format.
-        title: What was measured.
+        title: Title of the chart.
         timings: Timings of all methods; jobs with only one method are not drawn.
         missing: Methods that were not measured, as text.
         parts: Times [ms] that make up a total, drawn as one bar below.

@@ -74,7 +74,7 @@ def measure(course: str, most: int, progress: Progress, out: Path) -> tuple[Load
     Args:
         course: Scenario that is walked once in lockstep, and played by every robot.
         most: Maximum number of robots.
-        progress: Where to show the progress.
+        progress: Display of the progress.
         out: Folder for the recording.
 
     Raises:

@@ -83,7 +83,7 @@ keys = option("--keys", "this machine's folder of `sextant keys new`, required f
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """Where a robot is, and the keys that it accepts."""
+    """Endpoints and namespace of a robot, and this machine's keys."""
 
     connect: tuple[str, ...]
     namespace: str

@@ -82,7 +82,7 @@ def _campaign(
 @argument(
     "kept",
     "output folder of trials, or its campaign.jsonl; parts of a campaign are combined",
-    "KEPT...",
+    "RESULTS...",
     nargs=-1,
     required=True,
 )

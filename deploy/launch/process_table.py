@@ -383,7 +383,7 @@ def router_command(listen: str, more: tuple[str, ...] = (), role: str = "", star
         listen: Endpoint for processes of this machine.
         more: The complete arguments of the router; empty: only `listen`.
         role: Role of this machine if the router announces it to other machines; empty: no announcement.
-        starts: Processes of this machine, for the announcement.
+        starts: Processes of this machine, which the router announces.
     """
     port = int(listen.rpartition(":")[2])
     told = ("--role", role, "--starts", ",".join(p.name for p in starts)) if role else ()

@@ -58,7 +58,7 @@ class _Workspace(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """What a canvas with surfaces stores for each pixel of a face."""
+    """Values that a canvas with surfaces stores for each pixel of a face."""
 
     x: np.float32  # unit normal {world}
     y: np.float32

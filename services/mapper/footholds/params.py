@@ -31,11 +31,11 @@ class FootholdMapParams(Params):
 
     depth_limit: float = ranged(0.25, 0.01, 2.0)  # [m] below the body's centre; Masri's
     slope_limit: float = ranged(math.pi / 4, 0.01, 1.57)  # [rad] of a normal from the vertical, eq. 4.4; Masri's
-    edge_deviation: float = ranged(1.7e-3, 1e-5, 0.5)  # [m] from the local plane: the effect of a 7 mm step; ours
-    unknown_clearance: float = ranged(0.02, 0.0, 0.5)  # [m] cells this close to vacant ground are not accessible; ours
+    edge_deviation: float = ranged(1.7e-3, 1e-5, 0.5)  # [m] from the local plane: the effect of a 7 mm step
+    unknown_clearance: float = ranged(0.02, 0.0, 0.5)  # [m] cells this close to vacant ground are not accessible
     closing: float = ranged(0.05, 0.0, 0.5)  # [m] edge of the square that bridges vacant cells; Masri's
     bound: float = ranged(0.05, 0.001, 1.0)  # [m] inside accessible ground, beyond which all cells are equal; Masri's
-    reach: float = ranged(0.15, 0.001, 1.0)  # [m] outside, beyond which all cells are equal; ours, for one byte
+    reach: float = ranged(0.15, 0.001, 1.0)  # [m] outside, beyond which all cells are equal, so that a value fits in one byte
 
 
 # An unknown cell may be the edge of a block seen from below, so a foot keeps the same distance from it as from an edge.
