@@ -68,10 +68,14 @@ class CatchingUp:
             waited = len(back) > 0 and now_ns - int(back.min()) > _PATIENT_NS
             self.out_of_touch = bool(self.behind.any()) and not waited
 
-    def readopt(self, off: Array) -> None:
-        """Continue with goals (18,) that are off their joints by `off` [rad], adopted from the servos.
+    def readopt(self, off: Array, now_ns: int) -> None:
+        """Continue with goals that were adopted from the servos, all of which have just answered.
 
         A joint on its way to its goal continues slowly.
+
+        Args:
+            off: (18,) [rad] between joints and goals.
+            now_ns: [ns] time of their answers.
         """
         self.behind &= np.abs(off) >= _CAUGHT_UP
-        self._back_ns[:] = 0
+        self._back_ns = np.where(self.behind, now_ns, 0)

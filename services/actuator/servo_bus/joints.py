@@ -315,7 +315,7 @@ class Joints:
         self._take_in(found)
         self._bus.between = _nothing
         self.gone = ""
-        self._catching_up.readopt((self.q - self.goals).ravel())
+        self._catching_up.readopt((self.q - self.goals).ravel(), self._clock())
 
     def _take_in(self, tables: list[bytes]) -> None:
         """Adopt the state of each servo; a far goal is replaced by the joint position."""

@@ -58,10 +58,22 @@ def test_touch_is_regained_when_all_have_caught_up_or_a_second_after_the_first_a
 def test_with_goals_of_the_servos_only_joints_on_their_way_stay_slow() -> None:
     servos = CatchingUp()
     servos.leave_all_behind()
-    servos.readopt(np.where(FIRST, np.radians(8.0), np.radians(2.0)))
+    servos.readopt(np.where(FIRST, np.radians(8.0), np.radians(2.0)), SECOND)
     assert servos.behind.tolist() == FIRST.tolist()
-    servos.readopt(np.full(18, np.radians(8.0)))
+    servos.readopt(np.full(18, np.radians(8.0)), SECOND)
     assert servos.behind.tolist() == FIRST.tolist(), "it leaves no servo behind"
+
+
+def test_a_servo_that_falls_silent_after_its_port_has_returned_stops_the_others_for_a_second_only() -> None:
+    servos = CatchingUp()
+    servos.leave_all_behind()
+    servos.readopt(np.where(FIRST, np.radians(8.0), 0.0), SECOND)
+    assert servos.answering.tolist() == FIRST.tolist(), "its state was read"
+    servos.check_touch(2 * SECOND)
+    assert servos.out_of_touch
+    servos.check_touch(2 * SECOND + 1)
+    assert not servos.out_of_touch
+    assert servos.behind.tolist() == FIRST.tolist(), "it stays slow"
 
 
 def test_every_servo_becomes_doubtful_within_two_seconds() -> None:
