@@ -206,7 +206,7 @@ def _take_request(data: bytes) -> bool:
 class _Host:
     """Host without pages that counts their requests."""
 
-    door, porter = OriginPolicy(Settings()), RejectionLog()
+    origin_policy, rejection_log = OriginPolicy(Settings()), RejectionLog()
     files: dict[str, bytes] = {"index.html": b"<!doctype html>"}  # noqa: RUF012 - required by its protocol
 
     def __init__(self) -> None:

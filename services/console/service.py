@@ -68,7 +68,7 @@ class Console:
         self.server = PageServer(settings, clock)
         self.trigger = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
-        self._desk = ControlArbiter(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
+        self._arbiter = ControlArbiter(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
         self._event_log = EventLog()
         self._recorder = RecorderClient(self._event_log)
         self._monitor = RobotMonitor(self._event_log)
@@ -100,13 +100,13 @@ class Console:
         if due:
             self._legs = inbox.fresh(topics.ACTUATOR_STATE, _STATE_S)
             self._status = inbox.fresh(topics.PLANNER_STATUS, _STATE_S)
-        for message in self._desk.beat(now, self._legs, self._status):
+        for message in self._arbiter.beat(now, self._legs, self._status):
             yield message
             if isinstance(message, ModeCommand) and (stop := _stop_of(message)) is not None:
                 yield stop
         if due:
             yield from self._recorder.beat(now, inbox.fresh(topics.RECORDER_STATE))
-        for words in self._desk.drain_words():
+        for words in self._arbiter.drain_words():
             self._event_log.note(now, "console", words)
         if due:
             period_ns = _VIEW_NS if self._feed.has_pages else _IDLE_NS
@@ -126,10 +126,10 @@ class Console:
             case "arrived":
                 self._welcome(page, now)
             case "glances":
-                self._desk.arrive(page, now, leads=False)
+                self._arbiter.arrive(page, now, leads=False)
                 self._feed.open_fleet_page(page)
             case "left":
-                self._desk.leave(page, now)
+                self._arbiter.leave(page, now)
                 self._feed.close(page)
             case Watch():
                 self._feed.watch(page, what)
@@ -141,7 +141,7 @@ class Console:
     def _welcome(self, page: int, now: int) -> None:
         """Send a new page its seat, the event log so far and the newest map."""
         self._feed.post_log(now, self._event_log)  # for the other pages; the new page then receives the whole log once
-        self._feed.post("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
+        self._feed.post("hello", view.hello(self._profile, self._settings, self._arbiter.arrive(page, now)), page)
         self._feed.post("log", view.log(self._event_log.entries, now), page)
         self._feed.post("health", self._health(now), page)
         self._feed.open(page)
@@ -151,7 +151,7 @@ class Console:
         refused = self._barred(request, now)
         if refused:
             return refused
-        return self._recorder.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
+        return self._recorder.want(request.on, now) if isinstance(request, Record) else self._arbiter.ask(page, request, now)
 
     def _barred(self, request: Request, now: int) -> str:
         """Return why this machine's certificate does not permit a request, "" if it does.
@@ -181,12 +181,12 @@ class Console:
         feed.post_log(now, self._event_log)
         if feed.has_fleet_pages:
             silent = view.silent(self._monitor.services, now)
-            feed.post_glance(view.glance(self._profile.name, self._desk, legs, status, silent))
+            feed.post_glance(view.glance(self._profile.name, self._arbiter, legs, status, silent))
         if not feed.has_pages:
             return
         with self.stages("state"):
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
-            state = view.state(self._desk, legs, pose, inbox.latest(topics.STEP_PLAN), status, self._monitor.camera)
+            state = view.state(self._arbiter, legs, pose, inbox.latest(topics.STEP_PLAN), status, self._monitor.camera)
             feed.post_state({**state, "recorder": self._recorder.view()})
         feed.show_frames(now, inbox)
 

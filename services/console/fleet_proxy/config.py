@@ -31,9 +31,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         config.verify(self)
-        self.door()
+        self.web_settings()
 
-    def door(self) -> console.Settings:
+    def web_settings(self) -> console.Settings:
         """Return console settings with the same address and token."""
         return console.Settings(host=self.host, port=self.port, token=self.token)
 

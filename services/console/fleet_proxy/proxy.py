@@ -48,7 +48,7 @@ class FleetProxy:
     def __init__(self, settings: Settings):
         """Create the handler, which checks hosts against the proxy's address."""
         self._robots = settings.robots
-        self._door = OriginPolicy(settings.door())
+        self._origin_policy = OriginPolicy(settings.web_settings())
         self._files = page_files()
         self._count = 0
 
@@ -91,7 +91,7 @@ class FleetProxy:
             return _plain(HTTPStatus.BAD_REQUEST, "GET, a path and HTTP/1.1 expected")
         if len(hosts) != 1:
             return _plain(HTTPStatus.BAD_REQUEST, f"one Host expected, found {len(hosts)}")
-        if not self._door.is_own(hosts[0].decode("ascii")):
+        if not self._origin_policy.is_own(hosts[0].decode("ascii")):
             return _plain(HTTPStatus.FORBIDDEN, "this address is not an address of the console")
         target = request[1].decode("ascii")
         path, mark, query = target.removeprefix("/").partition("?")

@@ -36,8 +36,8 @@ _wire_log = logging.getLogger("websockets.server")
 class Host(Protocol):
     """Interface of the server that owns the connections and pages."""
 
-    door: OriginPolicy
-    porter: RejectionLog
+    origin_policy: OriginPolicy
+    rejection_log: RejectionLog
     files: dict[str, bytes]
 
     def opened(self, connection: "Connection") -> None:
@@ -165,15 +165,15 @@ class Connection(asyncio.Protocol):
     def _open(self, request: HttpRequest) -> Response:
         headers = {name.lower(): value for name, value in request.headers.raw_items()}
         offered = [word.strip() for words in request.headers.get_all("Sec-WebSocket-Protocol") for word in words.split(",")]
-        refusal = self._host.door.refusal(headers, offered, self._host.pages_open())
+        refusal = self._host.origin_policy.refusal(headers, offered, self._host.pages_open())
         if refusal:
-            if words := self._host.porter.words(refusal, self._loop.time()):
+            if words := self._host.rejection_log.words(refusal, self._loop.time()):
                 log.warning("%s", words)
             return self._wire.reject(HTTPStatus.FORBIDDEN, refusal)
         return self._wire.accept(request)
 
     def _file(self, path: str, host: str) -> Response:
-        if not self._host.door.is_own(host):
+        if not self._host.origin_policy.is_own(host):
             return _plain(HTTPStatus.FORBIDDEN, "this address is not an address of the console")
         name = path.removeprefix("/") or "index.html"
         content = self._host.files.get(name)

@@ -59,10 +59,10 @@ class _Press:
 
 
 @dataclass(slots=True)
-class _Errand:
+class _ActiveGoal:
     page: int
     goal: GoTo
-    said_ns: int = -_GOAL_NS
+    sent_ns: int = -_GOAL_NS
     begun_ns: int = 0
 
 
@@ -83,7 +83,7 @@ class ControlArbiter:
         self._pages: dict[int, _Page] = {}
         self._state: ActuatorState | None = None
         self._press: _Press | None = None
-        self._errand: _Errand | None = None
+        self._active_goal: _ActiveGoal | None = None
         self._zero: VelocityCommand | None = None  # zero velocity that is published after a press
         self._zero_until_ns = 0
         self._velocity_ns = 0  # time of the last velocity command
@@ -128,7 +128,7 @@ class ControlArbiter:
     @property
     def goal(self) -> GoTo | None:
         """Current goal, None without one."""
-        return None if self._errand is None else self._errand.goal
+        return None if self._active_goal is None else self._active_goal.goal
 
     def drain_words(self) -> list[str]:
         """Remove and return the entries for the event log since the last call."""
@@ -155,7 +155,7 @@ class ControlArbiter:
             case GoTo():
                 return self._go(page, sender, request, now_ns)
             case CancelGoal():
-                self._end_errand(now_ns, f"{sender.name} cancelled the goal")
+                self._end_goal(now_ns, f"{sender.name} cancelled the goal")
             case Name():
                 sender.name = request.name
             case Heartbeat():
@@ -181,7 +181,7 @@ class ControlArbiter:
         if refused:
             sender.lapsed = sender.told = drive.press  # the operator must release and press the pad again
             return refused
-        self._end_errand(now_ns, f"{sender.name} uses the pad")
+        self._end_goal(now_ns, f"{sender.name} uses the pad")
         self._press = _Press(page, drive, now_ns)
         self._order(sender, "walk", now_ns)
         return ""
@@ -204,7 +204,7 @@ class ControlArbiter:
             refused = refused or f"{self._pages[self._press.page].name} holds the pad"
         if refused:
             return refused
-        self._errand = _Errand(page, goal, begun_ns=now_ns)
+        self._active_goal = _ActiveGoal(page, goal, begun_ns=now_ns)
         self._order(sender, "walk", now_ns)
         return ""
 
@@ -236,38 +236,38 @@ class ControlArbiter:
             status: Newest status of the planner, None if it is outdated.
         """
         self._state = state
-        for page, sitting in self._pages.items():
-            if now_ns - sitting.heard_ns > _AWAY_NS:
-                self._end_leading(page, sitting, now_ns, f"no message from {sitting.name} for {_AWAY_NS * 1e-9:.0f} s")
+        for page, sender in self._pages.items():
+            if now_ns - sender.heard_ns > _AWAY_NS:
+                self._end_leading(page, sender, now_ns, f"no message from {sender.name} for {_AWAY_NS * 1e-9:.0f} s")
                 self._commands.end(page)
         self._watch_press(now_ns)
-        self._watch_errand(now_ns, status)
+        self._watch_goal(now_ns, status)
         return [*self._commands.drain(now_ns, state), *self._velocity(now_ns), *self._goal(now_ns)]
 
     def _watch_press(self, now_ns: int) -> None:
         press = self._press
         if press is None:
             return
-        sitting = self._pages[press.page]
+        sender = self._pages[press.page]
         if now_ns - press.heard_ns > DEAD_MAN_NS:
-            self._release_pad(press.page, now_ns, f"no message from {sitting.name} while the pad was held")
-        elif self._state is not None and self._state.lease not in ("", sitting.holder):
+            self._release_pad(press.page, now_ns, f"no message from {sender.name} while the pad was held")
+        elif self._state is not None and self._state.lease not in ("", sender.holder):
             self._words.append(f"{self._named(self._state.lease)} has taken over")
             self._lapse()
 
-    def _watch_errand(self, now_ns: int, status: PlannerStatus | None) -> None:
-        errand, state = self._errand, self._state
-        if errand is None or state is None:
+    def _watch_goal(self, now_ns: int, status: PlannerStatus | None) -> None:
+        active, state = self._active_goal, self._state
+        if active is None or state is None:
             return
-        if state.lease not in ("", self._pages[errand.page].holder):
+        if state.lease not in ("", self._pages[active.page].holder):
             self._words.append(f"{self._named(state.lease)} has taken over, the goal is cancelled")
-            self._errand = None
+            self._active_goal = None
         elif state.mode in (Mode.OFF, Mode.READY, Mode.SIT):
             self._words.append(f"the goal is cancelled: {state.mode}: {state.reason}")
-            self._errand = None
-        elif status is not None and status.state == "arrived" and status.stamp_ns > errand.begun_ns:
+            self._active_goal = None
+        elif status is not None and status.state == "arrived" and status.stamp_ns > active.begun_ns:
             self._words.append(f"arrived: {status.reason}")
-            self._end_errand(now_ns, "")
+            self._end_goal(now_ns, "")
 
     def _velocity(self, now_ns: int) -> list[Message]:
         if now_ns - self._velocity_ns < _VELOCITY_NS:
@@ -286,23 +286,23 @@ class ControlArbiter:
         return []
 
     def _goal(self, now_ns: int) -> list[Message]:
-        errand, state = self._errand, self._state
-        if errand is None or state is None or state.lease != self._pages[errand.page].holder:
+        active, state = self._active_goal, self._state
+        if active is None or state is None or state.lease != self._pages[active.page].holder:
             return []
-        if now_ns - errand.said_ns < _GOAL_NS:
+        if now_ns - active.sent_ns < _GOAL_NS:
             return []
-        errand.said_ns = now_ns
-        goal, walk = errand.goal, errand.goal.walk
+        active.sent_ns = now_ns
+        goal, walk = active.goal, active.goal.walk
         speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
         return [Goal(now_ns, waypoints, _TOLERANCE, speed, walk.height, walk.lift, walk.gait, goal.passage)]
 
     # ------------------------------------------------------------------------------------------------ ends of presses, goals
 
-    def _end_leading(self, page: int, sitting: _Page, now_ns: int, why: str) -> None:
+    def _end_leading(self, page: int, sender: _Page, now_ns: int, why: str) -> None:
         self._release_pad(page, now_ns, why)
-        if self._errand is not None and self._errand.page == page:
-            self._end_errand(now_ns, f"{why}; its goal is cancelled")
+        if self._active_goal is not None and self._active_goal.page == page:
+            self._end_goal(now_ns, f"{why}; its goal is cancelled")
 
     def _release_pad(self, page: int, now_ns: int, why: str) -> None:
         """End the press of a page and stop the robot; `why` goes to the event log."""
@@ -322,20 +322,20 @@ class ControlArbiter:
         self._pages[self._press.page].lapsed = self._press.drive.press
         self._press = None
 
-    def _end_errand(self, now_ns: int, why: str) -> None:
-        if self._errand is None:
+    def _end_goal(self, now_ns: int, why: str) -> None:
+        if self._active_goal is None:
             return
         if why:
             self._words.append(why)
-        page, self._errand = self._errand.page, None
+        page, self._active_goal = self._active_goal.page, None
         self._order(self._pages[page], "stop", now_ns)
 
-    def _order_anew(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
+    def _order_anew(self, sender: _Page, mode: str, now_ns: int, take: bool = False) -> None:
         """Publish a command that ends the current press and goal."""
         if self._press is not None:
             self._lapse()
-        self._errand = None
-        self._order(sitting, mode, now_ns, take)
+        self._active_goal = None
+        self._order(sender, mode, now_ns, take)
 
-    def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
-        self._commands.order(sitting.number, sitting.holder, mode, now_ns, take)
+    def _order(self, sender: _Page, mode: str, now_ns: int, take: bool = False) -> None:
+        self._commands.order(sender.number, sender.holder, mode, now_ns, take)

@@ -49,7 +49,7 @@ class PageServer:
         Raises:
             OSError: The address is not available.
         """
-        self.door, self.porter = OriginPolicy(settings), RejectionLog()
+        self.origin_policy, self.rejection_log = OriginPolicy(settings), RejectionLog()
         self.files = {**page_files(), "robots.json": b'{"robots":[],"here":""}'}
         self._settings, self._clock = settings, clock
         self._connections: dict[int, tuple[Page, Connection]] = {}  # page number -> page and its connection

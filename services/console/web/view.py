@@ -58,7 +58,7 @@ def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any
 
 
 def state(
-    desk: ControlArbiter,
+    arbiter: ControlArbiter,
     legs: ActuatorState | None,
     pose: BodyPose | None,
     plan: StepPlan | None,
@@ -68,9 +68,9 @@ def state(
     """Return the current state of the robot; unknown values are null."""
     return {
         "type": "state",
-        "seats": [{"seat": s.seat, "name": s.name, "leads": s.leads} for s in desk.seats],
-        "pad": desk.at_the_pad,
-        "goal": None if desk.goal is None else desk.goal.waypoints,
+        "seats": [{"seat": s.seat, "name": s.name, "leads": s.leads} for s in arbiter.seats],
+        "pad": arbiter.at_the_pad,
+        "goal": None if arbiter.goal is None else arbiter.goal.waypoints,
         "legs": None if legs is None else _legs(legs),
         "pose": _pose(legs, pose),
         "plan": None if plan is None or legs is None or plan.step < legs.step else _plan(plan),
@@ -141,7 +141,11 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
 
 
 def glance(
-    robot: str, desk: ControlArbiter, legs: ActuatorState | None, status: PlannerStatus | None, silent_services: Iterable[str]
+    robot: str,
+    arbiter: ControlArbiter,
+    legs: ActuatorState | None,
+    status: PlannerStatus | None,
+    silent_services: Iterable[str],
 ) -> dict[str, Any]:
     """Return the summary of the robot for the fleet page."""
     return {
@@ -149,7 +153,7 @@ def glance(
         "robot": robot,
         "mode": None if legs is None else legs.mode,
         "reason": "no message from the actuator" if legs is None else legs.reason,
-        "leader": "" if legs is None else next((s.name for s in desk.seats if s.leads), legs.lease),
+        "leader": "" if legs is None else next((s.name for s in arbiter.seats if s.leads), legs.lease),
         "voltage": None if legs is None else _known(legs.voltage),
         "temperature": None if legs is None else _known(legs.temperature),
         "planner": "" if status is None else f"{status.state}: {status.reason}",

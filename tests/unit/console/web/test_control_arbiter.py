@@ -26,10 +26,10 @@ def drive(press: int, forward: float = 0.1, left: float = 0.0) -> Drive:
 
 
 class Office:
-    """A desk, its pages, and an actuator that grants the lease as the guard does."""
+    """An arbiter, its pages, and an actuator that grants the lease as the guard does."""
 
     def __init__(self) -> None:
-        self.desk = ControlArbiter(max_speed=0.12, place="here")
+        self.arbiter = ControlArbiter(max_speed=0.12, place="here")
         self.now = 1000 * MS
         self.lease = ""
         self.mode = Mode.HOLD
@@ -43,7 +43,7 @@ class Office:
 
     def beat(self, after_ns: int = 20 * MS, status: PlannerStatus | None = None) -> list[Message]:
         self.now += after_ns
-        out = self.desk.beat(self.now, self.state(), status)
+        out = self.arbiter.beat(self.now, self.state(), status)
         for message in out:
             if (
                 isinstance(message, ModeCommand)
@@ -58,7 +58,7 @@ class Office:
         return order.take_over or self.lease in ("", order.holder)
 
     def ask(self, page: int, request: object) -> str:
-        return self.desk.ask(page, request, self.now)  # type: ignore[arg-type]
+        return self.arbiter.ask(page, request, self.now)  # type: ignore[arg-type]
 
     def hold(self, page: int, press: int, beats: int = 5, **wish: float) -> list[Message]:
         """Hold the pad for some beats of 50 ms."""
@@ -85,7 +85,7 @@ def orders(messages: list[Message]) -> list[str]:
 @pytest.fixture
 def office() -> Office:
     made = Office()
-    assert made.desk.arrive(1, made.now) == 1
+    assert made.arbiter.arrive(1, made.now) == 1
     made.beat()
     return made
 
@@ -139,14 +139,14 @@ def test_a_late_bunch_of_an_old_press_moves_nothing(office: Office) -> None:
 
 def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
     office.hold(1, press=1)
-    office.desk.leave(1, office.now)
+    office.arbiter.leave(1, office.now)
     assert orders(office.beat())[-1] == "stop"
-    assert "was closed" in " ".join(office.desk.drain_words())
-    assert office.desk.seats == ()
+    assert "was closed" in " ".join(office.arbiter.drain_words())
+    assert office.arbiter.seats == ()
 
 
 def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> None:
-    office.desk.arrive(2, office.now)
+    office.arbiter.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.lease == "console 1 at here"
     assert "page 1 is in control of the robot; take over first" in office.ask(2, Command("stand"))
@@ -164,7 +164,7 @@ def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> N
 
 
 def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
-    office.desk.arrive(2, office.now)
+    office.arbiter.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.ask(2, TakeOver()) == ""
     (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2 at here")
@@ -179,9 +179,9 @@ def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: O
     office.hold(1, press=1)
     office.lease = "bench"
     office.beat()
-    assert office.desk.at_the_pad == 0
+    assert office.arbiter.at_the_pad == 0
     assert velocities([m for _ in range(5) for m in (office.ask(1, drive(1)), *office.beat(50 * MS)) if m]) == []
-    assert "bench has taken over" in " ".join(office.desk.drain_words())
+    assert "bench has taken over" in " ".join(office.arbiter.drain_words())
 
 
 def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
@@ -203,7 +203,7 @@ def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> Non
     assert goals[0].speed == 0.12, "no faster than the robot"
     assert orders(out) == ["walk"]
     office.beat(status=office.status("arrived"))
-    assert office.desk.goal is None
+    assert office.arbiter.goal is None
     assert orders(office.beat())[-1:] in ([], ["stop"])
     assert orders(office.out)[-1] == "stop"
 
@@ -213,17 +213,17 @@ def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page
     office.beat()
     office.ask(1, CancelGoal())
     office.beat()
-    assert office.desk.goal is None
+    assert office.arbiter.goal is None
     office.ask(1, GO)
     office.beat()
     office.hold(1, press=1)
-    assert office.desk.goal is None
+    assert office.arbiter.goal is None
     office.ask(1, Release())
     office.ask(1, GO)
     for _ in range(300):
         office.beat()
-    assert office.desk.goal is None
-    assert "no message from" in " ".join(office.desk.drain_words())
+    assert office.arbiter.goal is None
+    assert "no message from" in " ".join(office.arbiter.drain_words())
     assert of(ModeCommand, office.beat(1000 * MS)) == [], "nor does it keep the lease"
 
 
@@ -237,7 +237,7 @@ def test_who_cannot_walk_is_told_why(office: Office, mode: Mode) -> None:
 
 
 def test_without_a_word_from_the_actuator_nobody_leads(office: Office) -> None:
-    office.desk.beat(office.now, None, None)
+    office.arbiter.beat(office.now, None, None)
     assert "no message from the actuator" in office.ask(1, drive(1))
     assert office.ask(1, Command("off")) == "", "but it may be released"
 
@@ -313,7 +313,7 @@ def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Offi
 
 
 def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
-    office.desk.arrive(2, office.now)
+    office.arbiter.arrive(2, office.now)
     for k in range(6):
         office.ask(1 + k % 2, Command("stop"))
     sequences = [m.sequence for m in office.beat() if isinstance(m, ModeCommand)]
@@ -323,20 +323,20 @@ def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
 
 def test_there_are_so_many_seats_and_who_has_none_looks_on(office: Office) -> None:
     for page in range(2, SEATS + 1):
-        assert office.desk.arrive(page, office.now) == page
-    assert office.desk.arrive(99, office.now) == 0
+        assert office.arbiter.arrive(page, office.now) == page
+    assert office.arbiter.arrive(99, office.now) == 0
     office.beat()
     assert "8 other pages may control the robot; close one, and reload this page" in office.ask(99, drive(1))
     assert office.ask(99, TakeOver()) == office.ask(99, drive(2))
     assert office.ask(99, Command("stop")) == ""
-    office.desk.leave(3, office.now)
-    assert office.desk.arrive(100, office.now) == 3, "a seat is taken again: the actuator remembers sixteen holders alone"
+    office.arbiter.leave(3, office.now)
+    assert office.arbiter.arrive(100, office.now) == 3, "a seat is taken again: the actuator remembers sixteen holders alone"
 
 
 def test_a_page_has_a_name(office: Office) -> None:
     office.ask(1, Name("Ann"))
     office.hold(1, press=1)
-    (seat,) = office.desk.seats
+    (seat,) = office.arbiter.seats
     assert (seat.name, seat.leads) == ("Ann", True)
 
 
@@ -356,7 +356,7 @@ class Anything(RuleBasedStateMachine):
     @initialize()
     def two_pages(self) -> None:
         for page in (1, 2):
-            self.office.desk.arrive(page, self.office.now)
+            self.office.arbiter.arrive(page, self.office.now)
             self.pages.add(page)
         self.office.beat()
 
@@ -372,8 +372,8 @@ class Anything(RuleBasedStateMachine):
 
     @rule(page=st.sampled_from([1, 2]))
     def gone_and_back(self, page: int) -> None:
-        self.office.desk.leave(page, self.office.now)
-        self.office.desk.arrive(page, self.office.now)
+        self.office.arbiter.leave(page, self.office.now)
+        self.office.arbiter.arrive(page, self.office.now)
 
     @rule(after=st.sampled_from([1, 20, 49, 301, 6000]), mode=st.sampled_from([Mode.HOLD, Mode.WALK, Mode.OFF]))
     def time_passes(self, after: int, mode: Mode) -> None:
@@ -383,11 +383,11 @@ class Anything(RuleBasedStateMachine):
             if command.velocity.any():
                 fresh = [page for page, at in self.heard.items() if self.office.now - at <= DEAD_MAN_NS]
                 assert any(self.office.lease == f"console {page} at here" for page in fresh), "who leads holds the pad"
-        assert not of(Goal, out) or self.office.desk.goal is not None
+        assert not of(Goal, out) or self.office.arbiter.goal is not None
 
     @invariant()
     def one_at_most_holds_the_pad(self) -> None:
-        assert self.office.desk.at_the_pad in (0, 1, 2)
+        assert self.office.arbiter.at_the_pad in (0, 1, 2)
 
 
 TestAnything = Anything.TestCase

@@ -13,11 +13,11 @@ REFUSAL = "the token is wrong"
 
 @given(st.lists(st.integers(0, 24), max_size=60))
 def test_refusals_are_said_at_most_once_a_second_and_each_is_counted(waits: list[int]) -> None:
-    porter, now = RejectionLog(), 0.0
+    log, now = RejectionLog(), 0.0
     said: list[tuple[float, str]] = []
     for wait in [*waits, 8]:
         now += wait / 8  # [s]
-        if words := porter.words(REFUSAL, now):
+        if words := log.words(REFUSAL, now):
             said.append((now, words))
     assert said[0][1] == f"a page was refused: {REFUSAL}", "the first is reported at once"
     assert all(b - a >= 1.0 for (a, _), (b, _) in pairwise(said))
