@@ -70,7 +70,6 @@ class ContactEstimate:
             return np.where((over < self._params.lifted_m) | carrying, 0.0, over)
         over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
         below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
-        bearing = np.argmin(
-            np.where(around, below - self._params.lifted_m * shares.min(axis=1), np.inf)
-        )  # ties: the widest one
-        return np.where((over[bearing] < self._params.lifted_m) | self.firm, 0.0, over[bearing])
+        lifted_m = self._params.lifted_m
+        bearing = np.argmin(np.where(around, below - lifted_m * shares.min(axis=1), np.inf))  # ties: the widest one
+        return np.where((over[bearing] < lifted_m) | self.firm, 0.0, over[bearing])

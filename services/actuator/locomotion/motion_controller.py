@@ -37,10 +37,8 @@ class MotionController:
         self._profile, self._settings = profile, settings
         self._posture: StandUp | LieDown | None = None  # motion that moves the legs instead of the walk
         self._recovery = LegRecovery()
-        self._slow_legs, self._top = (
-            _ALL,
-            GENTLE,
-        )  # legs whose speed is limited during a whole gentle step, and the limit [rad/s]
+        self._slow_legs = _ALL  # (6,) legs whose speed is limited during a whole gentle step
+        self._slow_rad_s: float = GENTLE  # [rad/s] their joints' limit
 
     # ------------------------------------------------------------------------------------------------------- selection
 
@@ -57,7 +55,7 @@ class MotionController:
 
     def lower(self, lifted: Array) -> None:
         """Lower hanging feet by heights (6,) [m]; a low speed limits the force on an obstacle."""
-        self._slow_legs, self._top = _ALL, LOWERED
+        self._slow_legs, self._slow_rad_s = _ALL, LOWERED
         self.executor.lower(lifted)
 
     def torque_off(self) -> None:
@@ -122,10 +120,10 @@ class MotionController:
         back = self._recovery.update(torque_disabled, unsure, self.executor.flying)
         if back.any() and self.executor.resting:
             self.executor.put_back(back, feet_odom)
-            self._slow_legs, self._top = back, self._recovery.put_back()
+            self._slow_legs, self._slow_rad_s = back, self._recovery.put_back()
             self.goals.adopt(back, goals)  # these legs had no other target
         if self.executor.gentle:
-            self._limit(self._slow_legs, self._top)
+            self._limit(self._slow_legs, self._slow_rad_s)
 
     def update(
         self, dt: float, T_odom_body: Array, contact: FootContact | None, goals: Array, without_torque: NDArray[np.bool_]

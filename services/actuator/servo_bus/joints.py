@@ -59,7 +59,7 @@ class Joints:
         self._opener = opener or Outlet(settings).open
         self._budget_ns = round(settings.read_budget_ms * 1e6)
         self._latched = latched
-        self._lets_go = latched()  # whether an order requires torque off
+        self._off_ordered = latched()  # whether an order requires torque off
         self._bus = self._open()
         self._set_up()
         self._tried_ns = clock()
@@ -142,7 +142,7 @@ class Joints:
             self._reconnect()
             return []
         self._since_ns = self._since_ns if self._since_ns >= 0 else self._clock()
-        if self._lets_go:  # a broadcast is not acknowledged, so repeat it until torque is ordered on
+        if self._off_ordered:  # a broadcast is not acknowledged, so repeat it until torque is ordered on
             self._send_torque_off()
         try:
             readings = self._bus.poll(self._budget_ns, urgent)
@@ -172,7 +172,7 @@ class Joints:
 
     def torque_off(self) -> None:
         """Turn all torque off; without a bus, as soon as it is back, before anything else."""
-        self._lets_go = True
+        self._off_ordered = True
         self.torque[:] = False
         self._send_torque_off()
 
@@ -181,7 +181,7 @@ class Joints:
 
         Only an operator's order calls this. A joint beyond its limit returns to the limit slowly.
         """
-        self._lets_go = False
+        self._off_ordered = False
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
         anew = (~self.torque | weak).reshape(6, 3)
         within = self._within(self.q)
@@ -222,15 +222,15 @@ class Joints:
 
     def _obey(self) -> None:
         """Execute a torque-off order between requests, before the remaining ones."""
-        if not self._lets_go and self._latched():
-            self._lets_go = True
+        if not self._off_ordered and self._latched():
+            self._off_ordered = True
             self._bus.set_torque(False)
 
     def _set_up(self) -> None:
         """Set the bus up, and wait some time for servos that are silent at first."""
         until = self._clock() + _PATIENCE_NS
         while True:
-            if self._lets_go:
+            if self._off_ordered:
                 self._bus.set_torque(False)
             try:
                 self._bus.setup()
@@ -299,12 +299,12 @@ class Joints:
 
     def _reconnect(self) -> None:
         """Try to reopen the bus, and read goals and torque of all servos again."""
-        if self._clock() - self._tried_ns < _AGAIN_NS and not self._lets_go:
+        if self._clock() - self._tried_ns < _AGAIN_NS and not self._off_ordered:
             return
         self._tried_ns = self._clock()
         try:
             self._bus = self._open()
-            if self._lets_go:
+            if self._off_ordered:
                 self._bus.set_torque(False)
             self._bus.meet()
             found = [self._insist(i) for i in self._bus.servo_ids]
@@ -321,7 +321,7 @@ class Joints:
         """Adopt the state of each servo; a far goal is replaced by the joint position."""
         found = [[_value(table, register) for register in _STANDS] for table in tables]
         most, pulls, goals, limits, ticks, loads = np.array(found).T
-        self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # a servo that has missed torque off receives it again
+        self.torque = pulls.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
         self._most = most
         self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
         self.q, stand = self._angles(ticks), self._angles(goals)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
+from sextant.services.actuator.estimation.touchdown_detector import FemurReading
 from sextant.shared.geometry import apply, rotation_z, transform
 from sextant.shared.robot.kinematics import body_inverse, joint_torques
 from sextant.shared.robot.profiles import load_profile
@@ -45,7 +46,8 @@ def test_legs_without_torque_or_answer_are_assumed_to_stand() -> None:
     silent = estimator.foot_contact(NONE, NONE, ALL, Q_REST, 0, SECOND)
     assert silent.bears.all(), "no servo has ever answered"
     assert not silent.heard.any()
-    estimator.touchdown._stamp_ns[:] = SECOND
+    for leg in range(6):
+        estimator.touchdown.read(leg, FemurReading(0.0, 0.0, 0.0, SECOND, SECOND))
     assert estimator.foot_contact(NONE, FIRST, ALL, Q_REST, 0, SECOND).bears.tolist() == FIRST.tolist()
 
 
