@@ -35,7 +35,7 @@ class GapCrossingController:
         self._gap_crossing: GapCrossing | None = None
         self._approach: PathFollower | None = None
         self._crossing_line: tuple[Array, Array] | None = None  # (2,) [m] {world} start and target of the crossing
-        self._still_ns = self._turning_ns = -1
+        self._still_ns = self._turning_ns = -1  # [ns] when rest and turn before the gap began, -1 before them
         self._refusals = RefusalMemory(settings.gap_approach)
         self._crossed = False
         self._yielded: list[Array] = []  # (3,) [m] {world} places where ground gave way under feet; kept for all goals
@@ -150,7 +150,8 @@ class GapCrossingController:
         start = self._start(goal, standing, terrain)
         if isinstance(start, str):
             return start
-        self._crossing_line, self._approach, self._turning_ns = (start, target.copy()), self._follower(), -1
+        self._crossing_line, self._approach = (start, target.copy()), self._follower()
+        self._still_ns = self._turning_ns = -1
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
         inclined = facing @ way > np.cos(radians(self._params.inclined_deg)) * np.linalg.norm(way)

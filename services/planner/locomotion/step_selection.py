@@ -125,7 +125,7 @@ class StepSelector:
         found = self._by_sight.retarget(planned, terrain)
         if np.abs(found.touchdown - planned.touchdown).max() < self._settings.revision.retarget_from_m:
             return None
-        return NumberedStep(found, running.plan.step, running.step.variant, robot.T_world_odom)
+        return replace(running.step, planned=found, T_world_odom=robot.T_world_odom)
 
     def _select_for(
         self, command: VelocityCommand, number: int, robot: RobotEstimate, terrain: Terrain, steered: bool

@@ -13,7 +13,7 @@ import pytest
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.approach import GapCrossingController
 from sextant.services.planner.gap_crossing.gap_detection import GapEdge, detect_gap
-from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, Outcome
+from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, Outcome, Wait
 from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_follower import MotionCommand
@@ -158,34 +158,49 @@ def test_crossing_without_map_is_refused_and_retried_later() -> None:
     assert begun_s[1] - begun_s[0] > patience_s, "it is left alone for longer, so that a refusal stands in the end"
 
 
+class BriefCrossing:
+    """A crossing that ends at once."""
+
+    report = None
+    walked = True
+    outcome: Outcome = Completed("no gap ahead of the robot")
+
+    def __init__(self, *_: object) -> None:
+        """Start the crossing."""
+
+    def advance(self, *_: object) -> Outcome:
+        """Return the end."""
+        return self.outcome
+
+
+def at_the_edge() -> tuple[Rig, WorldStance]:
+    """Return a robot that stands before the gap of `gap`, and its stance."""
+    rig = Rig()
+    body = rig.state.T_odom_body.copy()
+    body[0, 3] = EDGE - GapApproachParams().start_distance_m
+    return rig, WorldStance(body, apply(body, rig.state.feet))
+
+
 @pytest.mark.parametrize("walked", [True, False])
 def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    crossings: list[Any] = []
+    crossings: list[object] = []
 
-    class GapCrossing:
-        """A crossing that ends at once."""
-
-        report = None
+    class Crossing(BriefCrossing):
+        """A crossing that is counted."""
 
         def __init__(self, *_: object) -> None:
             crossings.append(self)
             self.walked = walked
 
-        def advance(self, *_: object) -> Completed:
-            return Completed("no gap ahead of the robot")
-
-    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", GapCrossing)
-    rig, terrain = Rig(), Terrain(gap(0.8))
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", Crossing)
+    (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
     mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
-    body = rig.state.T_odom_body.copy()
-    body[0, 3] = EDGE - GapApproachParams().start_distance_m
-    standing = WorldStance(body, apply(body, rig.state.feet))
     goal = replace(GOAL, gap_crossing=True)
 
     def ended() -> Outcome | MotionCommand:
         for k in range(100):
             state = replace(rig.state, stamp_ns=rig.state.stamp_ns + k * 20_000_000)
-            found = mode.lead(goal, state, standing, body, terrain, None, "")
+            found = mode.lead(goal, state, standing, standing.body, terrain, None, "")
             if isinstance(found, Completed | CannotCross):
                 return found
         raise AssertionError("no end")
@@ -194,3 +209,21 @@ def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, mon
     assert not mode.ordered(goal)
     assert ended() == (Completed("no gap ahead of the robot") if walked else CannotCross("no gap to cross was found from here"))
     assert len(crossings) == (2 if walked else 1)
+
+
+def test_robot_rests_before_every_attempt_to_cross(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check a retry of a robot that still faces the gap: it has just come to rest again."""
+    monkeypatch.setattr(BriefCrossing, "outcome", CannotCross("no path"))
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", BriefCrossing)
+    (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
+    params = GapApproachParams()
+    mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
+    goal, now_ns = replace(GOAL, gap_crossing=True), rig.state.stamp_ns
+    for _ in range(2):
+        begun_ns = now_ns
+        while isinstance(
+            mode.lead(goal, replace(rig.state, stamp_ns=now_ns), standing, standing.body, terrain, None, ""), Wait
+        ):
+            now_ns += 20_000_000
+        assert (now_ns - begun_ns) * 1e-9 == pytest.approx(params.rest_s, abs=0.02)
+        now_ns += round(params.refusal_s * 1e9)

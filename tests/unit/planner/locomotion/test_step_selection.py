@@ -84,3 +84,22 @@ def test_running_step_is_retargeted_once_per_map(
         for _ in range(5):
             assert steps.retarget(running, terrain) is None, "all places are equal"
         assert len(searches) == number
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_revision_changes_only_the_touchdowns(stop: bool, steps: StepSelector, plans: PlanTracker, make_terrain: Maker) -> None:
+    """Check that a step by touch still ends at rest after its touchdowns have been moved."""
+    at_rest = robot()
+    decision = steps.select((AHEAD,), at_rest, FLAT)
+    assert decision.step is not None
+    plan = plans.send(at_rest.state, replace(decision.step, stop=stop))
+    swinging = {"mode": Mode.WALK, "step": 1, "phase": 0.2, "swing": plan.swing, "plan_ns": plan.stamp_ns}
+    running = RobotEstimate(replace(at_rest.state, **swinging), at_rest.pose)
+    plans.update(running.state)
+    x, y, _ = plan.touchdown[int(np.flatnonzero(plan.swing)[0])]
+    revised = steps.retarget(
+        running, make_terrain(score=lambda at_x, at_y: np.where(np.hypot(at_x - x, at_y - y) < 0.015, 9.0, 0.0))
+    )
+    assert revised is not None
+    assert not np.allclose(revised.planned.touchdown, plan.touchdown)
+    assert (revised.number, revised.variant, revised.stop) == (plan.step, decision.step.variant, stop)
