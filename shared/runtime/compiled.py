@@ -11,6 +11,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
+Group = TypeVar("Group", bound=tuple[Any, ...])
 
 
 def compiled(function: F) -> F:
@@ -24,3 +25,11 @@ def written_into(function: F) -> F:
     Calls with many arrays would be slow.
     """
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function))
+
+
+def as_plain(group: Group) -> Group:
+    """Return a named tuple as a plain tuple, for a compiled function that unpacks it.
+
+    Each call of a compiled function determines the types of its arguments. This takes 1 us longer for a named tuple.
+    """
+    return cast(Group, tuple(group))

@@ -21,13 +21,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.mapper.elevation.cell_layers import ESTABLISHED, CellLayers
-from sextant.services.mapper.elevation.fusion import FilterCells, FilterRules, FusionModel, Measurements, merge, update_cells
+from sextant.services.mapper.elevation.fusion import (
+    FilterCells,
+    FilterRules,
+    FusionModel,
+    Measurements,
+    merge,
+    settle_cells,
+    update_cells,
+)
 from sextant.services.mapper.elevation.height_drift import HeightDrift, height_sigma
 from sextant.services.mapper.elevation.params import HeightDriftParams, RayClearingParams
 from sextant.services.mapper.elevation.ray_clearing import RayClearing
 from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M, ValidatedScan
 from sextant.services.mapper.elevation.vertical_surfaces import limit_surface_updates
-from sextant.shared.runtime.compiled import compiled
+from sextant.shared.runtime.compiled import as_plain, compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -98,11 +106,13 @@ class ElevationGrid:
         self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
         self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
         self._cells = CellLayers.unseen(shape)
-        self._filter_cells = FilterCells.of(self._cells)
+        self._filter_cells = as_plain(FilterCells.of(self._cells))
         self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # entry of the scan for each cell, -1 outside fuse()
         self._clearing = clearing or RayClearingParams()
-        self._filter_rules = FilterRules(
-            self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans, self._clearing.well_below_m
+        self._filter_rules = as_plain(
+            FilterRules(
+                self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans, self._clearing.well_below_m
+            )
         )
         self._drift, self._ray_clearing = HeightDrift(drift or HeightDriftParams()), RayClearing(shape, self._clearing)
 
@@ -178,7 +188,7 @@ class ElevationGrid:
             touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         # 3. Update the filters.
         measured = Measurements(touched, z, random, systematic)
-        updated, disputed, replaced = update_cells(measured, self._filter_cells, self._filter_rules)
+        updated, disputed, replaced = update_cells(as_plain(measured), self._filter_cells, self._filter_rules)
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
         cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=self._clearing.every)
@@ -206,16 +216,9 @@ class ElevationGrid:
         sole = p[:2] + off[(off**2).sum(axis=1) <= radius**2]
         inside = _cell_indices(sole, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         known = np.unique(inside[inside >= 0])
-        z, noise, none = np.array([p[2] - self._drift.value]), np.array([sigma**2]), np.zeros(1)
-        changed = 0
-        for cell in known.reshape(-1, 1):
-            for _ in range(self.model.patience + 1):
-                measured = Measurements(cell, z, none, noise)
-                updated, _, replaced = update_cells(measured, self._filter_cells, self._filter_rules)
-                if updated or replaced:
-                    changed += 1
-                    break
-        return changed
+        m = len(known)
+        measured = Measurements(known, np.full(m, p[2] - self._drift.value), np.zeros(m), np.full(m, sigma**2))
+        return int(settle_cells(as_plain(measured), self._filter_cells, self._filter_rules))
 
     def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
         """Fill the unseen cells of a region with a plane, marked as assumed.

@@ -13,7 +13,7 @@ from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.shared.files import config
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor
-from sextant.shared.runtime.compiled import compiled
+from sextant.shared.runtime.compiled import as_plain, compiled
 
 _AT_A_TIME = 256  # points per block
 
@@ -176,11 +176,11 @@ class FusionModel(FusionParams):
             ray: (3,) [m] from the camera to the mean of those points.
         """
         return _measure(
-            ScanArrays(scan.points, scan.origin, scan.unit, scan.count, scan.spread),
+            as_plain(ScanArrays(scan.points, scan.origin, scan.unit, scan.count, scan.spread)),
             scan.p_world_camera,
             scan.pose_covariance,
             self._noise,
-            MapWindow(height, resolution, low_i, low_j),
+            as_plain(MapWindow(height, resolution, low_i, low_j)),
         )
 
     @property
@@ -411,3 +411,20 @@ def update_cells(measured: Measurements, layers: FilterCells, rules: FilterRules
             first[c] = height[c] if support[c] >= established else np.nan
             replaced += 1
     return updated, disputed, replaced
+
+
+@compiled
+def settle_cells(measured: Measurements, layers: FilterCells, rules: FilterRules) -> int:
+    """Filter each measurement repeatedly until it changes its cell; return how many cells changed."""
+    cells, z, random, systematic = measured
+    _, patience, _, _, _ = rules
+    changed = 0
+    for k in range(len(cells)):
+        one = slice(k, k + 1)
+        for _ in range(patience + 1):
+            alone = Measurements(cells[one], z[one], random[one], systematic[one])
+            updated, _, replaced = update_cells(alone, layers, rules)
+            if updated or replaced:
+                changed += 1
+                break
+    return changed

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.cell_layers import CellLayers
 from sextant.shared.geometry import Array
-from sextant.shared.runtime.compiled import compiled
+from sextant.shared.runtime.compiled import as_plain, compiled
 
 TALL = 0.06  # [m] of a cell's spread in a scan, beyond the pose's error, from which the cell holds a face
 RIM = 0.02  # [m] between a measurement and the map, beyond which they are different heights
@@ -88,7 +88,7 @@ def limit_surface_updates(
         cells.below.ravel(),
     )
     measured = _Measured(touched, z, random, systematic)
-    return int(_limit_updates(measured, TALL**2 + 9.0 * sigma**2, surface, slot, wrap))
+    return int(_limit_updates(as_plain(measured), TALL**2 + 9.0 * sigma**2, as_plain(surface), slot, wrap))
 
 
 @compiled

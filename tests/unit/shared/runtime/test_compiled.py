@@ -1,4 +1,4 @@
-"""Compiled functions use no names from other files.
+"""Compiled functions use no names from other files, and take named tuples as plain ones.
 
 Their cache is invalidated only by the date of their own file.
 """
@@ -6,6 +6,9 @@ Their cache is invalidated only by the date of their own file.
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
+
+from sextant.shared.runtime.compiled import as_plain, compiled
 
 ROOT = Path(__file__).parents[4]
 OURS = ("services", "shared", "deploy")
@@ -38,3 +41,23 @@ def test_no_compiled_function_uses_what_another_file_may_change() -> None:
     assert sum("@compiled" in file.read_text() for file in files) > 10
     found = {str(file.relative_to(ROOT)): list(borrowed(file.read_text())) for file in files}
     assert not {file: names for file, names in found.items() if names}
+
+
+class Line(NamedTuple):
+    """A line to evaluate."""
+
+    slope: float
+    offset: float
+
+
+@compiled
+def height_on(line: Line, x: float) -> float:
+    """Return the height of a line."""
+    slope, offset = line
+    return slope * x + offset
+
+
+def test_compiled_function_takes_named_tuple_as_plain_one() -> None:
+    line = Line(2.0, 1.0)
+    assert type(as_plain(line)) is tuple
+    assert height_on(as_plain(line), 3.0) == height_on(line, 3.0) == 7.0
