@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from sextant.shared.files import config
 from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
 
@@ -49,3 +50,5 @@ class HeightDriftParams(Params):
     end_m: float = ranged(0.0005, 0.0, 0.1)  # [m] offset that ends it
     scans: int = ranged(3, 1, 1000)  # consecutive scans that must show a drift
     rate_m: float = ranged(0.002, 0.0, 0.1)  # [m] largest change of the compensation per scan
+
+    checks = (config.together("end_m begin_m", lambda end, begin: end <= begin, "at most begin_m"),)

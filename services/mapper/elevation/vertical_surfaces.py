@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.mapper.elevation.cell_layers import CellLayers
+from sextant.services.mapper.elevation.fusion import Measurements
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import as_plain, compiled
 
@@ -32,15 +33,6 @@ class _Surface(NamedTuple):
     assumed: NDArray[np.uint8]
     face: NDArray[np.uint8]
     below: NDArray[np.uint8]
-
-
-class _Measured(NamedTuple):
-    """Measurements of a scan, see `limit_surface_updates`."""
-
-    touched: NDArray[np.int64]
-    z: Array
-    random: Array
-    systematic: Array
 
 
 def limit_surface_updates(
@@ -87,12 +79,14 @@ def limit_surface_updates(
         cells.face.ravel(),
         cells.below.ravel(),
     )
-    measured = _Measured(touched, z, random, systematic)
+    measured = Measurements(touched, z, random, systematic)
     return int(_limit_updates(as_plain(measured), TALL**2 + 9.0 * sigma**2, as_plain(surface), slot, wrap))
 
 
 @compiled
-def _limit_updates(measured: _Measured, tall: float, surface: _Surface, slot: NDArray[np.int32], wrap: tuple[int, int]) -> int:
+def _limit_updates(
+    measured: Measurements, tall: float, surface: _Surface, slot: NDArray[np.int32], wrap: tuple[int, int]
+) -> int:
     touched, z, random, systematic = measured
     grid, height, variance, assumed, face, below = surface
     n = len(touched)

@@ -21,6 +21,8 @@ class AlignmentParams(Params):
     less_overlap: float = ranged(0.1, 0.0, 1.0)  # [1] by which another start may overlap less
     explained: float = ranged(0.85, 0.0, 1.0)  # [1] ratio of misfits below which another pose fits better
 
+    checks = (config.together("gate_near gate_far", lambda near, far: near <= far, "at most gate_far"),)
+
 
 @dataclass(frozen=True, slots=True)
 class KeyframeParams(Params):
@@ -36,7 +38,10 @@ class KeyframeParams(Params):
 
 @dataclass(frozen=True, slots=True)
 class AcceptanceParams(Params):
-    """Limits for refusing a pose, searching for a better one and restarting the map."""
+    """Limits for refusing a pose, searching for a better one and restarting the map.
+
+    A camera without legs has fixed values of `doubt`, `search_every`, `patience` and `rest_step` instead.
+    """
 
     min_measured: float = ranged(0.02, 0.0, 1.0)  # [1] share of the image's blocks with a depth
     min_overlap: float = ranged(0.3, 0.0, 1.0)  # [1] share of points with a matching plane
