@@ -469,7 +469,7 @@ class StepExecutor:
         self._contacts.proven |= found & ~felt.heaves  # the body may have tilted for another reason
         if not search.legs.any():
             self._search = None
-            self.trouble = f"ground found {search.depth * 100:.0f} cm lower than expected"
+            self.trouble = f"ground found {search.depth * 1e3:.0f} mm lower than expected"
             return
         lost = search.lost
         if not lost.any():

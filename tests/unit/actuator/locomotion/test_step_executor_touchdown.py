@@ -1,5 +1,7 @@
 """Step execution with foot contact: ground that is early, late or missing."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -174,7 +176,10 @@ def test_foot_reaches_down_to_lower_ground_before_others_lift(depth: float, leg:
     targets, said = walk_over_holes(walker, {leg: depth}, STEPS_2)
     low = float(STEPS_2[0].touchdown[leg, 2])
     assert walker.feet_odom[leg, 2] == pytest.approx(low - depth, abs=2e-3)
-    assert any("lower than expected" in words for (words,) in said)
+    (lower_mm,) = {
+        int(found[1]) for (words,) in said if (found := re.fullmatch(r"ground found (\d+) mm lower than expected", words))
+    }
+    assert lower_mm * 1e-3 == pytest.approx(depth, abs=2e-3)
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
     assert [f for f in walker.take_findings() if f.leg == leg][-1].carries
     np.testing.assert_array_equal(targets[-1].share, np.ones(6))
