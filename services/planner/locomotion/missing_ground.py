@@ -14,7 +14,6 @@ from sextant.shared.wire.messages import HAZARDS, ActuatorState, TerrainMap
 _RADIUS = 0.04  # [m] around such a place that is refused
 _KEPT = 64  # maximum number of places, the newest
 _NO_GROUND = HAZARDS.index("no ground by touch")
-_REFUSED = 2.0  # a score that no foothold has
 
 
 class MissingGround:
@@ -49,11 +48,12 @@ class MissingGround:
         x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
         score, evaluation = m.score.copy(), m.evaluation.copy()
         hazard = m.hazard.copy() if m.hazard.size else np.zeros(m.score.shape, dtype=np.uint8)
+        refused = np.float32(terrain.params.max_score + 1.0)
         for place in self.places:
             i, j = (np.flatnonzero(np.abs(axis - at) <= _RADIUS) for axis, at in zip((x, y), place, strict=True))
             near = (x[i, None] - place[0]) ** 2 + (y[None, j] - place[1]) ** 2 <= _RADIUS**2
             box = np.ix_(i, j)
-            score[box] = np.where(near, np.maximum(score[box], np.float32(_REFUSED)), score[box])
+            score[box] = np.where(near, np.maximum(score[box], refused), score[box])
             evaluation[box] = np.where(near, np.maximum(evaluation[box], np.int8(1)), evaluation[box])
             hazard[box] = np.where(near, np.uint8(_NO_GROUND), hazard[box])
         return replace(terrain, map=replace(m, score=score, evaluation=evaluation, hazard=hazard))

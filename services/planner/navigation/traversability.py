@@ -36,7 +36,7 @@ _CELLS = 128  # cells of the kept window, along each axis
 OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops the robot at a cell
 _OBSTACLES = (
     "",
-    "a step of more than {step_cm} cm",
+    "a step of more than {step_cm:.3g} cm",
     "no foothold",
     "a hole, or ground without measurements",
     "a place where the robot got stuck",
@@ -72,7 +72,7 @@ class CostMap:
 
     def obstacle_name(self, kind: int) -> str:
         """Return an obstacle kind of `stops` as text."""
-        return _OBSTACLES[kind].format(step_cm=int(self.max_step_m * 100))
+        return _OBSTACLES[kind].format(step_cm=100.0 * self.max_step_m)
 
     def cell(self, xy: Array) -> tuple[int, int]:
         """Return the cell of a place (2,) [m] {world}, clipped to the map."""
@@ -108,7 +108,7 @@ class CostMap:
 
 
 class LocalGroundMap:
-    """Ground around the robot from all maps, kept while it is within 3.2 m."""
+    """Ground around the robot from all maps, kept while it is within 64 cells."""
 
     def __init__(self, params: CostmapParams):
         """Start without ground."""

@@ -136,7 +136,7 @@ def test_missing_path_is_reported_immediately_and_robot_stands(make_terrain: Mak
     for _ in range(5):
         found = robot.step(goal((2.0, 0.0)))
         assert isinstance(found, NoPath)
-        assert found.reason.startswith("no path to (2.0, 0.0): blocked by a step of more than 6 cm")
+        assert found.reason.startswith("no path to (2.0, 0.0): blocked by a step of more than 6.5 cm")
         assert found.reason.endswith("there is no opening")
     np.testing.assert_array_equal(robot.T, from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3)))
     robot.terrain = make_terrain(half=1.28)
@@ -272,7 +272,7 @@ def test_goal_inside_wall_is_refused_with_reason(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(walled, edge_score(walled), half=1.6))
     found = robot.step(goal((0.8, -0.3)))
     assert isinstance(found, NoPath)
-    assert found.reason.startswith("no path to (0.8, -0.3): a step of more than 6 cm")
+    assert found.reason.startswith("no path to (0.8, -0.3): a step of more than 6.5 cm")
     assert found.reason.endswith("is too close to the goal")
     assert isinstance(robot.step(goal((0.0, -0.3))), MotionCommand), "another goal is another matter"
 

@@ -1,6 +1,7 @@
 """Path planner: the cheapest path, never over closed cells, or a reason."""
 
 import tracemalloc
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -148,6 +149,12 @@ def test_costly_ground_is_bypassed_if_detour_is_cheaper() -> None:
     way = find_path(cost_map(cost), np.array([0.5, 1.0]), np.array([1.5, 1.0]), 0.03)
     assert isinstance(way, PlannedPath)
     assert np.ptp(way.corners[:, 1]) < 0.1, "there is no cheaper one"
+
+
+@pytest.mark.parametrize(("max_step_m", "words"), [(0.065, "6.5 cm"), (0.29, "29 cm"), (0.005, "0.5 cm")])
+def test_step_is_named_with_its_limit(max_step_m: float, words: str) -> None:
+    limited = replace(cost_map(np.ones((1, 1))), max_step_m=max_step_m)
+    assert limited.obstacle_name(STEP) == f"a step of more than {words}"
 
 
 @pytest.mark.parametrize("kind", [STEP, BARE, HOLE])
