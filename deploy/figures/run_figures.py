@@ -3,6 +3,7 @@
 A figure is a row of the table `FIGURES`: its description and its drawing function.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +31,7 @@ WINDOW_S = 4.0  # [s] window of the worst, or mean, value where single values wo
 _ASIDE = 0.92 * _WIDTH  # [in] width of a panel
 _SHORTEST_S = 1e-3  # minimum length of a time axis; a run may have a single moment
 _TICKS = 6  # largest number of ticks; without this limit the layout would not converge
-_LEGEND = 0.7  # [in] below the maps
+_LEGEND_ROW, _COLUMNS = 0.24, 7  # [in] height of a row of the legend below the maps, and its columns
 _ROOM = 0.3  # [m] around a walk in a map
 
 
@@ -236,9 +237,11 @@ def _footholds(runs: Runs) -> Any:
         return None
     corners = [_corners(run) for run in shown]
     tall = [_ASIDE * float((high - low)[1] / (high - low)[0]) + 1.0 for low, high in corners]
-    figure, rows = _sheets(len(shown), sum(tall) + _LEGEND, ratios=tall, layout=None)
-    full = sum(tall) + _LEGEND
-    figure.subplots_adjust(left=0.08, right=0.90, top=1 - 0.4 / full, bottom=(_LEGEND + 0.4) / full, hspace=0.4)
+    handles = summary.legend_handles(run.trace for run in shown)
+    below = _LEGEND_ROW * (math.ceil(len(handles) / _COLUMNS) + 1)
+    full = sum(tall) + below
+    figure, rows = _sheets(len(shown), full, ratios=tall, layout=None)
+    figure.subplots_adjust(left=0.08, right=0.90, top=1 - 0.4 / full, bottom=(below + 0.4) / full, hspace=0.4)
     for run, axes, (low, high) in zip(shown, rows, corners, strict=True):
         trace = run.trace
         assert trace.mosaic is not None
@@ -255,9 +258,7 @@ def _footholds(runs: Runs) -> Any:
             summary.draw_course(axes, trace)
         summary.draw_footholds(axes, trace)
         summary.draw_paths(axes, trace, run.report)
-    paths, legs, rest = summary.legend_handles()
-    handles = paths + [handle for pair in zip(legs, rest, strict=True) for handle in pair]  # two rows of seven columns
-    figure.legend(handles=handles, loc="lower center", ncols=7, frameon=False, fontsize=10, columnspacing=1.2)
+    figure.legend(handles=handles, loc="lower center", ncols=_COLUMNS, frameon=False, fontsize=10, columnspacing=1.2)
     return figure
 
 

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -266,8 +266,9 @@ def _draw_map(
 
 
 def _draw_legend(figure: Any, report: Report, trace: Trace, truth: bool, top: float) -> None:
+    handles = legend_handles([trace], f"misstep ({report.missteps})")
     figure.legend(
-        handles=[handle for handle in _legend(report, trace) if truth or not str(handle.get_label()).startswith(_OF_TRUTH)],
+        handles=[handle for handle in handles if truth or not str(handle.get_label()).startswith(_OF_TRUTH)],
         loc="upper left",
         bbox_to_anchor=(0.045, top),
         ncols=7,
@@ -519,35 +520,30 @@ def draw_paths(axes: Any, trace: Trace, report: Report) -> None:
         axes.plot(end[0], end[1], marker="o", ms=13, mfc=_GOOD if report.success else _BAD, mec="white", mew=1.5, zorder=8)
 
 
-def _legend(report: Report, trace: Trace) -> list[Any]:
-    paths, legs, rest = legend_handles(f"misstep ({report.missteps})")
-    if trace.routes:
-        paths.append(_line("planned paths", color=_ROUTE, lw=1.1))
-    if (missed_by(trace) > MISSED).any():
-        rest.insert(2, _dot("missed the chosen foothold", marker="D", mfc="none", mec=_BAD, mew=1.4))
-    if len(trace.no_ground.t):
-        rest.insert(2, _dot("found no ground", marker="v", mfc="none", mec=_BAD, mew=1.6))
-    return [*paths, *legs, *rest]
-
-
-def legend_handles(misstep: str = "misstep") -> tuple[list[Any], list[Any], list[Any]]:
-    """Return the legend's handles of a walk on the map: of the paths, of the legs, and the others."""
+def legend_handles(traces: Iterable[Trace], misstep: str = "misstep") -> list[Any]:
+    """Return the legend's handles of walks on the map: paths, legs, then every other mark that is drawn."""
     from matplotlib.patches import Patch
 
-    paths = [
-        _line("true path", color=TRUE, lw=2),
-        _line("estimated path", color=ESTIMATE, lw=1.6, ls=(0, (4, 2))),
-    ]
-    legs = [_dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
-    rest = [
+    shown = list(traces)
+    handles = [_line("true path", color=TRUE, lw=2), _line("estimated path", color=ESTIMATE, lw=1.6, ls=(0, (4, 2)))]
+    if any(trace.routes for trace in shown):
+        handles.append(_line("planned paths", color=_ROUTE, lw=1.1))
+    handles += [_dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
+    handles += [
         _dot("foothold moved", mfc="none", mec=TRUE, ms=10, mew=1.3),
         _dot(misstep, marker="x", mec=_BAD, mew=2.2),
+    ]
+    if any(len(trace.no_ground.t) for trace in shown):
+        handles.append(_dot("found no ground", marker="v", mfc="none", mec=_BAD, mew=1.6))
+    if any((missed_by(trace) > MISSED).any() for trace in shown):
+        handles.append(_dot("missed the chosen foothold", marker="D", mfc="none", mec=_BAD, mew=1.4))
+    return [
+        *handles,
         Patch(facecolor="none", edgecolor="#222222", label="true blocks"),
         Patch(facecolor=_NO_FOOTHOLD, label="no foothold by the map"),
         Patch(facecolor="#c3d9c3", hatch="///", lw=0, label="assumed, not seen"),
         Patch(facecolor=UNSEEN, label="never seen"),
     ]
-    return paths, legs, rest
 
 
 def _dot(label: str, **look: Any) -> Any:

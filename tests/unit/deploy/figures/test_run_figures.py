@@ -9,6 +9,7 @@ from sextant.deploy import cli
 from sextant.deploy.figures import run_figures
 from sextant.deploy.figures.comparison_table import comparison, markdown
 from sextant.deploy.figures.run_figures import FIGURES, RUN_COLORS
+from sextant.deploy.figures.summary import legend_handles
 
 cv2 = pytest.importorskip("cv2")
 
@@ -179,3 +180,12 @@ def test_invalid_input_is_refused_with_hint(words, hint, tmp_path, monkeypatch, 
     assert cli.main(words) == 2
     assert hint in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_legend_names_every_mark_on_the_map(good):
+    trace, count = good.trace, len(good.trace.touchdowns.t)
+    far = replace(trace.touchdowns, chosen=trace.touchdowns.chosen + 0.1)
+    extra = replace(trace, touchdowns=far, routes=(np.zeros((2, 2)),))
+    plain, marked = ({handle.get_label() for handle in legend_handles([one])} for one in (trace, extra))
+    assert count
+    assert marked - plain == {"missed the chosen foothold", "planned paths"}
