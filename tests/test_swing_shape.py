@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
-from sextant.services.planner.locomotion.leg_clearance import LEVEL, clearance_to_sink, swing_shape
+from sextant.services.planner.locomotion.leg_collision import LEVEL, clearance_to_sink, swing_shape
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.shared.geometry import Array
 

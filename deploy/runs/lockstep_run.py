@@ -23,7 +23,7 @@ from sextant.services.actuator.estop.service import EmergencyStop
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.services.actuator.service import Actuator
-from sextant.services.actuator.servo_bus.servos import read_timeout_ns
+from sextant.services.actuator.servo_bus.servo_interface import read_timeout_ns
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings

@@ -19,7 +19,7 @@ from sextant.services.simulator.sensors.robot_camera import RobotCamera
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
-from sextant.services.simulator.servo_bus.servos import ServoBank, bank_of
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, bank_of
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array

@@ -8,7 +8,7 @@ import pytest
 from sextant.deploy.launch.launcher import free_port
 from sextant.services.perception import tum
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import AX_12A_MOTOR, ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import AX_12A_MOTOR, ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic

@@ -11,7 +11,7 @@ from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile

@@ -15,7 +15,7 @@ from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo.bridge_protocol import Mode
 from tests.support.walks import LockstepRun, flat, walk

@@ -11,7 +11,7 @@ import numpy as np
 from sextant.services.actuator.commissioning.bus_scan import ServoScan, call, health_problem, named, problems, retry
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.services.actuator.servo_bus.servos import Servos
+from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile

@@ -11,8 +11,8 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWER
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Port, ServoReading
-from sextant.services.actuator.servo_bus.servos import Outlet, Servos, connect
-from sextant.services.actuator.servo_bus.torque_check import TorqueCheck
+from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
+from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -56,7 +56,7 @@ class Joints:
             ConnectionError: A servo has stopped answering.
         """
         self._profile, self._settings, self._clock = profile, settings, clock
-        self._opener = opener or Outlet(settings).open
+        self._opener = opener or PortFinder(settings).open
         self._budget_ns = round(settings.read_budget_ms * 1e6)
         self._latched = latched
         self._off_ordered = latched()  # whether an order requires torque off
@@ -65,7 +65,7 @@ class Joints:
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus
-        self._torque_check = TorqueCheck()
+        self._torque_loss = TorqueLossCheck()
         self._excused = int(settings.bridge)  # tolerated unanswered requests: readings from a bridge may be a cycle old
         self._catching_up = CatchingUp()
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; goals as stored in the servos
@@ -167,7 +167,7 @@ class Joints:
 
     def mark_stale(self) -> None:
         """Treat all joint positions as unknown; recent goals may not have arrived."""
-        self._torque_check.doubt_all()
+        self._torque_loss.doubt_all()
         self._catching_up.leave_all_behind()
 
     def torque_off(self) -> None:
@@ -193,7 +193,7 @@ class Joints:
         for _ in range(2):  # a broadcast is not acknowledged
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
-        self._torque_check.doubt_all()
+        self._torque_loss.doubt_all()
         for index in np.flatnonzero(weak).tolist():
             self._tell(partial(self._restore, index))
 
@@ -268,12 +268,12 @@ class Joints:
 
         A short power loss turns torque off.
         """
-        for index in self._torque_check.due([reading.index for reading in readings], self.torque):
+        for index in self._torque_loss.due([reading.index for reading in readings], self.torque):
             enabled = self._bus.read(self._bus.servo_ids[index], dxl.TORQUE_ENABLE)
             if enabled is not None:
                 self.torque[index] = bool(enabled)
-                self._torque_check.confirm(index)
-        self._torque_check.end_cycle(self._bus.missed > self._excused)
+                self._torque_loss.confirm(index)
+        self._torque_loss.end_cycle(self._bus.missed > self._excused)
 
     def _restore(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its position as goal."""

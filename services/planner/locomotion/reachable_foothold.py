@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.locomotion.leg_clearance import rises_clear, stands_clear
+from sextant.services.planner.locomotion.leg_collision import rises_clear, stands_clear
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, inverse

@@ -11,7 +11,7 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
 from sextant.services.planner.locomotion.foothold_search import NoFoothold
 from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
-from sextant.services.planner.locomotion.leg_clearance import (
+from sextant.services.planner.locomotion.leg_collision import (
     LegCollision,
     StepMotion,
     clearance_to_sink,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.planner.locomotion.leg_clearance import LEVEL, SWING_TIME, swing_shape
+from sextant.services.planner.locomotion.leg_collision import LEVEL, SWING_TIME, swing_shape
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap_search import (
     COUNTS,

@@ -14,7 +14,7 @@ import numpy as np
 
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.services.simulator.servo_bus.servos import bank_of
+from sextant.services.simulator.servo_bus.servo_bank import bank_of
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
 from sextant.shared.servo import dynamixel as dxl

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from sextant.services.simulator.servo_bus.host_link import AnswersOnly, HostLink, Outbox, Outlet, Reply
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 

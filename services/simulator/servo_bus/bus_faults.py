@@ -12,8 +12,8 @@ from random import Random
 
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import AnswersOnly, Outlet, Reply
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
-from sextant.services.simulator.servo_bus.servos import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire.messages import FaultTarget

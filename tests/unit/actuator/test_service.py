@@ -10,7 +10,7 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.geometry import apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_forward, joint_torques
 from sextant.shared.servo import dynamixel as dxl

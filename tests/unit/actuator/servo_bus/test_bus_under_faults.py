@@ -14,7 +14,7 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, 
 from sextant.services.actuator.servo_bus.reading_validation import Implausibility
 from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import GRID, BusFault
 from sextant.shared.wire.messages import FaultKind, FaultTarget

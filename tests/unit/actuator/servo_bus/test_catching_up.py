@@ -4,7 +4,7 @@ import numpy as np
 
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
-from sextant.services.actuator.servo_bus.torque_check import TorqueCheck
+from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.servo import dynamixel as dxl
 
 MS, SECOND = 1_000_000, 1_000_000_000
@@ -77,7 +77,7 @@ def test_a_servo_that_falls_silent_after_its_port_has_returned_stops_the_others_
 
 
 def test_every_servo_becomes_doubtful_within_two_seconds() -> None:
-    check, checked = TorqueCheck(), set[int]()
+    check, checked = TorqueLossCheck(), set[int]()
     for _ in range(90):
         check.end_cycle(NONE)
         for index in check.due(range(18), ALL):
@@ -87,7 +87,7 @@ def test_every_servo_becomes_doubtful_within_two_seconds() -> None:
 
 
 def test_a_silent_servo_is_checked_once_it_answers_and_until_it_is_confirmed() -> None:
-    check = TorqueCheck()
+    check = TorqueLossCheck()
     check.end_cycle(FIRST)
     assert check.due([3, 4], ALL) == []
     assert check.due([3, 0], ALL) == [0]
@@ -98,6 +98,6 @@ def test_a_silent_servo_is_checked_once_it_answers_and_until_it_is_confirmed() -
 
 
 def test_few_servos_are_checked_in_one_cycle() -> None:
-    check = TorqueCheck()
+    check = TorqueLossCheck()
     check.doubt_all()
     assert check.due(range(18), ALL) == [0, 1, 2]

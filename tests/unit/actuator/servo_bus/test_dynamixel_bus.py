@@ -22,7 +22,7 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Lost, ServoBus, open_port
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.runtime import clock
 from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime

@@ -8,7 +8,7 @@ import pytest
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
-from sextant.services.actuator.servo_bus import servos
+from sextant.services.actuator.servo_bus import servo_interface
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
 from sextant.services.simulator.servo_bus.bridge_board import Board
@@ -163,8 +163,8 @@ def test_reconnection_finds_port_under_another_name(monkeypatch: pytest.MonkeyPa
         except OSError as error:
             raise BusDisconnectedError(str(error)) from error
 
-    monkeypatch.setattr(servos, "open_port", open_port)
-    rig = JointsRig(opener=servos.Outlet(Settings(port="port0, port1")).open)
+    monkeypatch.setattr(servo_interface, "open_port", open_port)
+    rig = JointsRig(opener=servo_interface.PortFinder(Settings(port="port0, port1")).open)
     rig.start()
     for _ in range(2):
         rig.suffer("bus", "gone", 0.5, renamed=True)

@@ -16,7 +16,7 @@ from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bridge_firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome

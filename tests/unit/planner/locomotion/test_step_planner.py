@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
-from sextant.services.planner.locomotion.leg_clearance import clearance_to_sink
+from sextant.services.planner.locomotion.leg_collision import clearance_to_sink
 from sextant.services.planner.locomotion.params import FootholdParams, StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.terrain import Terrain, flat_terrain

@@ -6,7 +6,7 @@ They are plugged in, unplugged, and bent by hand.
 import numpy as np
 import pytest
 
-from sextant.services.simulator.servo_bus import servos
+from sextant.services.simulator.servo_bus import servo_bank
 from sextant.services.simulator.servo_bus.bench_emulator import HORNS_DEG, BenchEmulator
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
@@ -121,7 +121,7 @@ def test_loops_are_compiled_before_first_request(fresh: bool, monkeypatch: pytes
     loops = ("_age", "_measure", "_pull")
     called = []
     for name in loops:
-        loop = getattr(servos, name)
-        monkeypatch.setattr(servos, name, lambda *words, name=name, loop=loop: (called.append(name), loop(*words))[1])
+        loop = getattr(servo_bank, name)
+        monkeypatch.setattr(servo_bank, name, lambda *words, name=name, loop=loop: (called.append(name), loop(*words))[1])
     bench(fresh=fresh)
     assert set(called) == set(loops)

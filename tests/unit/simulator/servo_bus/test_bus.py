@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, Reply, ServoBusEmulator
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register, ServoError

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.host_link import Outlet, Reply
-from sextant.services.simulator.servo_bus.servos import ServoBank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import GRID, BusFault

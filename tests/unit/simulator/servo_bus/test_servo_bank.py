@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.services.simulator.servo_bus.servos import (
+from sextant.services.simulator.servo_bus.servo_bank import (
     AX_12A_MOTOR,
     RX_64_MOTOR,
     RX_64_SUPPLY,

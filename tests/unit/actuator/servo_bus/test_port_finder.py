@@ -6,7 +6,7 @@ The adapter may return under another name.
 import pytest
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.servo_bus import servos, usb_adapter
+from sextant.services.actuator.servo_bus import servo_interface, usb_adapter
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
 
 
@@ -33,43 +33,43 @@ def test_port_without_usb_adapter_has_no_identity(url: str) -> None:
     assert usb_adapter.renamed_devices(None, lambda: [Adapter("/dev/ttyUSB0"), *ports]) == []
 
 
-class Desk:
+class ListedPorts:
     """Ports that exist by name, and a list of those that were tried."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *adapters: Adapter, others: tuple[str, ...] = ()) -> None:
         self.adapters, self.others, self.tried = list(adapters), others, list[str]()
-        monkeypatch.setattr(servos, "open_port", self.open)
+        monkeypatch.setattr(servo_interface, "open_port", self.open)
         monkeypatch.setattr(usb_adapter.identity, "__defaults__", (lambda: self.adapters,))
         monkeypatch.setattr(usb_adapter.renamed_devices, "__defaults__", (lambda: self.adapters,))
 
     def open(self, url: str, timeout_ns: int) -> str:
-        assert timeout_ns == servos.read_timeout_ns(Settings())
+        assert timeout_ns == servo_interface.read_timeout_ns(Settings())
         self.tried.append(url)
         if url not in (*self.others, *(adapter.device for adapter in self.adapters)):
             raise BusDisconnectedError(f"no {url}")
         return url
 
 
-def test_outlet_opens_first_existing_port_and_follows_renamed_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"))
-    outlet = servos.Outlet(Settings(port="/dev/ttyACM0, /dev/ttyUSB0"))
-    assert outlet.open() == "/dev/ttyUSB0"
-    assert desk.tried == ["/dev/ttyACM0", "/dev/ttyUSB0"]
-    desk.adapters = [Adapter("/dev/ttyUSB3", serial="FT2"), Adapter("/dev/ttyUSB4")]
-    assert outlet.open() == "/dev/ttyUSB4", "the same adapter, and no other"
-    desk.adapters = []
+def test_port_finder_opens_first_existing_port_and_follows_renamed_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = ListedPorts(monkeypatch, Adapter("/dev/ttyUSB0"))
+    finder = servo_interface.PortFinder(Settings(port="/dev/ttyACM0, /dev/ttyUSB0"))
+    assert finder.open() == "/dev/ttyUSB0"
+    assert ports.tried == ["/dev/ttyACM0", "/dev/ttyUSB0"]
+    ports.adapters = [Adapter("/dev/ttyUSB3", serial="FT2"), Adapter("/dev/ttyUSB4")]
+    assert finder.open() == "/dev/ttyUSB4", "the same adapter, and no other"
+    ports.adapters = []
     with pytest.raises(BusDisconnectedError, match=r"^no /dev/ttyACM0; no /dev/ttyUSB0$"):
-        outlet.open()
-    desk.adapters = [Adapter("/dev/ttyUSB7")]
-    assert outlet.open() == "/dev/ttyUSB7", "it is remembered"
+        finder.open()
+    ports.adapters = [Adapter("/dev/ttyUSB7")]
+    assert finder.open() == "/dev/ttyUSB7", "it is remembered"
 
 
-def test_outlet_keeps_adapter_identity_after_opening_a_socket_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"), others=("socket://here:1",))
-    outlet = servos.Outlet(Settings(port="/dev/ttyUSB0,socket://here:1"))
-    assert outlet.open() == outlet.open() == "/dev/ttyUSB0"
-    assert desk.tried == ["/dev/ttyUSB0"] * 2
-    desk.adapters = []
-    assert outlet.open() == "socket://here:1"
-    desk.adapters, desk.others = [Adapter("/dev/ttyUSB5")], ()
-    assert outlet.open() == "/dev/ttyUSB5"
+def test_port_finder_keeps_adapter_identity_after_opening_a_socket_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = ListedPorts(monkeypatch, Adapter("/dev/ttyUSB0"), others=("socket://here:1",))
+    finder = servo_interface.PortFinder(Settings(port="/dev/ttyUSB0,socket://here:1"))
+    assert finder.open() == finder.open() == "/dev/ttyUSB0"
+    assert ports.tried == ["/dev/ttyUSB0"] * 2
+    ports.adapters = []
+    assert finder.open() == "socket://here:1"
+    ports.adapters, ports.others = [Adapter("/dev/ttyUSB5")], ()
+    assert finder.open() == "/dev/ttyUSB5"

@@ -1,4 +1,4 @@
-"""Common interface to servos on a Dynamixel bus or behind a bridge."""
+"""Interface to the servos: on a Dynamixel bus, or behind a microcontroller bridge."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -103,7 +103,7 @@ def read_timeout_ns(settings: Settings) -> int:
     return mcu_bridge.READ_NS if settings.bridge else REPLY_TIMEOUT_NS
 
 
-class Outlet:
+class PortFinder:
     """Finds the servo port by any of its names or its adapter's USB identity."""
 
     def __init__(self, settings: Settings):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.planner.locomotion.leg_clearance import (
+from sextant.services.planner.locomotion.leg_collision import (
     LegCollision,
     StepMotion,
     find_clearances,
