@@ -27,9 +27,9 @@ from sextant.deploy.commands.trials import table, trials
 from sextant.deploy.commands.up import up
 from sextant.deploy.commands.video import video
 from sextant.deploy.commands.walks import demo, run
-from sextant.deploy.provenance import version
 from sextant.deploy.terminal.arguments import Command, Group, command
 from sextant.deploy.terminal.run_command import run_command
+from sextant.evaluation.provenance import version
 
 # Commands that have moved, and their new words; the old ones work in this release, with a hint.
 _MOVED = {

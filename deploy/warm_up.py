@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from sextant.deploy.terminal.output import say
-from sextant.deploy.workers import share_out
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.shutdown import end_with
+from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour

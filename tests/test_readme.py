@@ -41,7 +41,7 @@ RUN_BY = {
     "run --lockstep --bridge": "tests/walk/test_bridge.py::test_through_a_bridge_it_walks_as_on_the_bus_itself",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
     "benchmarks link": "tests/live/test_link.py::test_robot_holds_during_radio_outage_and_resumes",
-    "run --lockstep --set": "tests/unit/deploy/test_params.py::test_run_reports_parameters_of_its_command",
+    "run --lockstep --set": "tests/unit/evaluation/test_params.py::test_run_reports_parameters_of_its_command",
     "run --connect": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",

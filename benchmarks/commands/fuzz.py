@@ -34,7 +34,7 @@ def fuzz(
     """Fuzz every message and file parser; fail on a fault or growing memory."""
     from benchmarks.fuzz import fuzzing
     from benchmarks.fuzz import table as tables
-    from sextant.deploy.workers import share_out
+    from sextant.shared.runtime.workers import share_out
 
     known = fuzzing.names()
     for name in only:

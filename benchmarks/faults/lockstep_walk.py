@@ -19,11 +19,11 @@ from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, Fault
 from benchmarks.faults.planner_faults import PlannerFaultInjector
 from benchmarks.faults.timeline import Timeline
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
-from sextant.deploy.workers import in_copy
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared.runtime.lockstep import Outage, ServiceFailedError
 from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.runtime.workers import in_copy
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode, ModeCommand

@@ -18,7 +18,6 @@ from benchmarks.peers.scenes import MAPPED, REGISTERED, Scene
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from sextant.deploy.evaluation.true_ground import INTERIOR, TrueGround, rms
 from sextant.deploy.replay.listener import Listener
-from sextant.deploy.workers import share_out
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
 from sextant.services.mapper.service import Mapper
@@ -28,6 +27,7 @@ from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import apply
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import Service
+from sextant.shared.runtime.workers import share_out
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import TerrainMap
 

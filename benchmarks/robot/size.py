@@ -11,7 +11,7 @@ from packaging.utils import canonicalize_name
 
 _NAME = "sextant"
 _ROOT = Path(__file__).parents[2]
-_OWN = ("shared", "services", "deploy")
+_OWN = ("shared", "services", "evaluation", "deploy")
 LIMITS_MB: Mapping[str, float] = {"actuator": 150.0, "onboard": 550.0}  # limits of the roles that are installed on the robot
 ROLES = ("actuator", "perception", "onboard", "mapper", "planner", "console", "recording", "offboard", "simulator")
 

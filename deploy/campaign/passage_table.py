@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
 from sextant.deploy.evaluation.report import Section
-from sextant.deploy.provenance import Made
+from sextant.evaluation.provenance import Made
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,19 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy import params, provenance
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
 from sextant.deploy.campaign.statistics import Difference, Rate, difference, wilson
 from sextant.deploy.evaluation import report as reports
 from sextant.deploy.evaluation.report import Report
-from sextant.deploy.provenance import Made
-from sextant.deploy.workers import share_out
+from sextant.evaluation import params, provenance
+from sextant.evaluation.provenance import Made
 from sextant.shared.errors import SextantError
 from sextant.shared.files import config, whole_files
+from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import HeightMap, Scenario
 
-_PACKAGES = ("shared", "services", "deploy")
+_PACKAGES = ("shared", "services", "evaluation", "deploy")
 Runner = Callable[[Scenario, int], Report]
 
 

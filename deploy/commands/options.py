@@ -52,7 +52,7 @@ def any_seeds(text: str) -> Sequence[int]:
     drawn = re.fullmatch(r"commit:([1-9]\d{0,15})", text)
     if drawn is None:
         return seeds(text)
-    from sextant.deploy.provenance import seeds_of_commit
+    from sextant.evaluation.provenance import seeds_of_commit
 
     return seeds_of_commit(int(drawn[1]))
 
@@ -139,7 +139,7 @@ class Variant:
         Raises:
             InputError: One of them is invalid.
         """
-        from sextant.deploy.params import assigned
+        from sextant.evaluation.params import assigned
         from sextant.services.planner.locomotion.gait import GAITS
 
         profile, radio = checked_robot(self.robot), _radio(self.link)

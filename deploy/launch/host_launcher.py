@@ -11,9 +11,9 @@ from typing import Self
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
 from sextant.deploy.launch.process_table import Choices, Process, Role
-from sextant.deploy.provenance import version
 from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.router_security import Gate
+from sextant.evaluation.provenance import version
 from sextant.shared.wire.endpoint import occupied
 from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from sextant.deploy import params
-from sextant.deploy.params import SystemParams
+from sextant.evaluation import params
+from sextant.evaluation.params import SystemParams
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.params import Params
 from sextant.shared.runtime.process import load_settings

@@ -16,7 +16,6 @@ from itertools import count
 from types import FrameType
 
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
-from sextant.deploy.provenance import version
 from sextant.deploy.security import router_security
 from sextant.deploy.security.connect_probe import ConnectProbe
 from sextant.deploy.security.hosting import hosted
@@ -24,6 +23,7 @@ from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.router_health import RefusedConnections, RouterHealthReporter, link_to, publish
 from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.deploy.terminal.interrupts import Interrupts
+from sextant.evaluation.provenance import version
 from sextant.shared.runtime.process_priority import allow_many_files, switch_often
 from sextant.shared.runtime.shutdown import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
 from sextant.shared.runtime.watchdog import Watchdog

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.deploy.robot_clock import RobotClockEstimate
 from sextant.shared.geometry import Array
+from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
 DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the robot stops

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.deploy.robot_clock import RobotClockEstimate
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import Every, Inbox, Stages
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire import topics

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sextant.deploy.params import SystemParams
 from sextant.deploy.topics.field_comments import comments
+from sextant.evaluation.params import SystemParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
 from sextant.shared.runtime.process import toml_value

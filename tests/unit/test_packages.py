@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = sorted(
-    {path.parent.relative_to(ROOT) for part in ("shared", "services", "deploy") for path in (ROOT / part).rglob("*.py")}
-)
+PARTS = ("shared", "services", "evaluation", "deploy")
+FOLDERS = sorted({path.parent.relative_to(ROOT) for part in PARTS for path in (ROOT / part).rglob("*.py")})
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)

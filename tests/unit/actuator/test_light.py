@@ -44,7 +44,7 @@ def own_files() -> Iterable[Path]:
 
     Bytecode caches do not count.
     """
-    found = (path for part in ("shared", "services", "deploy") for path in (ROOT / part).rglob("*"))
+    found = (path for part in ("shared", "services", "evaluation", "deploy") for path in (ROOT / part).rglob("*"))
     return (path for path in found if "__pycache__" not in path.parts)
 
 

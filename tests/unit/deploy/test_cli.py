@@ -331,7 +331,7 @@ def test_trials_report_success_rate_and_blind_baseline(
 
 
 def test_commit_seeds_require_clean_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sextant.deploy import provenance
+    from sextant.evaluation import provenance
 
     words = ["trials", "all", "--seeds", "commit:7"]
     monkeypatch.setattr(provenance, "seeds_of_commit", lambda count: list(range(count)))

@@ -9,7 +9,7 @@ import pytest
 from sextant.deploy.campaign import trials
 from sextant.deploy.evaluation import report as reports
 from sextant.deploy.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
-from sextant.deploy.provenance import Made
+from sextant.evaluation.provenance import Made
 from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))

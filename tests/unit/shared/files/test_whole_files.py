@@ -192,7 +192,7 @@ def test_every_file_is_written_by_one_rule() -> None:
     root = Path(__file__).parents[4]
     found = {
         path.relative_to(root).as_posix()
-        for package in ("benchmarks", "deploy", "services", "shared")
+        for package in ("benchmarks", "deploy", "evaluation", "services", "shared")
         for path in (root / package).rglob("*.py")
         if WRITES.search(path.read_text(encoding="utf-8"))
     }

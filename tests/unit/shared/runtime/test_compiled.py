@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sextant.shared.runtime.compiled import as_plain, compiled
 
 ROOT = Path(__file__).parents[4]
-OURS = ("services", "shared", "deploy")
+OURS = ("services", "shared", "evaluation", "deploy")
 COMPILED = ("compiled", "written_into")
 
 

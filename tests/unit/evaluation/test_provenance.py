@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy import provenance
-from sextant.deploy.provenance import Made
+from sextant.evaluation import provenance
+from sextant.evaluation.provenance import Made
 
 
 def test_commit_of_checkout_marks_uncommitted_changes(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from sextant.deploy.workers import in_copy, share_out
+from sextant.shared.runtime.workers import in_copy, share_out
 
 TASKS = [(7, 2), (9, 4), (5, 5), (8, 3)]
 

@@ -1,0 +1,1 @@
+"""What judges, shows and repeats a walk, without live processes."""
