@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.faults.bus_log import Goals
 from benchmarks.faults.cases import Case
 from benchmarks.faults.timeline import STALE_S, Timeline, Truth, Word
-from sextant.deploy.evaluation.scorer import FALL_TILT_DEG
-from sextant.deploy.evaluation.walk_metrics import Flags, debounced, stability_margin
+from sextant.evaluation.metrics.walk_metrics import Flags, debounced, stability_margin
+from sextant.evaluation.scoring.scorer import FALL_TILT_DEG
 from sextant.services.actuator.safety.health_monitor import LATE
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile

@@ -21,9 +21,9 @@ import numpy as np
 from benchmarks.fuzz.mutators import broken, odd_table
 from benchmarks.fuzz.target import Folder, Target
 from sextant.deploy.campaign import results_store
-from sextant.deploy.evaluation import report as reports
 from sextant.deploy.launch import fleet
 from sextant.deploy.security.authority import Authority, held
+from sextant.evaluation import report as reports
 from sextant.services.actuator import config as actuator
 from sextant.services.perception import tum
 from sextant.services.simulator.physics.terrain import build_terrain

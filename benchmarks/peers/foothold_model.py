@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.true_ground import INTERIOR, TrueGround, rms
+from sextant.evaluation.metrics.true_ground import INTERIOR, TrueGround, rms
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics

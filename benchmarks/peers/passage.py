@@ -18,7 +18,7 @@ from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
 from benchmarks.peers.timing import Race, Timing, installed, one_core
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance

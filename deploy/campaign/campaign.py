@@ -7,7 +7,7 @@ from pathlib import Path
 from sextant.deploy.campaign import trials as batches
 from sextant.deploy.campaign.campaign_table import Campaign, Entry, write
 from sextant.deploy.campaign.trials import Runner
-from sextant.deploy.evaluation.report import Report
+from sextant.evaluation.report import Report
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.scenario import HeightMap, Scenario, load_scenario

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
-from sextant.deploy.evaluation.report import Section
 from sextant.evaluation.provenance import Made
+from sextant.evaluation.report import Section
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import Passage
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import Passage
 from sextant.shared.errors import SextantError
 from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 from sextant.shared.files.whole_files import append_text, explained

@@ -19,10 +19,10 @@ import numpy as np
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
 from sextant.deploy.campaign.statistics import Difference, Rate, difference, wilson
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import Report
 from sextant.evaluation import params, provenance
+from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
+from sextant.evaluation.report import Report
 from sextant.shared.errors import SextantError
 from sextant.shared.files import config, whole_files
 from sextant.shared.runtime.workers import share_out
@@ -91,7 +91,7 @@ class Trials:
     torque_rms_nm: Figure  # of the worst joint
     height_oscillation_m: Figure
     final_pose_error: Figure  # [1] share of the distance
-    map_rmse_m: Figure  # of the whole course; see `sextant.deploy.evaluation.report.CourseMap`
+    map_rmse_m: Figure  # of the whole course; see `sextant.evaluation.report.CourseMap`
     map_off_edges_m: Figure
     map_bias_m: Figure  # absolute value
     map_edge_m: Figure

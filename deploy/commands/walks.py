@@ -20,7 +20,7 @@ from sextant.deploy.commands.common import (
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
-    from sextant.deploy.evaluation.report import Report
+    from sextant.evaluation.report import Report
     from sextant.shared.scenario.scenario import Scenario
     from sextant.shared.wire.transport import Endpoints
 
@@ -190,7 +190,7 @@ def _run_live(walk: _Walk, remedy: str, slow_down: bool, attach: "Endpoints | No
 
 def _tell(report: "Report", walk: _Walk, remedy: str = "use --lockstep or close programs") -> int:
     """Print the result of a walk; return the exit status."""
-    from sextant.deploy.evaluation.report import FILE, to_json
+    from sextant.evaluation.report import FILE, to_json
 
     if walk.as_json:
         say(to_json(report).rstrip("\n"))

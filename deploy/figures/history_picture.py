@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.failure_analysis import FailureMoment
-from sextant.deploy.evaluation.scorer import FALL_TILT_DEG
-from sextant.deploy.evaluation.status_log import SPEAKERS, StatusEvent, kind_of
-from sextant.deploy.evaluation.trace import Trace
+from sextant.evaluation.scoring.failure_analysis import FailureMoment
+from sextant.evaluation.scoring.scorer import FALL_TILT_DEG
+from sextant.evaluation.trace.status_log import SPEAKERS, StatusEvent, kind_of
+from sextant.evaluation.trace.trace import Trace
 
 TRUE, ESTIMATE, REFERENCE, BAD, MUTED = "#111111", "#d01c8b", "#7f7f7f", "#b3261e", "#5f6368"
 _BLUE, _ORANGE = "#0072b2", "#d55e00"

@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.passage_figures import steps_of
-from sextant.deploy.evaluation.report import Report
-from sextant.deploy.evaluation.trace import PlannedSection, Trace
 from sextant.deploy.figures.layers_picture import UNSEEN
 from sextant.deploy.figures.summary import (
     draw_blocks,
@@ -24,6 +21,9 @@ from sextant.deploy.figures.summary import (
     verdict,
 )
 from sextant.deploy.figures.walk_picture import LEG_COLORS
+from sextant.evaluation.report import Report
+from sextant.evaluation.scoring.passage_figures import steps_of
+from sextant.evaluation.trace.trace import PlannedSection, Trace
 from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array, apply, rotation_z, transform
 from sextant.shared.robot.profile import LEGS, RobotProfile

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import Report
-from sextant.deploy.evaluation.scorer import Scorer
-from sextant.deploy.evaluation.trace import Trace
 from sextant.deploy.figures.recorded_ground import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import Report
+from sextant.evaluation.scoring.scorer import Scorer
+from sextant.evaluation.trace.trace import Trace
 from sextant.shared.files.config import ConfigError
 from sextant.shared.files.input_file import FileError, read_json
 from sextant.shared.geometry import Array

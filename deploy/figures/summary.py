@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.failure_analysis import ENDED, MISSED, FailureMoment, decisive_moment, missed_by, refusal, signs
-from sextant.deploy.evaluation.map_metrics import Mosaic
-from sextant.deploy.evaluation.report import ARRIVED, Report
-from sextant.deploy.evaluation.status_log import StatusEvent
-from sextant.deploy.evaluation.touchdowns import Touchdowns
-from sextant.deploy.evaluation.trace import Touches, Trace
 from sextant.deploy.figures import history_picture
 from sextant.deploy.figures.history_picture import ESTIMATE, TRUE
 from sextant.deploy.figures.layers_picture import UNSEEN, ground_colors
 from sextant.deploy.figures.relief import shaded
 from sextant.deploy.figures.walk_picture import LEG_COLORS
+from sextant.evaluation.metrics.map_metrics import Mosaic
+from sextant.evaluation.report import ARRIVED, Report
+from sextant.evaluation.scoring.failure_analysis import ENDED, MISSED, FailureMoment, decisive_moment, missed_by, refusal, signs
+from sextant.evaluation.trace.status_log import StatusEvent
+from sextant.evaluation.trace.touchdowns import Touchdowns
+from sextant.evaluation.trace.trace import Touches, Trace
 from sextant.shared.files import whole_files
 from sextant.shared.geometry import apply
 from sextant.shared.robot.profile import LEGS

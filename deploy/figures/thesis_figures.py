@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sextant.deploy.evaluation.trace import Trace
+from sextant.evaluation.trace.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.report import Report
-from sextant.deploy.evaluation.trace import Trace
 from sextant.deploy.figures.thesis_figures import TESTS, Measured, Published, side_by_side
+from sextant.evaluation.report import Report
+from sextant.evaluation.trace.trace import Trace
 from sextant.shared.files import whole_files
 from sextant.shared.robot.profile import LEGS
 

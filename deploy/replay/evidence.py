@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.stage_times import rounded
+from sextant.evaluation.metrics.stage_times import rounded
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
 from sextant.shared.geometry import Array, inverse, log_so3
 from sextant.shared.robot.camera import DepthSensor

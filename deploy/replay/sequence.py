@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.stage_times import rounded, stages_ms
 from sextant.deploy.figures import layers_picture
 from sextant.deploy.figures.relief import shaded
 from sextant.deploy.replay import evidence as replay_evidence
@@ -26,6 +25,7 @@ from sextant.deploy.replay.evidence import (
 )
 from sextant.deploy.replay.listener import Listener
 from sextant.deploy.terminal.progress import Progress
+from sextant.evaluation.metrics.stage_times import rounded, stages_ms
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from sextant.deploy.evaluation.stage_times import rounded, stages_ms
 from sextant.deploy.figures import layers_picture
 from sextant.deploy.replay.error import ReplayError
 from sextant.deploy.terminal.progress import Progress
 from sextant.evaluation import params
+from sextant.evaluation.metrics.stage_times import rounded, stages_ms
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.planner.config import Settings as PlannerSettings

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from sextant.deploy.evaluation.report import InputAges
+from sextant.evaluation.report import InputAges
 from sextant.shared.runtime.health_table import HealthTable
 from sextant.shared.runtime.lateness import SlowComputer, ages_of
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import Report, StageTime
-from sextant.deploy.evaluation.scorer import Scorer
 from sextant.deploy.runs.monitor import Monitor
 from sextant.deploy.runs.operator import Operator
 from sextant.evaluation import params
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import Report, StageTime
+from sextant.evaluation.scoring.scorer import Scorer
 from sextant.shared.files import config, whole_files
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.robot.profile import RobotProfile

@@ -15,12 +15,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sextant.deploy.evaluation.scorer import Scorer
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.deploy.runs.operator import Operator
 from sextant.deploy.send_command import Order
 from sextant.deploy.topics.field_comments import comments
+from sextant.evaluation.scoring.scorer import Scorer
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, messages, topics
 from sextant.shared.wire.messages import Dims, Message, Mode, VelocityCommand

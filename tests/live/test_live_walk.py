@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 import sextant
 from sextant import deploy
-from sextant.deploy.evaluation.report import check
 from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.process_table import BUS_PORT
 from sextant.deploy.launch.process_table import Command as LaunchedCommand
+from sextant.evaluation.report import check
 from sextant.shared.recording.reader import Recording
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Health, Mode

@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sextant.deploy.evaluation.report import Report
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.report import Report
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Service

@@ -6,7 +6,7 @@ The walk runs in lockstep with camera and estimated pose.
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.report import as_table, check
+from sextant.evaluation.report import as_table, check
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode

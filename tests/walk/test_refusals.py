@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.evaluation.report import as_table, check
+from sextant.evaluation.report import as_table, check
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import Mode
 from tests.support.walks import course, walk

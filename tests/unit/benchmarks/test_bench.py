@@ -26,7 +26,7 @@ from benchmarks.peers import (
 )
 from benchmarks.peers.scenes import MAPPED, REGISTERED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
-from sextant.deploy.evaluation.true_ground import TrueGround
+from sextant.evaluation.metrics.true_ground import TrueGround
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.simulator.physics.terrain import Terrain
 from sextant.shared.geometry import inverse

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.peers import passage as bench
 from benchmarks.peers.passage_checker import Demands, violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, random_blocks, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.roadmap.backtracking import StepHistory
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import PassageStep, Roadmap, SectionPlan, Stance

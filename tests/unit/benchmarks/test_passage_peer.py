@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import GAP, NEAR, heights, random_blocks, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of
+from sextant.evaluation.scoring.passage_truth import field_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of

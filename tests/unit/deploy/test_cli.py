@@ -17,10 +17,10 @@ from benchmarks.cli import benchmarks
 from sextant.deploy import cli
 from sextant.deploy.campaign import trials
 from sextant.deploy.commands.common import out_folder
-from sextant.deploy.evaluation.report import Report, write
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.terminal.arguments import parse
 from sextant.deploy.terminal.run_command import run_command
+from sextant.evaluation.report import Report, write
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.messages import GaitName
 from sextant.shared.wire.topics import TOPICS
@@ -376,8 +376,8 @@ def test_trials_of_all_passages_print_passage_and_thesis_tables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.campaign import campaign_table
-    from sextant.deploy.evaluation.report import Passage, Section
     from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.report import Passage, Section
 
     passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(

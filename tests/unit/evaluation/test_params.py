@@ -12,13 +12,13 @@ from sextant.deploy import cli
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.campaign_table import of_runs
 from sextant.deploy.campaign.trials import fingerprint, run_trials
-from sextant.deploy.evaluation.report import Report, check
 from sextant.deploy.launch import process_table
 from sextant.deploy.replay.walk import _params
 from sextant.deploy.runs.lockstep_run import assemble
 from sextant.deploy.runs.run_observers import RunObservers, about
 from sextant.evaluation import params
 from sextant.evaluation.params import SystemParams
+from sextant.evaluation.report import Report, check
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.shared.files import config
 from sextant.shared.files.config import ConfigError

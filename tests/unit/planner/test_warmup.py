@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.config import Settings
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap

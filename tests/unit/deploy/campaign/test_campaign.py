@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.deploy.campaign import campaign, campaign_table, results_store, trials
-from sextant.deploy.evaluation.report import HeightError, Report, Slip, Spread, Torque, as_table
+from sextant.evaluation.report import HeightError, Report, Slip, Spread, Torque, as_table
 from sextant.shared.scenario.scenario import load_scenario
 
 

@@ -8,7 +8,7 @@ import pytest
 from sextant.deploy.campaign import campaign_table, passage_table, results_store, trials
 from sextant.deploy.campaign.passage_table import THESIS
 from sextant.deploy.campaign.results_store import Run
-from sextant.deploy.evaluation.report import ARRIVED, FootholdEdge, Passage, Report, Section, as_table
+from sextant.evaluation.report import ARRIVED, FootholdEdge, Passage, Report, Section, as_table
 from sextant.shared.scenario.scenario import load_scenario
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from sextant.deploy.campaign import results_store
 from sextant.deploy.campaign.results_store import Run
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import (
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import (
     CourseMap,
     FootholdEdge,
     HeightError,

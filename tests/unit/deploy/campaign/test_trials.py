@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from sextant.deploy.campaign import trials
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
+from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
+from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
 from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
@@ -197,7 +197,7 @@ def test_worker_processes_use_one_thread_each(tmp_path, monkeypatch):
         textwrap.dedent(
             """
             import os
-            from sextant.deploy.evaluation.report import Report
+            from sextant.evaluation.report import Report
 
             def run(scenario, seed):
                 threads = int(os.environ["OMP_NUM_THREADS"])

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.evaluation import report as reports
 from sextant.deploy.figures.recorded_run import RecordedRun, recorded_run
+from sextant.evaluation import report as reports
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.wire import codec, topics
 

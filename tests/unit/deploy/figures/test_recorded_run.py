@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation import report as reports
 from sextant.deploy.figures.recorded_ground import WORDS, MappedGround
 from sextant.deploy.figures.recorded_run import recorded_run
+from sextant.evaluation import report as reports
 from sextant.shared.files.config import ConfigError
 from sextant.shared.recording.layout import RecordingError
 from sextant.shared.recording.writer import Recorder

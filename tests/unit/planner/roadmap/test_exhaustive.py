@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, Block, heights, random_blocks, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.roadmap.exhaustive import has_way, passable
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.failure_reasons import (
     TEST_NAMES,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_checker import violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, Block, heights, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import field_of, stance_at
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, SectionPlan, Stance

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.peers.passage_strips import FAR, GAP, NEAR, heights, thesis_blocks
-from sextant.deploy.evaluation.passage_truth import field_of
+from sextant.evaluation.scoring.passage_truth import field_of
 from sextant.services.planner.roadmap.sections import goal_behind, without
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN

@@ -6,7 +6,7 @@ Only the scorer may use this.
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.course import Course
+from sextant.evaluation.trace.course import Course
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.planner.gap_crossing.params import GapApproachParams
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP

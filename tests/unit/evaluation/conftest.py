@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.scorer import Scorer
+from sextant.evaluation.scoring.scorer import Scorer
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile

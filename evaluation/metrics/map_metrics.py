@@ -1,7 +1,7 @@
 """Metrics of elevation maps against the true ground.
 
 They cover the mosaic of all maps, the error per cell, and the coverage ahead.
-Frame: {start}, as in `sextant.deploy.evaluation.course`.
+Frame: {start}, as in `sextant.evaluation.trace.course`.
 """
 
 from collections.abc import Iterable
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.report import CourseMap, MapError
-from sextant.deploy.evaluation.true_ground import INTERIOR, TrueGround, rms
-from sextant.deploy.evaluation.walk_metrics import HeightAt
+from sextant.evaluation.metrics.true_ground import INTERIOR, TrueGround, rms
+from sextant.evaluation.metrics.walk_metrics import HeightAt
+from sextant.evaluation.report import CourseMap, MapError
 from sextant.shared.geometry import Array, apply, yaw_of
 from sextant.shared.robot.profile import Camera
 from sextant.shared.wire.messages import TerrainMap

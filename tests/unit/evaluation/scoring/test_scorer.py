@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation import report as reports
+from sextant.evaluation import report as reports
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.scenario.scenario import Box, Goal, Plane, Scenario, Stairs

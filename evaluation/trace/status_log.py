@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from sextant.deploy.evaluation.run_log import RunLog
+from sextant.evaluation.trace.run_log import RunLog
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PlannerStatus
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.deploy.evaluation.walk_metrics import (
+from sextant.evaluation.metrics.walk_metrics import (
     angle_between,
     debounced,
     in_the_way,

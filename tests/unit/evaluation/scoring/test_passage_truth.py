@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation import passage_truth
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.passage_truth import decided_by_seed, gap_begins, strip_from, way_exists
+from sextant.evaluation.scoring import passage_truth
+from sextant.evaluation.scoring.passage_truth import decided_by_seed, gap_begins, strip_from, way_exists
+from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Goal, PillarField, Plane, Scenario, load_scenario

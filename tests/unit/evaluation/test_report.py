@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.report import MapError, Report, Spread, StageTime
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import MapError, Report, Spread, StageTime
 
 CONTRACT = {
     "scenario": None,

@@ -1,7 +1,7 @@
 """A walk as arrays: ground truth combined with the received messages.
 
 There is one row per sample of truth. Times count from the first message of truth.
-Frame: {start}, as in `sextant.deploy.evaluation.course`.
+Frame: {start}, as in `sextant.evaluation.trace.course`.
 """
 
 from functools import cached_property
@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.run_log import RunLog
-from sextant.deploy.evaluation.walk_metrics import debounced, in_the_way, runs, stability_margin
+from sextant.evaluation.metrics.walk_metrics import debounced, in_the_way, runs, stability_margin
+from sextant.evaluation.trace.course import Course
+from sextant.evaluation.trace.run_log import RunLog
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import leg_points
 from sextant.shared.robot.profile import RobotProfile

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.recorded_walk import Walk
-from sextant.deploy.evaluation.report import FootholdEdge, Passage, Section
-from sextant.deploy.evaluation.run_log import RunLog
-from sextant.deploy.evaluation.trace import Trace
-from sextant.deploy.evaluation.walk_metrics import runs
+from sextant.evaluation.metrics.walk_metrics import runs
+from sextant.evaluation.report import FootholdEdge, Passage, Section
+from sextant.evaluation.trace.course import Course
+from sextant.evaluation.trace.recorded_walk import Walk
+from sextant.evaluation.trace.run_log import RunLog
+from sextant.evaluation.trace.trace import Trace
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire import topics

@@ -4,8 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.failure_analysis import MISSED, decisive_moment, missed_by, refusal, signs
-from sextant.deploy.evaluation.status_log import kind_of
+from sextant.evaluation.scoring.failure_analysis import MISSED, decisive_moment, missed_by, refusal, signs
+from sextant.evaluation.trace.status_log import kind_of
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.wire.messages import Mode
 
@@ -63,7 +63,7 @@ def test_refusal_moment_is_end_of_walking(story):
 
 
 def _scenario_expecting_refusal():
-    from tests.unit.deploy.conftest import FLAT
+    from tests.unit.evaluation.conftest import FLAT
 
     return replace(FLAT, goal=replace(FLAT.goal, expect="refusal"))
 

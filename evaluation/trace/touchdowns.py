@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.course import RAISED, Course
-from sextant.deploy.evaluation.recorded_walk import DEBOUNCE, Walk
-from sextant.deploy.evaluation.run_log import RunLog
-from sextant.deploy.evaluation.walk_metrics import is_foothold, touchdowns
+from sextant.evaluation.metrics.walk_metrics import is_foothold, touchdowns
+from sextant.evaluation.trace.course import RAISED, Course
+from sextant.evaluation.trace.recorded_walk import DEBOUNCE, Walk
+from sextant.evaluation.trace.run_log import RunLog
 from sextant.shared.geometry import Array, apply, inverse
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import StepPlan

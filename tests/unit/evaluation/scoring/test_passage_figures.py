@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.deploy.evaluation import report as reports
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.passage_figures import feet_off, steps_of
-from sextant.deploy.evaluation.report import FootholdEdge, Passage, Section
+from sextant.evaluation import report as reports
+from sextant.evaluation.report import FootholdEdge, Passage, Section
+from sextant.evaluation.scoring.passage_figures import feet_off, steps_of
+from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.map_metrics import Mosaic
-from sextant.deploy.evaluation.recorded_walk import Walk
-from sextant.deploy.evaluation.run_log import RunLog
-from sextant.deploy.evaluation.status_log import StatusEvent, StatusInterval, complaints, spells
-from sextant.deploy.evaluation.touchdowns import Touchdowns, find_touchdowns
-from sextant.deploy.evaluation.walk_metrics import angle_between
+from sextant.evaluation.metrics.map_metrics import Mosaic
+from sextant.evaluation.metrics.walk_metrics import angle_between
+from sextant.evaluation.trace.course import Course
+from sextant.evaluation.trace.recorded_walk import Walk
+from sextant.evaluation.trace.run_log import RunLog
+from sextant.evaluation.trace.status_log import StatusEvent, StatusInterval, complaints, spells
+from sextant.evaluation.trace.touchdowns import Touchdowns, find_touchdowns
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import Scenario
@@ -41,7 +41,7 @@ class Touches:
 class Trace:
     """A run as arrays.
 
-    Times count from the first message of truth. Frame: {start}, as in `sextant.deploy.evaluation.course`.
+    Times count from the first message of truth. Frame: {start}, as in `sextant.evaluation.trace.course`.
     """
 
     t: Array  # (n,) [s]

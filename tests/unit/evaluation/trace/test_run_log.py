@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.deploy.evaluation.run_log import RunLog
+from sextant.evaluation.trace.run_log import RunLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics

@@ -2,7 +2,7 @@
 
 For each message, the scorer stores the data and checks only for the end: a fall, the goal or the time limit. Once a second it
 compares the newest map. `result` computes everything else once, over whole arrays. Frame: {start}, as in
-`sextant.deploy.evaluation.course`.
+`sextant.evaluation.trace.course`.
 """
 
 from collections import deque
@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.deploy.evaluation.course import Course, Ground
-from sextant.deploy.evaluation.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
-from sextant.deploy.evaluation.passage_figures import passage_figures
-from sextant.deploy.evaluation.recorded_walk import Walk
-from sextant.deploy.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
-from sextant.deploy.evaluation.run_log import RunLog
-from sextant.deploy.evaluation.status_log import last_reason
-from sextant.deploy.evaluation.trace import Trace, trace_of
-from sextant.deploy.evaluation.walk_figures import pose_error, walk_figures
+from sextant.evaluation.metrics.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
+from sextant.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
+from sextant.evaluation.scoring.passage_figures import passage_figures
+from sextant.evaluation.scoring.walk_figures import pose_error, walk_figures
+from sextant.evaluation.trace.course import Course, Ground
+from sextant.evaluation.trace.recorded_walk import Walk
+from sextant.evaluation.trace.run_log import RunLog
+from sextant.evaluation.trace.status_log import last_reason
+from sextant.evaluation.trace.trace import Trace, trace_of
 from sextant.shared.geometry import Array, inverse, rotation_z, transform, yaw_of
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.runtime.service import Inbox, Stages
@@ -293,7 +293,7 @@ class Scorer:
         """Search once for a way across, if the seed decides and the result was not given."""
         if self._looked or self._passable is not None:
             return
-        from sextant.deploy.evaluation.passage_truth import (  # imports the planner, which is not installed everywhere
+        from sextant.evaluation.scoring.passage_truth import (  # imports the planner, which is not installed everywhere
             decided_by_seed,
             way_exists,
         )

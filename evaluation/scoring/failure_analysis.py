@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.evaluation.report import ARRIVED, Report
-from sextant.deploy.evaluation.status_log import SPEAKERS, StatusEvent
-from sextant.deploy.evaluation.trace import Trace
-from sextant.deploy.evaluation.walk_metrics import Flags, runs
+from sextant.evaluation.metrics.walk_metrics import Flags, runs
+from sextant.evaluation.report import ARRIVED, Report
+from sextant.evaluation.trace.status_log import SPEAKERS, StatusEvent
+from sextant.evaluation.trace.trace import Trace
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS
 

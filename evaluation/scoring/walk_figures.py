@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.deploy.evaluation.course import Course
-from sextant.deploy.evaluation.recorded_walk import Walk
-from sextant.deploy.evaluation.report import HeightError, PoseError, Report, Slip, Spread, Torque
-from sextant.deploy.evaluation.trace import Trace
-from sextant.deploy.evaluation.walk_metrics import angle_between, rubbing, slip_per_step
+from sextant.evaluation.metrics.walk_metrics import angle_between, rubbing, slip_per_step
+from sextant.evaluation.report import HeightError, PoseError, Report, Slip, Spread, Torque
+from sextant.evaluation.trace.course import Course
+from sextant.evaluation.trace.recorded_walk import Walk
+from sextant.evaluation.trace.trace import Trace
 from sextant.shared.geometry import Array
 
 

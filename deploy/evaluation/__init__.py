@@ -1,1 +1,0 @@
-"""Evaluation of a run from ground truth and recorded messages."""

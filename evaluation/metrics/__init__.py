@@ -1,0 +1,1 @@
+"""Metrics of a walk and of its maps against the true ground."""

@@ -1,0 +1,1 @@
+"""The verdict on a run: success or failure, its cause, and the figures of its report."""

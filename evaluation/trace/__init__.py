@@ -1,0 +1,1 @@
+"""A run as arrays: received messages, ground truth, touchdowns."""
