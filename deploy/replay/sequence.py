@@ -24,7 +24,7 @@ from sextant.deploy.replay.evidence import (
     picture_evidence,
 )
 from sextant.deploy.replay.listener import Listener
-from sextant.deploy.terminal.progress import Progress
+from sextant.deploy.runs.progress import Progress
 from sextant.evaluation.metrics.stage_times import rounded, stages_ms
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper

@@ -16,7 +16,7 @@ import numpy as np
 
 from sextant.deploy.figures import layers_picture
 from sextant.deploy.replay.error import ReplayError
-from sextant.deploy.terminal.progress import Progress
+from sextant.deploy.runs.progress import Progress
 from sextant.evaluation import params
 from sextant.evaluation.metrics.stage_times import rounded, stages_ms
 from sextant.services.mapper.config import Settings as MapperSettings

@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 
 from sextant.deploy.runs.pose_error import MODELS, NoisyPerception
+from sextant.deploy.runs.progress import Progress, Silent
 from sextant.deploy.runs.run_observers import RECORDING, RunObservers, about, clear
 from sextant.deploy.runs.simulated_radio import Radio
-from sextant.deploy.terminal.progress import Progress, Silent
 from sextant.evaluation import params
 from sextant.evaluation.report import Report
 from sextant.services.actuator.config import Settings as ActuatorSettings

@@ -6,9 +6,10 @@ import os
 import re
 import shutil
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Protocol, TextIO, cast
+from typing import TYPE_CHECKING, TextIO, cast
 
 from sextant.deploy.runs.monitor import View
+from sextant.deploy.runs.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -19,42 +20,6 @@ _LINE_EVERY_S = 5.0  # [s] simulated time between two plain lines of the positio
 _CHANGE_EVERY_S = 1.0  # [s] shortest simulated time between two plain lines of one service
 _ATTENDING = ("operator", "scorer")  # their status repeats what the line shows
 _WIDTH = 100  # [characters] of the widest table
-
-
-class Progress(Protocol):
-    """Display of a run's progress."""
-
-    def update(self, view: View) -> None:
-        """Show the current state of the run."""
-        ...
-
-    def compiled(self, done: int, total: int) -> None:
-        """Show how many functions are compiled before the run."""
-        ...
-
-    def say(self, text: str) -> None:
-        """Show one event permanently."""
-        ...
-
-    def finish(self) -> None:
-        """Leave the terminal ready for further output."""
-        ...
-
-
-class Silent:
-    """Display that shows nothing."""
-
-    def update(self, view: View) -> None:
-        """Do nothing."""
-
-    def compiled(self, done: int, total: int) -> None:
-        """Do nothing."""
-
-    def say(self, text: str) -> None:
-        """Do nothing."""
-
-    def finish(self) -> None:
-        """Do nothing."""
 
 
 class _Output:

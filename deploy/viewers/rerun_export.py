@@ -13,7 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from sextant.deploy.figures.terrain_mesh import terrain_mesh
-from sextant.deploy.terminal.progress import Progress
+from sextant.deploy.runs.progress import Progress
 from sextant.shared.files import whole_files
 from sextant.shared.recording.event_log import EventLog
 from sextant.shared.recording.reader import Recording

@@ -12,7 +12,7 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.replay import sequence as replay
 from sextant.deploy.replay.tum_recording import record_tum
-from sextant.deploy.terminal.progress import Silent
+from sextant.deploy.runs.progress import Silent
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
 from sextant.shared.robot.profiles import load_profile

@@ -13,8 +13,8 @@ import pytest
 
 from sextant.deploy.replay.walk import Change, replay_recording
 from sextant.deploy.runs.lockstep_run import assemble
+from sextant.deploy.runs.progress import Silent
 from sextant.deploy.runs.run_observers import about
-from sextant.deploy.terminal.progress import Silent
 from sextant.deploy.video.timeline import Timeline
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import transform

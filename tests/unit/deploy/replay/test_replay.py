@@ -13,8 +13,8 @@ from sextant.deploy.replay import sequence as replay
 from sextant.deploy.replay.error import ReplayError
 from sextant.deploy.replay.sequence import HandHeld, Player
 from sextant.deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
+from sextant.deploy.runs.progress import Silent
 from sextant.deploy.runs.run_observers import about
-from sextant.deploy.terminal.progress import Silent
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum

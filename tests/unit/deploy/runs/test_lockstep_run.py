@@ -12,8 +12,8 @@ import pytest
 
 from sextant.deploy.campaign.trials import run_trials
 from sextant.deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
+from sextant.deploy.runs.progress import Silent
 from sextant.deploy.runs.run_observers import RunObservers, clear
-from sextant.deploy.terminal.progress import Silent
 from sextant.evaluation.report import without_timing
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.reader import Recording
