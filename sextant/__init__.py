@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sextant.client import Client as Client
     from sextant.client import ClientError as ClientError
     from sextant.client import Status as Status
-    from sextant.deploy.runs.lockstep_run import run_lockstep as run_lockstep
+    from sextant.evaluation.lockstep.lockstep_run import run_lockstep as run_lockstep
     from sextant.services.mapper.elevation.elevation_grid import ElevationGrid as ElevationGrid
     from sextant.services.mapper.footholds.layers import FootholdLayers as FootholdLayers
     from sextant.services.perception.registration.projective_icp import Registration as Registration
@@ -29,7 +29,7 @@ _HOMES = {
     "Client": "sextant.client",
     "ClientError": "sextant.client",
     "Status": "sextant.client",
-    "run_lockstep": "sextant.deploy.runs.lockstep_run",
+    "run_lockstep": "sextant.evaluation.lockstep.lockstep_run",
     "ElevationGrid": "sextant.services.mapper.elevation.elevation_grid",
     "FootholdLayers": "sextant.services.mapper.footholds.layers",
     "Registration": "sextant.services.perception.registration.projective_icp",

@@ -17,9 +17,9 @@ from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
 from benchmarks.robot import fleet, link
 from sextant.deploy import cli
-from sextant.deploy.campaign import passage_table, results_store
-from sextant.deploy.campaign.campaign_table import WALKED, Campaign, markdown, of_runs
 from sextant.deploy.terminal.arguments import parse
+from sextant.evaluation.trials import passage_table, results_store
+from sextant.evaluation.trials.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -50,7 +50,7 @@ RUN_BY = {
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_passage_and_thesis_tables",
     "trials troubles": "tests/unit/deploy/test_cli.py::test_trials_troubles_table_covers_each_trouble_and_terrain",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
-    "replay FILE": "tests/unit/deploy/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
+    "replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
     "video": "tests/unit/deploy/test_video.py::test_video_command_renders_run_and_prints_summary",
     "recording info": "tests/unit/shared/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
@@ -58,7 +58,7 @@ RUN_BY = {
     "test_the_command_leaves_the_old_file_and_says_what_was_lost",
     "topics foxglove": "tests/unit/deploy/test_viewers.py::test_foxglove_server_advertises_channels_and_sends_subscribed",
     "recording export": "tests/unit/deploy/test_viewers.py::test_recording_is_exported_to_rerun",
-    "plot": "tests/unit/deploy/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
+    "plot": "tests/unit/evaluation/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
     "up --camera": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up --connect": "tests/live/test_live_walk.py::test_onboard_and_offboard_start_in_either_order",
     "up": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",

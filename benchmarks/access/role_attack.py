@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.access.extreme_values import worst
 from benchmarks.faults.bus_log import Recorder
 from benchmarks.faults.fault_run import SCENARIO
-from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared.recording.foxglove.translation import Foxglove

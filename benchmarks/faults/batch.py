@@ -15,9 +15,9 @@ from benchmarks.faults.fault_run import SCENARIO, in_walks
 from benchmarks.faults.live_walk import LiveWalk
 from benchmarks.faults.lockstep_walk import FaultWalk
 from benchmarks.faults.walk_verdict import Outcome, score
-from sextant.deploy.campaign import results_store
-from sextant.deploy.campaign.trials import fingerprint, refuse_another_program
 from sextant.evaluation import provenance
+from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials.trials import fingerprint, refuse_another_program
 from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 from sextant.shared.runtime.workers import share_out

@@ -18,7 +18,7 @@ from benchmarks.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off
 from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, FaultRun, Observed
 from benchmarks.faults.planner_faults import PlannerFaultInjector
 from benchmarks.faults.timeline import Timeline
-from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared.runtime.lockstep import Outage, ServiceFailedError

@@ -6,7 +6,7 @@ python -m benchmarks.faults.scripted_console
 from dataclasses import dataclass
 
 from benchmarks.faults.fault_run import SCENARIO
-from sextant.deploy.runs.operator import Operator
+from sextant.evaluation.observers.operator import Operator
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime import process
 

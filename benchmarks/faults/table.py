@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.faults.batch import Injection
 from benchmarks.faults.cases import BY_NAME, Case
 from benchmarks.faults.walk_verdict import Outcome
-from sextant.deploy.campaign.statistics import wilson
+from sextant.evaluation.trials.statistics import wilson
 from sextant.services.actuator.safety.health_monitor import LATE_CYCLES
 
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from benchmarks.fuzz.mutators import broken, odd_table
 from benchmarks.fuzz.target import Folder, Target
-from sextant.deploy.campaign import results_store
 from sextant.deploy.launch import fleet
 from sextant.deploy.security.authority import Authority, held
 from sextant.evaluation import report as reports
+from sextant.evaluation.trials import results_store
 from sextant.services.actuator import config as actuator
 from sextant.services.perception import tum
 from sextant.services.simulator.physics.terrain import build_terrain

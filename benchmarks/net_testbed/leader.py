@@ -10,7 +10,7 @@ import math
 import sys
 import threading
 
-from sextant.deploy.runs.operator import Operator
+from sextant.evaluation.observers.operator import Operator
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.scenario.scenario import load_scenario

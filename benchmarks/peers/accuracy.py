@@ -16,8 +16,8 @@ from benchmarks.peers import foothold_model
 from benchmarks.peers.full_frame import FullFrames
 from benchmarks.peers.scenes import MAPPED, REGISTERED, Scene
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
-from sextant.deploy.replay.listener import Listener
 from sextant.evaluation.metrics.true_ground import INTERIOR, TrueGround, rms
+from sextant.evaluation.replay.listener import Listener
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.elevation.elevation_grid import ElevationSnapshot
 from sextant.services.mapper.service import Mapper

@@ -18,8 +18,8 @@ from benchmarks.peers.timing import machine
 from benchmarks.robot.replayed_robot import Heard
 from sextant.deploy.launch.fleet import Base, Fleet, Member, Page
 from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.runs.lockstep_run import run_lockstep
-from sextant.deploy.runs.progress import Progress
+from sextant.evaluation.lockstep.lockstep_run import run_lockstep
+from sextant.evaluation.observers.progress import Progress
 from sextant.shared.files import whole_files
 from sextant.shared.scenario.scenario import load_scenario
 

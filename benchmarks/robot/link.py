@@ -19,7 +19,7 @@ from benchmarks.net_testbed.link_outages import BACK_S, HOLD_S, Cut, judge
 from benchmarks.net_testbed.testbed import NetTestbed, two_machines
 from benchmarks.net_testbed.two_machines import TwoMachines
 from benchmarks.peers.timing import machine
-from sextant.deploy.campaign.statistics import wilson
+from sextant.evaluation.trials.statistics import wilson
 from sextant.shared.scenario.scenario import Link
 
 LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # links for the walks

@@ -16,7 +16,7 @@ from sextant.deploy.terminal.run_command import CommandError as CommandError
 from sextant.shared.errors import SextantError
 
 if TYPE_CHECKING:
-    from sextant.deploy.runs.progress import Progress
+    from sextant.evaluation.observers.progress import Progress
 
 
 class InputError(SextantError, ValueError):

@@ -21,7 +21,7 @@ def plot(
     runs: tuple[str, ...], what: tuple[str, ...], listed: bool, suffix: str, scenario: str, out: str | None, as_json: bool
 ) -> int:
     """Draw the figures of a recorded run, or compare several runs."""
-    from sextant.deploy.figures.run_figures import FIGURES, draw, misfit
+    from sextant.evaluation.figures.run_figures import FIGURES, draw, misfit
 
     if listed:
         width = max(map(len, FIGURES))
@@ -36,8 +36,8 @@ def plot(
     misfits = [words for name in what if (words := misfit(name, len(paths)))]
     if misfits:
         raise InputError(f"--what: {misfits[0]}")
-    from sextant.deploy.figures.comparison_table import comparison, markdown
-    from sextant.deploy.figures.recorded_run import recorded_run
+    from sextant.evaluation.figures.comparison_table import comparison, markdown
+    from sextant.evaluation.figures.recorded_run import recorded_run
 
     recorded = [recorded_run(path, scenario) for path in paths]
     for path, run in zip(paths, recorded, strict=True):

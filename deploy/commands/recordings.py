@@ -81,7 +81,7 @@ def foxglove(host: str, port: int, robot: str, connection: options.Connection) -
     from sextant.shared.wire.transport import TransportError
 
     try:
-        from sextant.deploy.viewers.foxglove_server import FoxgloveServer
+        from sextant.evaluation.viewers.foxglove_server import FoxgloveServer
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[foxglove]'") from None
     profile = load_profile(robot)
@@ -140,7 +140,7 @@ def export(path: str, rerun: str) -> int:
     if target.suffix != ".rrd":
         raise InputError(f"--rerun: a file that ends in .rrd expected, found {target}")
     try:
-        from sextant.deploy.viewers import rerun_export
+        from sextant.evaluation.viewers import rerun_export
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[rerun]'") from None
     count = rerun_export.export(Path(path), target, open_progress(False))
@@ -213,12 +213,12 @@ def replay(source: str, only: tuple[str, ...], as_json: bool, out: str | None) -
     folder = out_folder(out, f"replay-{path.stem}")
     progress = open_progress(as_json)
     if run or parts:
-        from sextant.deploy.replay import walk
+        from sextant.evaluation.replay import walk
 
         table = walk.replay_recording(path, folder, progress, only)
         words = walk.in_words(table)
     else:
-        from sextant.deploy.replay import sequence
+        from sextant.evaluation.replay import sequence
 
         if only:
             raise InputError("--only is for recorded runs; a depth sequence is always replayed in full")

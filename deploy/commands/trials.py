@@ -38,7 +38,7 @@ def trials(
         return _campaign(scenario, variant, seeds, blind, jobs, out, as_json)
     course = variant.load(scenario)
     folder = out_folder(out, f"trials-{course.name}")
-    from sextant.deploy.campaign import trials as batches
+    from sextant.evaluation.trials import trials as batches
 
     progress = open_progress(as_json)
     seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
@@ -58,10 +58,10 @@ def _campaign(
     group: str, variant: options.Variant, seeds: Sequence[int], blind: bool, jobs: int, out: str | None, as_json: bool
 ) -> int:
     """Run a group of scenarios, and print one table of all of them."""
-    from sextant.deploy.campaign import campaign_table as tables
-    from sextant.deploy.campaign import results_store
-    from sextant.deploy.campaign.campaign import run_campaign
-    from sextant.deploy.campaign.passage_table import markdown as sections
+    from sextant.evaluation.trials import campaign_table as tables
+    from sextant.evaluation.trials import results_store
+    from sextant.evaluation.trials.campaign import run_campaign
+    from sextant.evaluation.trials.passage_table import markdown as sections
 
     passages = group == "passages"
     folder = out_folder(out, f"trials-{group}")
@@ -95,8 +95,8 @@ def _campaign(
 @flag("--json", "print all of it as JSON", "as_json")
 def table(kept: tuple[str, ...], of: str, as_json: bool) -> int:
     """Print a Markdown table of stored trials without running anything."""
-    from sextant.deploy.campaign import campaign_table as tables
-    from sextant.deploy.campaign import passage_table, results_store
+    from sextant.evaluation.trials import campaign_table as tables
+    from sextant.evaluation.trials import passage_table, results_store
 
     paths = results_store.files([Path(place) for place in kept])
     runs = [run for path in paths for run in results_store.read(path)]

@@ -16,8 +16,8 @@ from sextant.deploy.terminal.arguments import Choice, argument, command, flag, o
 
 if TYPE_CHECKING:
     from sextant.deploy.launch.process_table import Choices, Process, Role
-    from sextant.deploy.runs.monitor import Monitor
     from sextant.deploy.security.router_security import Gate
+    from sextant.evaluation.observers.monitor import Monitor
 
 _SHOW_S = 1.0  # interval of the table, and of the services' health messages
 
@@ -128,7 +128,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
 @contextmanager
 def _monitor(gated: "Gate", role: "Role") -> "Iterator[Monitor]":
     """Monitor the services in a thread of this process, while the context is entered."""
-    from sextant.deploy.runs.monitor import Monitor
+    from sextant.evaluation.observers.monitor import Monitor
     from sextant.shared.runtime.zenoh_runner import run_live
     from sextant.shared.wire.transport import Endpoints, ZenohLink
 

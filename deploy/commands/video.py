@@ -12,9 +12,9 @@ from sextant.deploy.commands.common import SUCCESS, InputError, complain, say
 from sextant.deploy.terminal.arguments import Parsed, argument, command, number, option
 
 if TYPE_CHECKING:
-    from sextant.deploy.video.ground import Ground
-    from sextant.deploy.video.sinking import Sinking
-    from sextant.deploy.video.timeline import Timeline
+    from sextant.evaluation.video.ground import Ground
+    from sextant.evaluation.video.sinking import Sinking
+    from sextant.evaluation.video.timeline import Timeline
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
@@ -39,9 +39,9 @@ def video(
     run: str, out: str | None, speed: float, size: tuple[int, int], scenario: str, fps: float, from_s: float, to_s: float
 ) -> int:
     """Draw a video of a recorded run: robot, ground, map, footholds and reports."""
-    from sextant.deploy.video import video_writer
-    from sextant.deploy.video.film import Animation, Cut
-    from sextant.deploy.video.timeline import Timeline
+    from sextant.evaluation.video import video_writer
+    from sextant.evaluation.video.film import Animation, Cut
+    from sextant.evaluation.video.timeline import Timeline
     from sextant.shared.recording.reader import Recording
     from sextant.shared.robot.profiles import load_profile
 
@@ -124,9 +124,9 @@ def _ground(
     """
     import numpy as np
 
-    from sextant.deploy.video.ground import of_terrain
-    from sextant.deploy.video.sinking import Sinking
-    from sextant.deploy.video.timeline import trail
+    from sextant.evaluation.video.ground import of_terrain
+    from sextant.evaluation.video.sinking import Sinking
+    from sextant.evaluation.video.timeline import trail
     from sextant.services.simulator.physics.terrain import build_terrain
     from sextant.shared.files.config import ConfigError
     from sextant.shared.scenario.scenario import load_scenario

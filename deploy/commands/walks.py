@@ -150,8 +150,8 @@ def demo(course: str, seed: int, out: str | None, params: tuple[str, ...]) -> in
 
 
 def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
-    from sextant.deploy.replay.tum_recording import DepthRecorder
-    from sextant.deploy.runs.lockstep_run import run_lockstep
+    from sextant.evaluation.lockstep.lockstep_run import run_lockstep
+    from sextant.evaluation.replay.tum_recording import DepthRecorder
     from sextant.shared.robot.profiles import load_profile
 
     with contextlib.ExitStack() as stack:

@@ -64,7 +64,7 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
         seconds: [s] of real time for which the walk is timed.
         machine: [s] real time.
     """
-    from sextant.deploy.runs.lockstep_run import assemble
+    from sextant.evaluation.lockstep.lockstep_run import assemble
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.scenario.scenario import load_scenario
 

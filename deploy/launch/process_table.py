@@ -351,7 +351,7 @@ def commands(
 def _module(process: Process, chosen: Choices) -> str:
     """Return the module to run; a perception with pose errors has its own module."""
     return (
-        "sextant.deploy.runs.noisy_perception"
+        "sextant.evaluation.lockstep.noisy_perception"
         if process.name == "perception" and chosen.pose_error != "none"
         else process.module
     )

@@ -1,1 +1,1 @@
-"""One run from start to report, in lockstep or live, with its observers."""
+"""Live run over Zenoh: services as processes, with its observers."""

@@ -16,9 +16,9 @@ from sextant.deploy import warm_up as compilation
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.launcher import Launcher, free_port, host_router
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command, Process
-from sextant.deploy.runs.progress import Progress
-from sextant.deploy.runs.run_observers import RECORDING, RunObservers, about, clear
 from sextant.deploy.terminal.interrupts import Interrupts
+from sextant.evaluation.observers.progress import Progress
+from sextant.evaluation.observers.run_observers import RECORDING, RunObservers, about, clear
 from sextant.evaluation.report import Report
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.foxglove.translation import Foxglove

@@ -8,8 +8,8 @@ import shutil
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, TextIO, cast
 
-from sextant.deploy.runs.monitor import View
-from sextant.deploy.runs.progress import Progress
+from sextant.evaluation.observers.monitor import View
+from sextant.evaluation.observers.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

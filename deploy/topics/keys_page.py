@@ -17,9 +17,9 @@ import numpy as np
 
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.ros2.bridge import Bridge
-from sextant.deploy.runs.operator import Operator
 from sextant.deploy.send_command import Order
 from sextant.deploy.topics.field_comments import comments
+from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, messages, topics

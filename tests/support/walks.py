@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
 from sextant.evaluation.report import Report
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile

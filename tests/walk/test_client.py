@@ -9,7 +9,7 @@ import pytest
 
 import sextant
 from sextant.client import Client, Commander, Status
-from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire.messages import Goal, Mode, VelocityCommand
 

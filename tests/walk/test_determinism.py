@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sextant.deploy.runs.lockstep_run import assemble, run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import assemble, run_lockstep
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario

@@ -6,7 +6,7 @@ The robot holds, the reason is reported, and the walk goes on to its goal.
 import numpy as np
 import pytest
 
-from sextant.deploy.runs.lockstep_run import LockstepRun
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.metrics.walk_metrics import stability_margin
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.simulator.service import Simulator

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.shared.scenario.scenario import Goal, load_scenario
 
 _TWO_STEPS = """

@@ -5,8 +5,8 @@ Its figures equal the published ones, or are better.
 
 import pytest
 
-from sextant.deploy.figures.thesis_figures import TESTS, Measured
-from sextant.deploy.runs.lockstep_run import assemble
+from sextant.evaluation.figures.thesis_figures import TESTS, Measured
+from sextant.evaluation.lockstep.lockstep_run import assemble
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sextant.deploy.replay.tum_recording import record_tum
+from sextant.evaluation.replay.tum_recording import record_tum
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.cameras.config import Settings as CameraSettings

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.replay import sequence as replay
-from sextant.deploy.replay.tum_recording import record_tum
-from sextant.deploy.runs.progress import Silent
+from sextant.evaluation.observers.progress import Silent
+from sextant.evaluation.replay import sequence as replay
+from sextant.evaluation.replay.tum_recording import record_tum
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
 from sextant.shared.robot.profiles import load_profile

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.deploy.replay.walk import Change, replay_recording
-from sextant.deploy.runs.lockstep_run import assemble
-from sextant.deploy.runs.progress import Silent
-from sextant.deploy.runs.run_observers import about
-from sextant.deploy.video.timeline import Timeline
+from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.observers.progress import Silent
+from sextant.evaluation.observers.run_observers import about
+from sextant.evaluation.replay.walk import Change, replay_recording
+from sextant.evaluation.video.timeline import Timeline
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import transform
 from sextant.shared.recording.foxglove.translation import Foxglove

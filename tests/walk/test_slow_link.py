@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.shared.scenario.scenario import Goal, Link, load_scenario
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.report import check
 from sextant.shared.scenario.scenario import Walk, load_scenario
 from tests.support.walks import flat

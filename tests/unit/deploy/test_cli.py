@@ -15,12 +15,12 @@ import pytest
 
 from benchmarks.cli import benchmarks
 from sextant.deploy import cli
-from sextant.deploy.campaign import trials
 from sextant.deploy.commands.common import out_folder
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.terminal.arguments import parse
 from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.report import Report, write
+from sextant.evaluation.trials import trials
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.messages import GaitName
 from sextant.shared.wire.topics import TOPICS
@@ -210,7 +210,7 @@ def report(success: bool, seed: int = 3) -> Report:
 def test_run_exit_code_is_zero_only_on_success(
     success: bool, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
 
     def walk(_scenario: Scenario, seed: int, out: Path, *_: object) -> Report:
         write(report(success, seed), out)
@@ -315,7 +315,7 @@ service = "mapper"
 def test_trials_report_success_rate_and_blind_baseline(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
 
     def run(scenario: Scenario, seed: int) -> Report:
         return replace(report(not scenario.walk.blind, seed), blind=scenario.walk.blind)
@@ -344,8 +344,8 @@ def test_commit_seeds_require_clean_checkout(monkeypatch: pytest.MonkeyPatch) ->
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.campaign import campaign_table
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
+    from sextant.evaluation.trials import campaign_table
 
     left: list[Path] = []
 
@@ -375,9 +375,9 @@ def test_trials_of_all_terrains_print_one_table(
 def test_trials_of_all_passages_print_passage_and_thesis_tables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.campaign import campaign_table
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
     from sextant.evaluation.report import Passage, Section
+    from sextant.evaluation.trials import campaign_table
 
     passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(
@@ -396,8 +396,8 @@ def test_trials_of_all_passages_print_passage_and_thesis_tables(
 def test_trials_troubles_table_covers_each_trouble_and_terrain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.campaign import campaign_table
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
+    from sextant.evaluation.trials import campaign_table
     from sextant.shared.scenario.scenario import trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
@@ -436,7 +436,7 @@ def test_trials_begun_by_another_program_version_are_refused(
 def test_robot_and_gait_options_override_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.runs import lockstep_run
+    from sextant.evaluation.lockstep import lockstep_run
 
     walked: list[str] = []
     ways: list[tuple[str, float]] = []

@@ -13,8 +13,8 @@ from sextant.deploy import cli
 from sextant.deploy.commands import up
 from sextant.deploy.launch import host_launcher
 from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.runs.monitor import View
 from sextant.deploy.security.router_security import Gate
+from sextant.evaluation.observers.monitor import View
 from sextant.shared.runtime.service import Every
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire.transport import Endpoints, Router, ZenohLink

@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.campaign import results_store
-from sextant.deploy.campaign.campaign_table import of_runs
-from sextant.deploy.campaign.trials import fingerprint, run_trials
 from sextant.deploy.launch import process_table
-from sextant.deploy.replay.walk import _params
-from sextant.deploy.runs.lockstep_run import assemble
-from sextant.deploy.runs.run_observers import RunObservers, about
 from sextant.evaluation import params
+from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.observers.run_observers import RunObservers, about
 from sextant.evaluation.params import SystemParams
+from sextant.evaluation.replay.walk import _params
 from sextant.evaluation.report import Report, check
+from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials.campaign_table import of_runs
+from sextant.evaluation.trials.trials import fingerprint, run_trials
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.shared.files import config
 from sextant.shared.files.config import ConfigError

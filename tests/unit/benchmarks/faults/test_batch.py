@@ -11,8 +11,8 @@ from benchmarks.faults import table as tables
 from benchmarks.faults.batch import FILE, Injection, read, run_faults
 from benchmarks.faults.cases import BY_NAME, CASES, LIVE_CASES
 from benchmarks.faults.walk_verdict import score
-from sextant.deploy.campaign import results_store
 from sextant.evaluation import provenance
+from sextant.evaluation.trials import results_store
 from tests.support.timelines import PROFILE, timeline
 
 KILLED, SAG, OFF = (BY_NAME[name] for name in ("planner-killed", "sag", "off-lost-10"))

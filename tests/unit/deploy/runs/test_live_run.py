@@ -7,8 +7,8 @@ import pytest
 
 from sextant.deploy.launch.launcher import host_router
 from sextant.deploy.runs.live_run import Faults, ObserverThread, ServiceLog, Speed
-from sextant.deploy.runs.run_observers import RunObservers
 from sextant.evaluation import report as reports
+from sextant.evaluation.observers.run_observers import RunObservers
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.scenario.scenario import Fault, load_scenario

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from sextant.deploy.runs.monitor import View
 from sextant.deploy.terminal.progress import Lines, Terminal
+from sextant.evaluation.observers.monitor import View
 
 
 @pytest.fixture(scope="module")

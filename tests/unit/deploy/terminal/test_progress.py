@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from sextant.deploy.runs.monitor import View
 from sextant.deploy.terminal.progress import Lines, Terminal, progress_for
+from sextant.evaluation.observers.monitor import View
 from tests.support.screen import Screen
 
 

@@ -1,0 +1,1 @@
+"""Runs with all services in one process, on simulated time."""

@@ -1,0 +1,1 @@
+"""Observers of a run, live or in lockstep: scripted operator and monitor."""

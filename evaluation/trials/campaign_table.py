@@ -1,0 +1,208 @@
+"""Success rates per terrain as a table, of a new campaign or of stored runs."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials import trials as batches
+from sextant.evaluation.trials.results_store import Run
+from sextant.evaluation.trials.statistics import Rate, wilson
+from sextant.evaluation.trials.trials import Passages, Trials, in_words
+from sextant.shared.files import whole_files
+
+# Courses of the public table in its order, with a description.
+WALKED: Mapping[str, str] = {
+    "flat": "level ground",
+    "slope": "10 deg",
+    "stairs": "five of 3 to 5 cm",
+    "cobbles": "1 to 3 cm",
+    "steps": "24 blocks of 1 to 4 cm, two stairs of 3 cm",
+    "rubble": "blocks up to 5 cm, close together",
+    "stepping_stones": "12 cm stones, 5 cm gaps, over an abyss",
+    "ditch": "8 to 12 cm wide",
+    "mixed": "ramps, rubble, stairs, stones in a row",
+    "stair_map": "a real staircase at a quarter of its height",
+}
+# Gaps that are crossed on pillars, with a description.
+PASSAGES: Mapping[str, str] = {
+    "passage1": "two straight rows of three pillars",
+    "passage2": "the middle ones further inward",
+    "passage3": "three pillars and two, 10 cm apart",
+    "passage_narrow": "pillars of 8 cm",
+    "passage_heights": "pillars up to 3 cm higher or lower",
+    "passage_gives_way": "a pillar that sinks under a foot",
+    "pillar_field": "pillars strewn by the seed, with a way or without",
+}
+# Disturbances during the walk, and the courses on which they occur.
+TROUBLES: Mapping[str, str] = {
+    "sun": "no depth for 10 s, twice",
+    "legs": "a person crosses the view every 5 s",
+    "sparse": "60 % of the pixels missing at random",
+}
+TROUBLED: Mapping[str, str] = {
+    f"{course}+{trouble}": words for trouble, words in TROUBLES.items() for course in ("steps", "stairs", "cobbles")
+}
+Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
+_WALKS: Columns = {
+    "goal reached": lambda t: _outcome(t),
+    "falls": lambda t: str(t.falls),
+    "shut down": lambda t: str(t.runs_with_shutdown),
+    "cm/s": lambda t: f"{100 * t.mean_speed_mps:.1f}" if t.success.successes else "-",
+    "missteps of steps, %": lambda t: f"{100 * t.missteps_per_step:.2f}",
+    "tilt p95, deg": lambda t: in_words(t.tilt_p95_deg, 1.0, ".2f"),
+    "height rms, mm": lambda t: in_words(t.height_rms_m, 1e3, ".1f"),
+    "slip p50, mm": lambda t: in_words(t.slip_p50_m, 1e3, ".1f"),
+    "least margin, mm": lambda t: in_words(t.stability_margin_m, 1e3, ".0f"),
+    "torque rms, N m": lambda t: in_words(t.torque_rms_nm, 1.0, ".2f"),
+}
+_MISSTEPS: Columns = {
+    "goal reached": lambda t: _outcome(t),
+    "missteps of a walk": lambda t: in_words(t.missteps, 1.0, ".0f"),
+}
+_MAPS: Columns = {
+    "rmse, mm": lambda t: in_words(t.map_rmse_m, 1e3, ".1f"),
+    "off edges, mm": lambda t: in_words(t.map_off_edges_m, 1e3, ".1f"),
+    "bias, mm": lambda t: in_words(t.map_bias_m, 1e3, ".1f"),
+    "edges, mm": lambda t: in_words(t.map_edge_m, 1e3, ".1f"),
+    "coverage, %": lambda t: in_words(t.map_coverage, 1e2, ".1f"),
+}
+_PASSAGES: Columns = {
+    "goal reached": lambda t: _outcome(t),
+    "falls": lambda t: str(t.falls),
+    "feet off": lambda t: _of_passages(t, lambda p: f"{p.feet_off} of {p.pillar_touchdowns}"),
+    "from the edge, mm": lambda t: _of_passages(t, lambda p: in_words(p.foothold_edge_m, 1e3, ".0f")),
+    "p05, mm": lambda t: _of_passages(t, lambda p: in_words(p.foothold_edge_p05_m, 1e3, ".0f")),
+    "stops": lambda t: _of_passages(t, lambda p: in_words(p.stops, 1.0, ".0f")),
+    "n_g": lambda t: _of_passages(t, lambda p: in_words(p.generated, 1.0, ".0f")),
+    "n_e": lambda t: _of_passages(t, lambda p: in_words(p.expanded, 1.0, ".0f")),
+    "planning p50, ms": lambda t: _of_passages(t, lambda p: f"{p.planning_p50_ms:.1f}"),
+    "p99, ms": lambda t: _of_passages(t, lambda p: f"{p.planning_p99_ms:.1f}"),
+    "expansions/s": lambda t: _of_passages(t, lambda p: f"{p.expansions_per_s:.0f}"),
+}
+TABLES: Mapping[str, Columns] = {"walks": _WALKS, "reached": {}, "missteps": _MISSTEPS, "maps": _MAPS, "passages": _PASSAGES}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Trials of one terrain, robot and gait, and their blind baseline if it was run."""
+
+    seeing: Trials
+    blind: Trials | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """The trials of many terrains, and what was left out."""
+
+    entries: tuple[Entry, ...]
+    left_out: tuple[str, ...]  # reasons, as text
+
+
+def of_runs(runs: Iterable[Run]) -> Campaign:
+    """Summarise runs on file as a campaign, in the public table's order.
+
+    Blind runs without sighted ones form their own entry.
+    """
+    found, older = results_store.newest(runs)
+    summaries = [batches.summarise(batch) for batch in found]
+    places = {name: place for place, name in enumerate([*WALKED, *PASSAGES, *TROUBLED])}
+    pairs: dict[tuple[int, str, str, str, str], list[Trials]] = {}
+    for t in sorted(summaries, key=lambda t: t.blind):
+        pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait, t.params), []).append(t)
+    left_out = (f"{older} runs of an earlier program or scenario",) if older else ()
+    return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
+
+
+def markdown(campaign: Campaign, table: str = "walks") -> str:
+    """Format a campaign as a Markdown table, a row per terrain: median (worst).
+
+    Args:
+        campaign: The campaign.
+        table: Name of a table in TABLES. `reached` has the blind baseline in a column; the others have it in a separate row.
+    """
+    if table == "reached":
+        headings = ["course", "goal reached", "with the map switched off"]
+        rows = [_reached(campaign, entry) for entry in campaign.entries]
+    else:
+        headings = ["terrain", *TABLES[table]]
+        rows = [[_ticked(_name(campaign, t)), *(cell(t) for cell in TABLES[table].values())] for t in _walked(campaign)]
+    lines = [f"| {' | '.join(cells)} |" for cells in rows]
+    return "\n".join([f"| {' | '.join(headings)} |", "|---" * len(headings) + "|", *lines, "", *_footnotes(campaign)]) + "\n"
+
+
+def to_json(campaign: Campaign) -> str:
+    """Format a campaign as JSON: trials per terrain, and what was left out."""
+    terrains: dict[str, Any] = {
+        _name(campaign, entry.seeing): json.loads(batches.to_json(entry.seeing, entry.blind)) for entry in campaign.entries
+    }
+    return json.dumps({"terrains": terrains, "left_out": campaign.left_out}, indent=1, ensure_ascii=False) + "\n"
+
+
+def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
+    """Write table.md, which is the table of TABLES with that name, and campaign.json."""
+    whole_files.write_text(out / "table.md", markdown(campaign, table))
+    whole_files.write_text(out / "campaign.json", to_json(campaign), durable=True)
+
+
+def _reached(campaign: Campaign, entry: Entry) -> list[str]:
+    words = {**WALKED, **PASSAGES, **TROUBLED}.get(entry.seeing.scenario, "")
+    course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
+    return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
+
+
+def _walked(campaign: Campaign) -> list[Trials]:
+    return [t for entry in campaign.entries for t in (entry.seeing, entry.blind) if t is not None]
+
+
+def _name(campaign: Campaign, t: Trials) -> str:
+    """Return a row's name: the terrain, with robot and gait where they vary, and changed parameters."""
+    robots = {entry.seeing.robot for entry in campaign.entries}
+    gaits = {entry.seeing.gait for entry in campaign.entries}
+    words = [t.robot] * (len(robots) > 1) + [t.gait] * (len(gaits) > 1) + ["blind"] * t.blind
+    words += [t.params] if t.params else []
+    return ", ".join([t.scenario, *words])
+
+
+def _ticked(name: str) -> str:
+    """Format a row's name in Markdown, with the terrain as code."""
+    terrain, comma, rest = name.partition(",")
+    return f"`{terrain}`{comma}{rest}"
+
+
+def _footnotes(campaign: Campaign) -> list[str]:
+    walked = _walked(campaign)
+    sighted = [t.success for t in walked if not t.blind and not t.refusals]
+    together = wilson(sum(rate.successes for rate in sighted), sum(rate.n for rate in sighted))
+    reached = f"Together {_rate(together)} reached the goal. " if sighted else ""
+    return [
+        f"{reached}Median (worst) of the runs; missteps of all steps.",
+        *(words for t in walked for words in _of_ways(t)),
+        *(f"Made {words}." for words in sorted({t.made.words for t in walked})),
+        *(f"Left out: {words}." for words in campaign.left_out),
+    ]
+
+
+def _of_ways(t: Trials) -> Iterable[str]:
+    """Yield a footnote about grounds of which some are passable and some are not."""
+    p = t.passages
+    if p is not None and p.passable + p.impassable:
+        crossed, entered = wilson(p.crossed, p.passable), wilson(p.entered_in_vain, p.impassable)
+        undecided = f"; of {p.undecided} the search cannot tell" if p.undecided else ""
+        yield f"`{t.scenario}`: crossed {_rate(crossed)} that have a way, entered {_rate(entered)} that have none{undecided}."
+
+
+def _outcome(t: Trials) -> str:
+    """Return the success rate, and the kind of success if it is not arrival."""
+    either = t.passages is not None and t.passages.impassable > 0
+    return _rate(t.success) + (", or rightly refused" if either else ", rightly refused" if t.refusals else "")
+
+
+def _of_passages(t: Trials, cell: Callable[[Passages], str]) -> str:
+    return "-" if t.passages is None else cell(t.passages)
+
+
+def _rate(rate: Rate) -> str:
+    return f"{rate.successes} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
