@@ -43,7 +43,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
 compiled: $(VENV)/.installed-dev
-	$(BIN)/python -m sextant.deploy.warm_up
+	$(BIN)/python -m sextant.deploy.launch.warm_up
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -12,7 +12,7 @@ from typing import Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.send_command import SETTLED, STOPS, refusal, router_refusal
+from sextant.deploy.live.send_command import SETTLED, STOPS, refusal, router_refusal
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.terminal.arguments import parse
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.ports import free_port
 from tests.test_readme import commands
 
 ROOT = Path(__file__).parents[1]

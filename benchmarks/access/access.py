@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.access import replay_attacks
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security.authority import Authority
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.router_security import Gate
@@ -30,6 +29,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
 from sextant.shared.wire.handshake import verdict
 from sextant.shared.wire.messages import ModeCommand, VelocityCommand
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
 _NAMESPACE = "bench"

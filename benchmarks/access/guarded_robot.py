@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmarks.faults.instrumented_robot import Places
 from benchmarks.faults.live_walk import commands
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.security.authority import Authority
 from sextant.deploy.security.router_security import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -15,6 +15,7 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import ROLES, Keys
 from sextant.shared.wire.messages import ActuatorState, Mode, ModeCommand
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "intruders"

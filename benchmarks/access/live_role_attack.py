@@ -30,7 +30,7 @@ from benchmarks.faults import bus_sniffer, instrumented_robot
 from benchmarks.faults.bus_log import Recorder
 from benchmarks.faults.instrumented_robot import Page, Places
 from benchmarks.robot.soak import own_mb
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.security.authority import Authority
 from sextant.deploy.security.router_security import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -40,6 +40,7 @@ from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import Keys
 from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "attacked"

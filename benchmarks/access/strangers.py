@@ -34,8 +34,7 @@ from benchmarks.access.guarded_robot import GuardedRobot
 from benchmarks.access.stranger_load import HERE
 from benchmarks.net_testbed.testbed import OneMachine
 from benchmarks.peers.timing import machine
-from sextant.deploy.launch.launcher import Launcher, free_port
-from sextant.deploy.launch.ports import port_taken
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.launch.process_table import router_command
 from sextant.deploy.security.authority import Authority
 from sextant.deploy.security.router_security import Gate
@@ -45,6 +44,7 @@ from sextant.shared.scenario.scenario import Link
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLES
 from sextant.shared.wire.messages import Health, Mode
+from sextant.shared.wire.ports import free_port, port_taken
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 BACK_S = 2.0  # [s] limit for the base station

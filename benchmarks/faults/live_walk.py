@@ -22,7 +22,7 @@ from benchmarks.faults import bus_sniffer, cpu_load, instrumented_robot
 from benchmarks.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
 from benchmarks.faults.fault_run import LEAST_WATCH_S, FaultRun, Observed
 from benchmarks.faults.instrumented_robot import Page, Places
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command
 from sextant.deploy.security.router_security import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -32,6 +32,7 @@ from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, RecordCommand
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import ZenohLink
 
 _GROUND = "flat"  # the simulator's scenario: level ground

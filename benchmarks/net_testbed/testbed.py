@@ -15,10 +15,10 @@ from benchmarks.net_testbed import orders
 from benchmarks.net_testbed.namespace import NetTestbedError
 from benchmarks.net_testbed.relay import ROBOT
 from benchmarks.net_testbed.tcp_relay import HERE
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
 from sextant.deploy.security.router_security import SECURE_ENDPOINT
 from sextant.shared.scenario.scenario import Link
+from sextant.shared.wire.ports import free_port
 
 # Ports of the robot's router.
 PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))

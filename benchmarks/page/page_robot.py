@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.faults import bus_sniffer, instrumented_robot
 from benchmarks.faults.bus_log import Recorder
 from benchmarks.faults.instrumented_robot import Page, Places
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profiles import load_profile
@@ -20,6 +20,7 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import ZenohLink
 
 _STILL_TICKS = 1  # change of goals per cycle that is ignored for a standing robot

@@ -17,11 +17,11 @@ from typing import Any
 from benchmarks.peers.timing import machine
 from benchmarks.robot.replayed_robot import Heard
 from sextant.deploy.launch.fleet import Base, Fleet, Member, Page
-from sextant.deploy.launch.launcher import free_port
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.observers.progress import Progress
 from sextant.shared.files import whole_files
 from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.wire.ports import free_port
 
 SEED = 1003
 AFTER_S = 8.0  # [s] at the start that are not measured: the base's processes start with the robot's first messages

@@ -50,7 +50,7 @@ def warm_up(progress: "Progress") -> None:
         CommandError: It failed; the message says why.
         KeyboardInterrupt: The operator interrupted it.
     """
-    from sextant.deploy.runs.live_run import warm_up
+    from sextant.deploy.live.live_run import warm_up
     from sextant.deploy.terminal.interrupts import Interrupts
 
     with Interrupts() as interrupts:

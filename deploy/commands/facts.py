@@ -35,7 +35,7 @@ def doctor(port: str | None, camera: str, stranger: str | None, keys: str | None
 def _strange(endpoint: str, keys: str | None) -> "list[Check]":
     """Try to connect to an endpoint without authorisation."""
     try:
-        from sextant.deploy.security.security_probe import examine
+        from sextant.deploy.doctor.security_probe import examine
     except ImportError as error:
         raise InputError(f"{error}; it makes the certificates that --stranger tries: pip install 'sextant[access]'") from None
     try:

@@ -10,7 +10,7 @@ from sextant.deploy.commands.common import INTERRUPTED, SUCCESS, CommandError, I
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option
 
 if TYPE_CHECKING:
-    from sextant.deploy.send_command import Order, What
+    from sextant.deploy.live.send_command import Order, What
     from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.05
@@ -27,7 +27,7 @@ _LOOK_S = 0.05
 @flag("--take", "take the lease over from its holder")
 def order(what: "What", connection: options.Connection, holder: str, take: bool) -> int:
     """Command a running robot: stand, walk, stop, sit, or torque off."""
-    from sextant.deploy.send_command import STOPS, Order
+    from sextant.deploy.live.send_command import STOPS, Order
     from sextant.shared.wire import topics
     from sextant.shared.wire.transport import TransportError
 

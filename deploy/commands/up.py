@@ -198,8 +198,8 @@ def gate_of(launch: Launch, rows: "Sequence[Process]", usual: str) -> "Gate":
 
 def _apart(gated: "Gate") -> "Gate":
     """Add a loopback endpoint for local processes if all others are public."""
-    from sextant.deploy.launch.launcher import free_port
     from sextant.shared.wire.access import plain_elsewhere
+    from sextant.shared.wire.ports import free_port
 
     if plain_elsewhere(gated.listen) != gated.listen:
         return gated
@@ -208,8 +208,8 @@ def _apart(gated: "Gate") -> "Gate":
 
 def _usual(launch: Launch) -> str:
     """Return the usual router endpoint, or one with a free port if it is taken."""
-    from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
+    from sextant.shared.wire.ports import free_port, port_taken
 
     if not (launch.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
@@ -217,9 +217,9 @@ def _usual(launch: Launch) -> str:
 
 
 def _choices(launch: Launch) -> "Choices":
-    from sextant.deploy.launch.launcher import free_port
     from sextant.deploy.launch.process_table import Choices, choices
     from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.wire.ports import free_port
 
     robot = options.checked_robot(launch.robot)
     if launch.scenario is None and launch.role != "sim":
@@ -265,9 +265,9 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:
     """Return the page's port: as requested, else the usual one, else a free one."""
-    from sextant.deploy.launch.launcher import free_port, port_taken
     from sextant.services.console.config import Settings
     from sextant.shared.runtime.process import load_settings
+    from sextant.shared.wire.ports import free_port, port_taken
 
     if any(re.match(r"port\s*=", setting) for setting in settings):
         return load_settings(Settings, None, settings).port

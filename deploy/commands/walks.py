@@ -167,7 +167,7 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
 
 
 def _run_live(walk: _Walk, remedy: str, slow_down: bool, attach: "Endpoints | None" = None, parent: int | None = None) -> int:
-    from sextant.deploy.runs import live_run
+    from sextant.deploy.live import live_run
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 

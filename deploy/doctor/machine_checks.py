@@ -85,6 +85,7 @@ def zenoh_round_trip() -> Check:
     from sextant.deploy.launch.launcher import host_router
     from sextant.shared.runtime.service import AnyTopic
     from sextant.shared.wire import topics
+    from sextant.shared.wire.ports import NoFreePortError
     from sextant.shared.wire.transport import TransportError, ZenohLink
 
     name = "zenoh on loopback"
@@ -103,7 +104,7 @@ def zenoh_round_trip() -> Check:
                 near.send(topics.MODE, b"round trip")
                 if back.acquire(timeout=1.0 if turn else 0.2):
                     times_ms.append((time.perf_counter() - began) * 1e3)
-    except TransportError as error:
+    except (TransportError, NoFreePortError) as error:
         return Check(name, Level.FAIL, str(error), "check that 127.0.0.1 is up and no firewall blocks its ports")
     if len(times_ms) < _ROUND_TRIPS // 2:
         found = f"{len(times_ms)} of {_ROUND_TRIPS} round trips completed"

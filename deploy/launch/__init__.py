@@ -1,1 +1,1 @@
-"""Launch of processes: locally, as systemd units, in containers, or for a fleet."""
+"""Launch of processes: locally, as systemd units, in containers, or for a fleet; and discovery of other machines."""

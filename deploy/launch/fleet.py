@@ -13,7 +13,7 @@ from typing import Self
 
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.host_launcher import HostLauncher
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.launch.process_table import ENVIRONMENT, Choices, Command, Process
 from sextant.deploy.security.router_security import Gate
 from sextant.services.console.config import Settings
@@ -21,6 +21,7 @@ from sextant.services.console.fleet_proxy.config import is_name
 from sextant.shared.errors import SextantError
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire.ports import free_port
 
 _PROXY_SILENT_S = 10.0
 _PROXY_MB = 128

@@ -17,8 +17,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from sextant.deploy.launch.ports import port_taken
 from sextant.shared.files import whole_files
+from sextant.shared.wire.ports import port_taken
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _PATIENCE_S = 5.0  # default if WATCHDOG_USEC is not set

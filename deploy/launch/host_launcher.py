@@ -9,12 +9,13 @@ from types import TracebackType
 from typing import Self
 
 from sextant.deploy.launch import process_table
-from sextant.deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
+from sextant.deploy.launch.launcher import STAYED_UP_S, Ended, Launcher
+from sextant.deploy.launch.peer_handshake import PeerHandshake
 from sextant.deploy.launch.process_table import Choices, Process, Role
-from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.router_security import Gate
 from sextant.evaluation.provenance import version
 from sextant.shared.wire.endpoint import occupied
+from sextant.shared.wire.ports import port_taken
 from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
 
 _NEEDED = ("router", "actuator", "simulator")  # the other processes are useless without these

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from sextant.deploy.launch.ports import port_taken as port_taken
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.launch.watchdog_listener import LOOK_S, WatchdogListener, unwatched
+from sextant.shared.wire.ports import free_port, port_taken
 from sextant.shared.wire.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # [s] between SIGTERM and SIGKILL
@@ -29,23 +29,6 @@ _TAIL = 200  # output lines kept per process
 _FRAME = re.compile(r'  File ".*?(?P<file>[^/\\"]*)", line (?P<line>\d+) in (?P<function>.*)')  # of `faulthandler`
 _FRAMES = 4  # stack frames that are reported
 _ROUTER_ATTEMPTS = 5
-# Below the kernel's ephemeral ports (32768 and up), so that no outgoing connection takes one in the meantime.
-_PORTS = range(20_000, 32_000)
-_given: deque[int] = deque(maxlen=1000)  # ports that this process returned lately
-
-
-def free_port() -> int:
-    """Return an unused TCP port of 127.0.0.1, a different one at each call.
-
-    Callers often request several ports before they open the first one.
-    """
-    chooser = random.SystemRandom()
-    for _ in range(100):
-        port = chooser.choice(_PORTS)
-        if port not in _given and not port_taken(port):
-            _given.append(port)
-            return port
-    raise TransportError(f"no free TCP port in {_PORTS.start} to {_PORTS.stop} on 127.0.0.1; close programs that listen there")
 
 
 @contextlib.contextmanager

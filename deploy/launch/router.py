@@ -15,11 +15,11 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from types import FrameType
 
+from sextant.deploy.launch.peer_handshake import PeerHandshake
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT
 from sextant.deploy.security import router_security
 from sextant.deploy.security.connect_probe import ConnectProbe
 from sextant.deploy.security.hosting import hosted
-from sextant.deploy.security.peer_handshake import PeerHandshake
 from sextant.deploy.security.router_health import RefusedConnections, RouterHealthReporter, link_to, publish
 from sextant.deploy.security.tcp_timeout import TcpTimeout
 from sextant.deploy.terminal.interrupts import Interrupts
@@ -28,6 +28,7 @@ from sextant.shared.runtime.process_priority import allow_many_files, switch_oft
 from sextant.shared.runtime.shutdown import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
 from sextant.shared.runtime.watchdog import Watchdog
 from sextant.shared.wire.access import AccessError
+from sextant.shared.wire.ports import NoFreePortError
 from sextant.shared.wire.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink
 
 _WARN_S = 30.0  # [s] between two warnings that it is open to any client
@@ -70,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         with Interrupts() as interrupts:
             _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], interrupts.asked)
-    except (TransportError, AccessError) as error:
+    except (TransportError, NoFreePortError, AccessError) as error:
         logging.error("%s", error)
         return 2
     return 0

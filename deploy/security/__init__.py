@@ -1,1 +1,1 @@
-"""Router hosting, access control, and discovery of the machines of a robot."""
+"""Access control of routers: hosting, certificates, and TLS proxies."""

@@ -6,11 +6,11 @@ Other machines connect to it through one of them; it connects to other routers t
 import contextlib
 from collections.abc import Callable, Iterator
 
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security.router_security import Gate
 from sextant.deploy.security.tls_dialer import TlsDialer
 from sextant.deploy.security.tls_proxy import TlsProxy
 from sextant.shared.wire.access import Keys
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Router, merged
 
 _DIALLED_MS = 30_000  # [ms] the router's timeout for a dialer, which ends each attempt long before
@@ -26,6 +26,7 @@ def hosted(gated: Gate, refuse: Callable[[str], object] = lambda _kind: None) ->
 
     Raises:
         TransportError: An endpoint cannot be listened on.
+        NoFreePortError: No port of this machine is free.
         AccessError: The keys are wrong.
     """
     with contextlib.ExitStack() as stack:

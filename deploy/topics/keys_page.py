@@ -16,8 +16,8 @@ from typing import Any, Literal
 import numpy as np
 
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
+from sextant.deploy.live.send_command import Order
 from sextant.deploy.ros2.bridge import Bridge
-from sextant.deploy.send_command import Order
 from sextant.deploy.topics.field_comments import comments
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sextant.deploy.launch.launcher import free_port
 from sextant.services.perception import tum
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.servo_bank import AX_12A_MOTOR, ServoBank
@@ -15,6 +14,7 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import CameraState, DepthImage, Health
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.commands import Command
 

@@ -19,13 +19,13 @@ from websockets.sync.client import ClientConnection, connect
 from benchmarks.page import browser as browsers
 from benchmarks.page.browser import SMALL
 from benchmarks.robot import fleet
-from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.security import peer_handshake
+from sextant.deploy.launch import peer_handshake
 from sextant.services.console.web.origin_policy import PROTOCOL
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 from tests.support.commands import Command, Process, eventually, write_course
 from tests.support.states import actuator_state

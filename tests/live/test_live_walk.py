@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 import sextant
 from sextant import deploy
 from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
-from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.launcher import Launcher
 from sextant.deploy.launch.process_table import BUS_PORT
 from sextant.deploy.launch.process_table import Command as LaunchedCommand
 from sextant.evaluation.report import check
 from sextant.shared.recording.reader import Recording
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Health, Mode
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints
 from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, skip_where_taken, write_course
 from tests.support.composed import commands_of

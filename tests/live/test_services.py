@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.launch.units import TARGET
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints
 from tests.support.commands import PATIENCE_S, Ear, environment, eventually, write_course
 from tests.support.unit_files import read_unit, words_of

@@ -17,10 +17,10 @@ from typing import Self
 
 import pytest
 
-from sextant.deploy.launch.ports import port_taken
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Mode, PlannerStatus
+from sextant.shared.wire.ports import port_taken
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.idle import is_giving_way, weigh_little
 

@@ -7,7 +7,7 @@ python -m tests.support.compiled steps 5.0     needs a separate process: other t
 
 import sys
 
-from sextant.deploy.warm_up import compile_functions
+from sextant.deploy.launch.warm_up import compile_functions
 from sextant.evaluation.lockstep.lockstep_run import assemble
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario

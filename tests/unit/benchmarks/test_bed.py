@@ -15,9 +15,9 @@ from benchmarks.net_testbed.listener import Heard
 from benchmarks.net_testbed.namespace import NetTestbedError
 from benchmarks.net_testbed.stream import AGAIN_NS, SEGMENT, RadioOutages, Stream
 from benchmarks.net_testbed.testbed import Namespaces, OneMachine, two_machines
-from sextant.deploy.launch.launcher import free_port
 from sextant.shared.scenario.scenario import Link
 from sextant.shared.wire.messages import Mode
+from sextant.shared.wire.ports import free_port
 
 _MS, _SEC = 1_000_000, 1_000_000_000
 _FOREVER = 10**15

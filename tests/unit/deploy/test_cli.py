@@ -235,7 +235,7 @@ def test_live_run_and_demo_exit_codes_follow_walk_outcome(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from sextant.deploy.runs import live_run
+    from sextant.deploy.live import live_run
 
     asked: list[tuple[str, str, int, bool]] = []
 
@@ -265,7 +265,7 @@ def test_slow_down_is_refused_with_lockstep_or_connect(words: list[str], capsys:
 
 
 def test_run_reports_slow_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from sextant.deploy.runs import live_run
+    from sextant.deploy.live import live_run
 
     slow = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
     write(report(True), tmp_path)
@@ -287,7 +287,7 @@ def test_unknown_demo_course_is_refused(capsys: pytest.CaptureFixture[str]) -> N
 def test_failed_warm_up_prevents_walk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sextant.deploy.runs import live_run
+    from sextant.deploy.live import live_run
 
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); last output: no mujoco")
     assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
@@ -28,6 +27,7 @@ from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.ports import free_port
 
 PROFILE = load_profile("phantomx_mk2")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.shared.wire import endpoint, transport
+from sextant.shared.wire.ports import free_port
 
 COMMANDS = (
     ["order", "stand"],

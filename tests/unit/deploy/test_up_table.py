@@ -12,11 +12,11 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.commands import up
 from sextant.deploy.launch import host_launcher
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security.router_security import Gate
 from sextant.evaluation.observers.monitor import View
 from sextant.shared.runtime.service import Every
 from sextant.shared.runtime.zenoh_runner import run_live
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 from tests.support.commands import eventually
 from tests.support.screen import Screen

@@ -13,12 +13,12 @@ import pytest
 
 from sextant.deploy.doctor import servo_checks
 from sextant.deploy.doctor.check import Check, Level
-from sextant.deploy.launch.launcher import free_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS, Calibration
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.wire.ports import free_port
 
 PROFILE = load_profile("phantomx_mk2")
 TODAY = date(2026, 7, 30)

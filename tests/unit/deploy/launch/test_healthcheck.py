@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy.launch import healthcheck
-from sextant.deploy.launch.launcher import free_port
+from sextant.shared.wire.ports import free_port
 
 # Sends watchdog pulses as a service does until it reads a line; then it hangs.
 _LIVING = """

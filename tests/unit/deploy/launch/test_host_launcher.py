@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from sextant.deploy.launch import host_launcher, process_table
+from sextant.deploy.launch import host_launcher, peer_handshake, process_table
 from sextant.deploy.launch.host_launcher import HostLauncher
 from sextant.deploy.launch.launcher import Ended
 from sextant.deploy.launch.process_table import Choices, Role
-from sextant.deploy.security import peer_handshake
 from sextant.deploy.security.router_security import Gate
 from sextant.evaluation.provenance import version
 from sextant.shared.runtime.service import AnyTopic

@@ -14,8 +14,9 @@ import pytest
 
 from sextant.deploy.launch import launcher as launcher_module
 from sextant.deploy.launch import process_table
-from sextant.deploy.launch.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
+from sextant.deploy.launch.launcher import Ended, Launcher, how_it_ended, last_words
 from sextant.deploy.launch.process_table import Command
+from sextant.shared.wire.ports import free_port, port_taken
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[3] / "support" / "stand_in.py")
@@ -159,14 +160,6 @@ def test_dependent_process_ends_before_its_dependency(
         monkeypatch.setattr(launcher_module, "_signal", ask)
         launcher.stop()
         assert before == [True]
-
-
-def test_free_port_is_not_returned_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Never return one port twice, although nothing listens on it yet."""
-    monkeypatch.setattr(launcher_module, "_PORTS", range(20_000, 20_040))
-    monkeypatch.setattr(launcher_module, "port_taken", lambda _: False)
-    given = [free_port() for _ in range(20)]
-    assert len(set(given)) == len(given)
 
 
 def test_child_receives_sigterm_only_once(output_collector: OutputCollector) -> None:
@@ -361,10 +354,6 @@ def test_exit_status_description() -> None:
     assert how_it_ended(3) == "exit status 3"
     assert how_it_ended(-signal.SIGSEGV) == "killed by SIGSEGV"
     assert how_it_ended(-63) == "killed by signal 63"
-
-
-def test_free_port_is_not_taken() -> None:
-    assert not port_taken(free_port())
 
 
 def test_router_process_is_ready_with_its_port_and_ends_on_sigterm(output_collector: OutputCollector) -> None:

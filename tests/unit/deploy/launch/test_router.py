@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.security import peer_handshake
+from sextant.deploy.launch import peer_handshake
 from sextant.evaluation.provenance import version
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health, Presence
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 ROOT = Path(__file__).parents[4]

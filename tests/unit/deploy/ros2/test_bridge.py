@@ -17,7 +17,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import (
     MAX_TWIST_BYTES,
@@ -50,6 +49,7 @@ from sextant.shared.wire.messages import (
     Tick,
     VelocityCommand,
 )
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually
 from tests.support.states import actuator_state

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security.connect_probe import ConnectProbe
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.router_security import Gate
+from sextant.shared.wire.ports import free_port
 from tests.support import gated
 
 

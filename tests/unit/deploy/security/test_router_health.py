@@ -12,10 +12,10 @@ import pytest
 import zenoh
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security.router_health import RefusedConnections, RouterHealthReporter
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, PATIENCE_S, stranger, tls_of

@@ -16,12 +16,12 @@ import zenoh
 
 from sextant.deploy import cli
 from sextant.deploy.commands import up
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.security import router_security
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.router_security import Gate
 from sextant.shared.wire import topics
 from sextant.shared.wire.access import PROXY, ROLES, AccessError, Keys
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.deploy import cli
-from sextant.deploy.launch.launcher import free_port
 from sextant.deploy.topics import message_format, topic_stats
 from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, Mailbox, ReceivedMessage, age_ns, listen, topics_named
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import DecodeError, Timing
 from sextant.shared.wire.messages import CameraState, Odometry, TerrainMap, VelocityCommand
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.topics import TOPICS, Lane
 from sextant.shared.wire.transport import Endpoints, Router, ZenohLink
 

@@ -173,7 +173,7 @@ APART = {
     "benchmarks/fuzz/fuzzing.py": "the newest message, for when it ends the process",
     "benchmarks/fuzz/recording_mutators.py": "a folder that is removed at the end",
     "deploy/terminal/output.py": "nowhere",
-    "deploy/runs/live_run.py": "a log, line by line",
+    "deploy/live/live_run.py": "a log, line by line",
     "evaluation/video/video_writer.py": "by the name that `write_by_name` gives",
     "services/actuator/commissioning/calibration_file.py": "whole, once it has been read as a robot",
     "services/actuator/safety/torque_off_latch.py": "whole, or as an empty file, by the stop path",

@@ -12,9 +12,9 @@ from io import FileIO
 from pathlib import Path
 from typing import Self
 
-from sextant.deploy import warm_up as compilation
 from sextant.deploy.launch import process_table
-from sextant.deploy.launch.launcher import Launcher, free_port, host_router
+from sextant.deploy.launch import warm_up as compilation
+from sextant.deploy.launch.launcher import Launcher, host_router
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command, Process
 from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.evaluation.observers.progress import Progress
@@ -31,6 +31,7 @@ from sextant.shared.runtime.service import Service
 from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.scenario.scenario import Fault, Scenario
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _LOG = "services.log"
@@ -44,7 +45,7 @@ _REAL_TIME = 0.95  # [1] share of real time from which simulated time counts as 
 # two idle cores runs at about 0.85. A computer counts as too slow below this, or where simulated time waited for a service.
 _TOO_SLOW = 0.75
 _WARM_S = 5.0  # [s] the warm-up takes less when everything is compiled already
-_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.warm_up", "--progress"), ENVIRONMENT)
+_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.launch.warm_up", "--progress"), ENVIRONMENT)
 
 
 @dataclass(frozen=True, slots=True)

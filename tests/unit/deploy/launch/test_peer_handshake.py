@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from sextant.deploy.security import peer_handshake
-from sextant.deploy.security.peer_handshake import PeerHandshake, objection
+from sextant.deploy.launch import peer_handshake
+from sextant.deploy.launch.peer_handshake import PeerHandshake, objection
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Health, Presence

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy.launch.launcher import host_router
-from sextant.deploy.runs.live_run import Faults, ObserverThread, ServiceLog, Speed
+from sextant.deploy.live.live_run import Faults, ObserverThread, ServiceLog, Speed
 from sextant.evaluation import report as reports
 from sextant.evaluation.observers.run_observers import RunObservers
 from sextant.shared.robot.profiles import load_profile

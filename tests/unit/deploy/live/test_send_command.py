@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.deploy.send_command import Order
+from sextant.deploy.live.send_command import Order
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from sextant.deploy import warm_up
-from sextant.deploy.runs.live_run import CompiledFunctions
+from sextant.deploy.launch import warm_up
+from sextant.deploy.live.live_run import CompiledFunctions
 from sextant.services.planner.roadmap import roadmap_search
 
 

@@ -14,13 +14,14 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
+from sextant.deploy.doctor import security_probe
 from sextant.deploy.doctor.check import Check, Level
-from sextant.deploy.launch.launcher import free_port
-from sextant.deploy.security import authority, security_probe
+from sextant.deploy.security import authority
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.router_security import Gate
 from sextant.shared.wire import topics
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY
+from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Router
 from tests.support.gated import NAMESPACE, Inside
 

@@ -1,6 +1,6 @@
 """Compile every inner loop of a simulated robot once, before a run begins.
 
-python -m sextant.deploy.warm_up
+python -m sextant.deploy.launch.warm_up
 """
 
 import argparse
@@ -29,7 +29,7 @@ COMPILED = "compiled"  # first word of a line of progress; then process, compile
 
 def main() -> int:
     """Compile for all scenarios; on two cores if much is to be compiled."""
-    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.warm_up", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.launch.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="id of the parent process; this process ends with it")
     parser.add_argument("--progress", action="store_true", help="print how many functions are compiled")
     arguments = parser.parse_args()

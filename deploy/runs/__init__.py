@@ -1,1 +1,0 @@
-"""Live run over Zenoh: services as processes, with its observers."""
