@@ -12,7 +12,7 @@ from sextant.shared.servo.dynamixel import MODELS, ServoModel
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-PATHS = sorted(set(re.findall(r"\b(?:benchmarks|services|shared|deploy|tests|docs|sextant)/[\w./]*", TEXT)))
+PATHS = sorted(set(re.findall(r"\b(?:benchmarks|services|shared|evaluation|deploy|tests|docs|sextant)/[\w./]*", TEXT)))
 
 
 @pytest.mark.parametrize("path", PATHS)

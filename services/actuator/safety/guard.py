@@ -55,7 +55,7 @@ class Legs:
 
 
 class Guard:
-    """Gatekeeper for modes, orders and plans."""
+    """Authorizes modes, orders and plans."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class Guard:
     def _ready(self) -> tuple[Act, ...]:
         if self.mode not in (Mode.OFF, Mode.READY, Mode.FAULT):
             return self._stop()
-        why = self._verdict.broken or self._verdict.sit
+        why = self._torque_refusal
         if why and self.mode is Mode.OFF:
             self.objection = f"torque stays off: {why}"
             return ()
@@ -182,7 +182,7 @@ class Guard:
     def _stand(self) -> tuple[Act, ...]:
         if self.mode is Mode.WALK:
             return self._stop()
-        why = self._verdict.broken or self._verdict.sit
+        why = self._torque_refusal
         if why or self.mode is Mode.FAULT:
             self.objection = f"`stand` refused: {why or 'feet are being set down'}"
             return ()
@@ -191,6 +191,11 @@ class Guard:
         self._arbiter.end_walk()
         self.tipped, self._sit_reason, self._off_when_down = "", "", False
         return (*torque_on, Act.RISE)
+
+    @property
+    def _torque_refusal(self) -> str:
+        """Why torque may not be turned on now, or an empty string; a robot with torque may not stand up either."""
+        return self._verdict.broken or self._verdict.sit
 
     def _walk(self) -> tuple[Act, ...]:
         if self.mode not in (Mode.HOLD, Mode.STAND, Mode.WALK):

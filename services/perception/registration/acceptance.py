@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.error_twist import error_twist
-from sextant.services.perception.registration.keyframes import Match
 from sextant.services.perception.registration.observability import AXES
 from sextant.services.perception.registration.params import AcceptanceParams
+from sextant.services.perception.registration.projective_matching import Match
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from sextant.services.perception.registration.constraint_weights import constraint_weights
 from sextant.services.perception.registration.error_twist import ALONG_FLOOR, apply_twist, error_twist
-from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.services.perception.registration.keyframes import Keyframes
 from sextant.services.perception.registration.params import AlignmentParams
+from sextant.services.perception.registration.projective_matching import Match
 from sextant.shared.geometry import orthonormal
 
 TRUSTING = 2  # iterations from a distant start in which distant matches keep full weight

@@ -6,7 +6,7 @@ Noisy normals make a flat floor seem to constrain x, y and yaw.
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_matching import Match
 from sextant.shared.runtime.compiled import compiled
 
 _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors, so ten count as one

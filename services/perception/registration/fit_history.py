@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from sextant.services.perception.registration.acceptance import Acceptance, rejection_reason
-from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_matching import Match
 
 _USUAL_SHARE = 0.05  # weight of each good frame in the average rmse
 _RECENT_SHARE = 0.2  # weight of each good frame in the recent misfit and rmse

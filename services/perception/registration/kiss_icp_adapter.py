@@ -15,7 +15,8 @@ from sextant.services.perception.registration.alignment import prior_information
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.constraint_weights import constraint_weights
 from sextant.services.perception.registration.error_twist import apply_twist, error_twist
-from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.services.perception.registration.keyframes import Keyframes
+from sextant.services.perception.registration.projective_matching import Match
 from sextant.services.perception.registration.registration_result import RegistrationResult, first_result, refused_result
 from sextant.shared.geometry import orthonormal
 from sextant.shared.robot.camera import DepthSensor, Intrinsics

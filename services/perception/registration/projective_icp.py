@@ -20,10 +20,11 @@ from sextant.services.perception.registration.alignment import TRUSTING, Aligned
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.error_twist import ALONG_FLOOR, error_twist
 from sextant.services.perception.registration.fit_history import FitHistory
-from sextant.services.perception.registration.keyframes import Keyframes, Match
+from sextant.services.perception.registration.keyframes import Keyframes
 from sextant.services.perception.registration.moving_body import is_one_body, is_within_body
 from sextant.services.perception.registration.params import AlignmentParams, KeyframeParams
 from sextant.services.perception.registration.pose_doubt import PoseDoubt
+from sextant.services.perception.registration.projective_matching import Match
 from sextant.services.perception.registration.registration_result import RegistrationResult, first_result, refused_result
 from sextant.services.perception.registration.relocalization_map import MapContradiction, RelocalizationMap, surface_points
 from sextant.services.perception.registration.rest_pose import RestPose

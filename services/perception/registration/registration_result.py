@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_matching import Match
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Outcomes of a gap crossing: the next action, or how it ended."""
+"""Outcomes of a gap crossing: the next action, or how it ended. `GapCrossing` decides which."""
 
 from dataclasses import dataclass
 

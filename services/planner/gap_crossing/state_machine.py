@@ -1,7 +1,8 @@
 """State machine of the gap crossing: stop, look, plan a section, walk it.
 
-It repeats these stages until the robot stands behind the gap. It has no side effects: time, pose and maps are inputs, the next
-action is the output. Source: Masri 2016, section 4.7 (the look) and chapter 5.
+It repeats these stages until the robot stands behind the gap, or decides that the gap cannot be crossed (`CannotCross`). It has
+no side effects: time, pose and maps are inputs, the next action is the output. Source: Masri 2016, section 4.7 (the look) and
+chapter 5.
 """
 
 from collections.abc import Callable

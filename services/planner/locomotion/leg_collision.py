@@ -9,19 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.planner.locomotion.swing_clearance import ALONG, LEVEL, RISEN, SWING_TIME, lowest_path, path_at
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_inverse, leg_nearest_reachable
 from sextant.shared.robot.profile import LEGS, LegLinks, RobotProfile
 
-# Checked swing, at shares of its time: a lower bound of the actual foot path.
-SWING_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
-_ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the ground distance
-_RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # of the height over start, then touchdown
-LEVEL = 0.8  # [1] share of the clearance, over the higher end, at which the checked swing is level
-# The end of the swing, more finely: share of the level's height over the touchdown that is left, at shares of the distance.
-_SINKS_AT, _SINKS_TO = [0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95], [1.0, 0.97, 0.92, 0.80, 0.69, 0.54, 0.33]
-_VERTICAL_DESCENT_M = 0.02  # [m] around a touchdown in which the foot descends vertically next to obstacles
 _LIFTS = 4  # number of lifts to try, up to the highest
 
 # Samples of a leg: shares of its femur, then of its tibia. Points nearer to the foot count as part of the foothold.
@@ -135,53 +128,6 @@ def rises_clear(
     return np.asarray(~(beside & (ground > pushed[..., 2] - profile.foot.radius - margin)).any(axis=(0, 1)))
 
 
-def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
-    """Return the lowest paths of feet at `SWING_TIME`.
-
-    A foot rises next to its start, passes over both ends at a share of the clearance, and descends.
-
-    Args:
-        start: (n, 3) [m] foot centres at the start.
-        end: (n, 3) [m] foot centres at the end.
-        clearance: (n,) [m] over the higher end.
-
-    Returns:
-        (9, n, 3) [m].
-    """
-    return _shape(start, end, clearance, SWING_TIME, _ALONG, _RISEN)
-
-
-def _shape(start: Array, end: Array, clearance: Array, time: Array, along: Array, risen: Array) -> Array:
-    """Return feet (k, n, 3) [m] at shares (k,) of a swing's time, as `swing_shape`.
-
-    `along` and `risen` (k,) are shares of the distance and of the height.
-    """
-    level = np.maximum(start[:, 2], end[:, 2]) + LEVEL * clearance
-    feet = start + along[:, None, None] * (end - start)
-    lower = np.where(time[:, None] < 0.5, start[:, 2], end[:, 2])
-    feet[..., 2] = lower + risen[:, None] * (level - lower)
-    return feet
-
-
-def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) -> Array:
-    """Return the clearance (n,) [m] with which descending feet pass obstacles.
-
-    Args:
-        ground: (m, n) [m] highest ground at even shares of the paths, see `Terrain.ground_along`.
-        start: (n, 3) [m] undersides of the feet at the start.
-        end: (n, 3) [m] undersides of the feet at the end.
-        margin: [m] over that ground.
-
-    Returns:
-        (n,) [m] over the higher end, -inf where there is no obstacle.
-    """
-    share = np.linspace(0.0, 1.0, len(ground))[:, None]
-    left = (1.0 - share) * np.linalg.norm((end - start)[:, :2], axis=1)
-    stands = (share >= _SINKS_AT[0]) & (left >= _VERTICAL_DESCENT_M) & (ground > end[:, 2] + margin)
-    level = end[:, 2] + (np.where(stands, ground, -np.inf) + margin - end[:, 2]) / np.interp(share, _SINKS_AT, _SINKS_TO)
-    return np.asarray((level.max(axis=0) - np.maximum(start[:, 2], end[:, 2])) / LEVEL)
-
-
 def links_at(q: Array, links: LegLinks) -> Array:
     """Return samples (..., 8, 3) [m] {coxa} of femur and tibia at q (..., 3) [rad]."""
     femur, shank = q[..., 1:2], q[..., 1:2] + q[..., 2:3]
@@ -199,7 +145,7 @@ def _too_near(
 
     The flags have shape (9, 6, 8). A link that starts closer than the margin may come closer by `_WORSE`.
     """
-    feet = np.where(way.swing[:, None], swing_shape(way.start, way.end, clearance), way.start)
+    feet = np.where(way.swing[:, None], lowest_path(way.start, way.end, clearance), way.start)
     # The body turns by a few degrees in a step, so the mean of two poses is nearly a rigid transform.
     T = way.T_start + SWING_TIME[:, None, None] * (way.T_end - way.T_start)
     gaps, points = _gaps(feet, T[:, None] @ profile.T_body_coxa, profile.leg_reach, profile.links, terrain)
@@ -213,10 +159,10 @@ def _pushed(
 
     The second value is the place (6, 2) [m] {world}.
     """
-    sooner = np.interp(_FINELY, SWING_TIME, _ALONG), np.interp(_FINELY, SWING_TIME, _RISEN)
+    sooner = np.interp(_FINELY, SWING_TIME, ALONG), np.interp(_FINELY, SWING_TIME, RISEN)
     later = np.interp(_FINELY, _LATE_TIME, _LATE_ALONG), np.interp(_FINELY, _LATE_RISE_TIME, _LATE_RISEN)
     highest = clearance / LEVEL  # the top of a foot's path folds the leg, not the lowest path
-    feet = np.concatenate([_shape(way.start, way.end, highest, _FINELY, *shares) for shares in (sooner, later)])
+    feet = np.concatenate([path_at(way.start, way.end, highest, _FINELY, *shares) for shares in (sooner, later)])
     time = np.tile(_FINELY, 2)
     T = (way.T_start + time[:, None, None] * (way.T_end - way.T_start))[:, None] @ profile.T_body_coxa
     R, p = T[..., :3, :3], T[..., :3, 3]

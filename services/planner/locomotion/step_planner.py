@@ -11,14 +11,10 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
 from sextant.services.planner.locomotion.foothold_search import NoFoothold
 from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
-from sextant.services.planner.locomotion.leg_collision import (
-    LegCollision,
-    StepMotion,
-    clearance_to_sink,
-    find_clearances,
-)
+from sextant.services.planner.locomotion.leg_collision import LegCollision, StepMotion, find_clearances
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.reachable_foothold import FootholdFinder, feet_in_reach
+from sextant.services.planner.locomotion.swing_clearance import swing_clearance
 from sextant.services.planner.terrain import GOOD, NONE, Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import LEGS, RobotProfile
@@ -239,7 +235,8 @@ class StepPlanner:
                 continue
             moved = touchdown.copy()
             moved[leg] = ground.p_world + self._foot_up
-            if self._clearance(stride.start, moved, 0.0, terrain)[leg] <= stride.clearance[leg]:
+            needed = swing_clearance(stride.start, moved, 0.0, self._profile, self._params, terrain)
+            if needed[leg] <= stride.clearance[leg]:
                 touchdown = moved
         return replace(stride, touchdown=touchdown)
 
@@ -274,7 +271,7 @@ class StepPlanner:
         )
         if problem:
             return NoStep(problem)
-        clearance = self._clearance(at.feet, touchdown, at.command.lift, terrain)
+        clearance = swing_clearance(at.feet, touchdown, at.command.lift, self._profile, params, terrain)
         too_high = np.flatnonzero(at.swing & (clearance > self._profile.stance.max_lift))
         if len(too_high):
             leg = int(too_high[0])
@@ -378,23 +375,6 @@ class StepPlanner:
             return ""
         needed = f"{least * 100:.1f} cm needed"
         return f"the centre of mass would be {margin * 100:.1f} cm inside the support polygon {when}, {needed}"
-
-    def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
-        """Return the clearance (6,) [m] over the higher end of each foot's path.
-
-        It includes the ground between the ends, and is higher on rough ground.
-        """
-        params = self._params
-        start, end = feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
-        higher, lower = np.maximum(start, end), np.minimum(start, end)
-        ground = terrain.ground_along(feet[:, :2], touchdown[:, :2])
-        between = ground.max(axis=0)
-        rough = np.maximum(higher, between) - lower > params.rough_m
-        lift_if_rough = max(lift, self._profile.stance.rough_lift)
-        clearance = np.maximum(np.where(rough, lift_if_rough, lift), between - higher + params.path_margin_m)
-        sole = np.array([0.0, 0.0, self._profile.foot.radius])
-        to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, params.sink_margin_m)
-        return np.asarray(np.maximum(clearance, to_sink))
 
 
 def time_to_swing(

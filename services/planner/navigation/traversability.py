@@ -3,7 +3,8 @@
 A bad cell is no obstacle: feet find another place within 6 cm, and the body passes over the cell. Three kinds of ground stop
 the robot: height changes larger than its legs can take, bare ground that is wider than feet can step across, and ground that
 was looked at but stays unseen (holes). Ground that was never looked at is expensive but open: the robot sees it when it
-comes nearer, and no foot is placed on it before.
+comes nearer, and no foot is placed on it before. There is no limit of the slope here: steep ground carries no foot by its score
+in the mapper (`sextant.services.mapper.footholds`), and is therefore bare.
 
 A hole is no wall: the body may extend over a hole, and feet next to it may stand closer together.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.planner.locomotion.leg_collision import LEVEL, SWING_TIME, swing_shape
+from sextant.services.planner.locomotion.swing_clearance import LEVEL, SWING_TIME, lowest_path
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap_search import (
     COUNTS,
@@ -29,7 +29,7 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     """Return the leg parameters for the tests."""
     links, mount = profile.links, profile.T_body_coxa[:, :3, 3]
     fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0.0, np.sign(mount[:, 0]))
-    unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / LEVEL]))[:, 0]
+    unit = lowest_path(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / LEVEL]))[:, 0]
     table = []
     for angle, length in ((np.radians(settings.joint_margin_deg), settings.reach_margin_m), (0.0, 0.0)):
         limits = profile.joint_limits + np.array([angle, -angle])

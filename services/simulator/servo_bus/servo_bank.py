@@ -72,7 +72,7 @@ RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
 RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
 AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
 AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
-_MOTOR_AND_SUPPLY = {
+MOTOR_AND_SUPPLY = {
     "AX-12A": (AX_12A_MOTOR, Supply()),
     "AX-18A": (AX_18A_MOTOR, Supply()),
     "AX-12W": (AX_12W_MOTOR, Supply()),
@@ -536,6 +536,6 @@ def bank_of(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = 
 
     The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage.
     """
-    motor, supply = _MOTOR_AND_SUPPLY[model]
+    motor, supply = MOTOR_AND_SUPPLY[model]
     supply = replace(supply, capacity_ah=battery_ah)
     return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sextant.services.perception.registration.constraint_weights import constraint_weights
-from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_matching import Match
 
 
 def test_constraint_weight_grows_with_information_to_noise_ratio():

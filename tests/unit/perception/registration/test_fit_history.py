@@ -5,7 +5,7 @@ import pytest
 
 from sextant.services.perception.registration.acceptance import HAND_HELD, Acceptance
 from sextant.services.perception.registration.fit_history import FitHistory
-from sextant.services.perception.registration.keyframes import Match
+from sextant.services.perception.registration.projective_matching import Match
 
 
 def match(rmse: float = 0.002, misfit: float = 1.0, overlap: float = 0.9) -> Match:

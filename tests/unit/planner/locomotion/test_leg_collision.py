@@ -17,8 +17,8 @@ from sextant.services.planner.locomotion.leg_collision import (
     links_at,
     rises_clear,
     stands_clear,
-    swing_shape,
 )
+from sextant.services.planner.locomotion.swing_clearance import lowest_path
 from sextant.services.planner.terrain import Terrain, flat_terrain, plane_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_inverse, leg_points
@@ -179,8 +179,8 @@ def test_link_samples_match_forward_kinematics() -> None:
 
 
 @pytest.mark.parametrize("rise", [-0.04, 0.0, 0.04])
-def test_swing_shape_connects_start_and_end(rise: float) -> None:
+def test_lowest_path_connects_start_and_end(rise: float) -> None:
     start, end = np.zeros((1, 3)), np.array([[0.1, 0.0, rise]])
-    shape = swing_shape(start, end, np.array([0.05]))
+    shape = lowest_path(start, end, np.array([0.05]))
     np.testing.assert_array_equal(shape[[0, -1]], [start, end])
     assert shape[..., 2].max() == pytest.approx(max(rise, 0.0) + 0.8 * 0.05)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
-from sextant.services.planner.locomotion.leg_collision import clearance_to_sink
 from sextant.services.planner.locomotion.params import FootholdParams, StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
+from sextant.services.planner.locomotion.swing_clearance import descent_clearance
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -542,7 +542,7 @@ def test_swing_clears_obstacle_before_touchdown(height: float, before: float, as
     if isinstance(found, PlannedStep):
         swing = found.swing
         along = ground.ground_along(found.start[:, :2], found.touchdown[:, :2])
-        needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.step.sink_margin_m)
+        needed = descent_clearance(along, found.start - UP, found.touchdown - UP, SETTINGS.step.sink_margin_m)
         assert (found.clearance[swing] >= needed[swing] - 1e-9).all()
         assert found.clearance[swing].max() <= PROFILE.stance.max_lift
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sextant.services.simulator.servo_bus.servo_bank import (
     AX_12A_MOTOR,
+    MOTOR_AND_SUPPLY,
     RX_64_MOTOR,
     RX_64_SUPPLY,
     Protection,
@@ -243,6 +244,10 @@ def test_profile_matches_servo_model_and_supply(name: str) -> None:
     step(bank, torque=0.6 * profile.servo.stall_torque)
     assert bank.voltage > profile.battery.empty_voltage
     assert bank.error(0) == 0
+
+
+def test_every_servo_model_is_emulated() -> None:
+    assert set(MOTOR_AND_SUPPLY) == set(dxl.MODEL_NAMED)
 
 
 def test_rx_64_shuts_down_at_same_duty_as_ax_12a() -> None:

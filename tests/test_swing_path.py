@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
-from sextant.services.planner.locomotion.leg_collision import LEVEL, clearance_to_sink, swing_shape
+from sextant.services.planner.locomotion.swing_clearance import LEVEL, descent_clearance, lowest_path
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.shared.geometry import Array
 
@@ -25,7 +25,7 @@ def swing_path(end: Array, clearance: Array) -> Array:
 @pytest.mark.parametrize("clearance", [0.025, 0.04, 0.08])
 def test_swing_is_not_lower_than_planner_model(length: float, rise: float, clearance: float) -> None:
     start, end, over = np.zeros((1, 3)), np.array([[length, 0.0, rise]]), np.array([clearance])
-    way, checked = swing_path(end, over), swing_shape(start, end, over)[:, 0]
+    way, checked = swing_path(end, over), lowest_path(start, end, over)[:, 0]
     assert (np.interp(checked[:, 0], way[:, 0], way[:, 2]) >= checked[:, 2] - 0.003).all()
 
 
@@ -39,14 +39,14 @@ def test_swing_clears_block_before_touchdown(length: float, before: float, block
     along = share * length
     stands = (share >= 0.5) & (along <= length - before)
     ground = np.where(stands, block, np.where(share > 0.5, rise, 0.0))[:, None]
-    needed = clearance_to_sink(ground, np.zeros((1, 3)), end, 0.008)
+    needed = descent_clearance(ground, np.zeros((1, 3)), end, 0.008)
     way = swing_path(end, np.maximum(needed, 0.02))
     assert (np.interp(along, way[:, 0], way[:, 2])[stands] >= block + 0.005).all()
 
 
 def test_even_ground_needs_no_extra_clearance() -> None:
     ground = np.linspace(0.0, 0.03, 21)[:, None]
-    assert clearance_to_sink(ground, np.zeros((1, 3)), np.array([[0.2, 0.0, 0.03]]), 0.008)[0] == -np.inf
+    assert descent_clearance(ground, np.zeros((1, 3)), np.array([[0.2, 0.0, 0.03]]), 0.008)[0] == -np.inf
 
 
 def test_search_and_planner_use_same_swing_height() -> None:
