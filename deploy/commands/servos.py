@@ -167,7 +167,7 @@ def off(bus: Bus, bridge: bool) -> int:
 
 def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
     """Report the servos that did not confirm torque off, and how many did."""
-    from sextant.services.actuator.commissioning.bus_scan import named
+    from sextant.services.actuator.servo_bus.bus_scan import named
 
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
     alike = set(left.values())
@@ -397,7 +397,7 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
-    from sextant.services.actuator.commissioning.bus_scan import BusResponse
+    from sextant.services.actuator.servo_bus.bus_scan import BusResponse
     from sextant.shared.servo import dynamixel as dxl
 
     seen = one.seen

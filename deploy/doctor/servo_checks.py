@@ -16,7 +16,7 @@ from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.files.config import ConfigError
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.commissioning.bus_scan import ServoScan
+    from sextant.services.actuator.servo_bus.bus_scan import ServoScan
     from sextant.services.actuator.servo_bus.dynamixel_bus import Port
     from sextant.shared.robot.profile import RobotProfile
 
@@ -78,7 +78,7 @@ def out_of_reach(port: str) -> Check | None:
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
-    from sextant.services.actuator.commissioning.bus_scan import problems
+    from sextant.services.actuator.servo_bus.bus_scan import problems
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, open_port
     from sextant.shared.servo import dynamixel as dxl
 
@@ -118,7 +118,7 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan],
 
     The port is closed at the end.
     """
-    from sextant.services.actuator.commissioning.bus_scan import BusResponse, call
+    from sextant.services.actuator.servo_bus.bus_scan import BusResponse, call
     from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 
     bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
@@ -134,7 +134,7 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan],
 
 def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     """Check voltage, temperature and error registers of working servos."""
-    from sextant.services.actuator.commissioning.bus_scan import WARM, error_of, named
+    from sextant.services.actuator.servo_bus.bus_scan import WARM, error_of, named
     from sextant.shared.servo import dynamixel as dxl
 
     if not seen:

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
-from sextant.services.planner.locomotion.params import BlindWalkingParams, FootholdParams, RevisionParams, StepParams
+from sextant.services.planner.locomotion.params import BlindWalkingParams, RevisionParams, StepParams
 from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams, StallParams
+from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.roadmap.params import GapCrossingParams
 from sextant.shared.params import Params
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.decision import Decision
 from sextant.services.planner.gap_crossing.approach import GapCrossingController
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, NextStep
+from sextant.services.planner.locomotion.decision import Decision
 from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, NumberedStep, PlanTracker
 from sextant.services.planner.locomotion.step_selection import StepSelector
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, validation_error

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.params import FootholdParams
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN, TerrainMap
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import LegLinks, RobotProfile
+from sextant.shared.robot.profile import GRAVITY, LegLinks, RobotProfile
 
 SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee angle; below it joint rates are NaN
 
@@ -258,6 +258,19 @@ def joint_torques(profile: RobotProfile, q: Array, forces_body: Array) -> Array:
     _check(forces_body, "forces", 6, 3)
     forces = forces_body[..., None, :] @ profile.T_body_coxa[:, :3, :3]
     return np.asarray(-(forces @ leg_jacobian(q, profile.links))[..., 0, :])
+
+
+def link_torques(profile: RobotProfile, q: Array) -> Array:
+    """Return motor torques (6, 3) [N m] that hold the leg links at q (6, 3) [rad].
+
+    The body is level, and each link's mass is in its middle.
+    """
+    _, femur_mass, tibia_mass = profile.body.leg_link_masses
+    femur, tibia = profile.links.femur * np.cos(q[:, 1]), profile.links.tibia * np.cos(q[:, 1] + q[:, 2])
+    torques = np.zeros((6, 3))
+    torques[:, 2] = GRAVITY * tibia_mass * tibia / 2
+    torques[:, 1] = torques[:, 2] + GRAVITY * (femur_mass / 2 + tibia_mass) * femur
+    return torques
 
 
 def leg_points(profile: RobotProfile, q: Array) -> Array:

@@ -23,7 +23,7 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.planner.locomotion.foothold_search import Foothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import GOOD, Layer, Terrain
 from sextant.services.simulator.physics import terrain as ground
 from sextant.services.simulator.physics.terrain import build_terrain

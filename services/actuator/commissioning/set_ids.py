@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.bus_scan import (
+from sextant.services.actuator.servo_bus.bus_scan import (
     ANSWER_ALL,
     FACTORY_ID,
     SET_ID,

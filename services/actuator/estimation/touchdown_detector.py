@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.params import TouchdownParams
-from sextant.services.actuator.locomotion.feedforward import link_torques
 from sextant.shared.geometry import Array
+from sextant.shared.robot.kinematics import link_torques
 from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short

@@ -8,7 +8,7 @@ unloaded gradually. Carrying feet push slightly outwards; the friction force the
 import numpy as np
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.kinematics import joint_torques, leg_points
+from sextant.shared.robot.kinematics import joint_torques, leg_points, link_torques
 from sextant.shared.robot.profile import GRAVITY, RobotProfile
 
 # Keeps the forces bounded while a tripod degenerates; 1e-6 of the contribution of a standing leg.
@@ -64,21 +64,6 @@ def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
     middles = (points[:, :-1] + points[:, 1:]) / 2
     masses = np.array([profile.body.leg_link_masses])
     return np.asarray((masses @ middles.sum(axis=0))[0] / profile.body.total_mass)
-
-
-def link_torques(profile: RobotProfile, q: Array) -> Array:
-    """Return motor torques (6, 3) [N m] that hold the leg links at q (6, 3) [rad].
-
-    The body is level.
-
-    Each link's mass is in its middle.
-    """
-    _, femur_mass, tibia_mass = profile.body.leg_link_masses
-    femur, tibia = profile.links.femur * np.cos(q[:, 1]), profile.links.tibia * np.cos(q[:, 1] + q[:, 2])
-    torques = np.zeros((6, 3))
-    torques[:, 2] = GRAVITY * tibia_mass * tibia / 2
-    torques[:, 1] = torques[:, 2] + GRAVITY * (femur_mass / 2 + tibia_mass) * femur
-    return torques
 
 
 def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.actuator.commissioning import bus_scan
-from sextant.services.actuator.commissioning.bus_scan import BusResponse, PingResponses, Problem
+from sextant.services.actuator.servo_bus import bus_scan
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State
 from sextant.services.actuator.servo_bus.serial_port import (

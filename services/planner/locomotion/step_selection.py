@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.decision import Decision
 from sextant.services.planner.locomotion.blind_walking import BlindStepPlanner
+from sextant.services.planner.locomotion.decision import Decision
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, NumberedStep, PlanTracker

@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading, TouchdownDetector
-from sextant.services.actuator.locomotion.feedforward import link_torques
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import World
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.kinematics import body_inverse, link_torques
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Goal, Plane, Scenario
 from sextant.shared.servo import dynamixel as dxl

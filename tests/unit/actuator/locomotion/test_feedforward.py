@@ -11,12 +11,11 @@ from sextant.services.actuator.locomotion.feedforward import (
     centre_of_mass,
     foot_forces,
     lag_feed_forward,
-    link_torques,
     outward_forces,
     sag_feed_forward,
 )
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques, leg_points
+from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques, leg_points, link_torques
 from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]

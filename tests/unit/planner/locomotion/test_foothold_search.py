@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sextant.services.planner.locomotion.missing_ground import MissingGround
-from sextant.services.planner.locomotion.params import FootholdParams
+from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import GOOD, NONE, flat_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import HAZARDS, ActuatorState

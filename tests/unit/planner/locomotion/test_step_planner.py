@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
-from sextant.services.planner.locomotion.params import FootholdParams, StepParams
+from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.locomotion.swing_clearance import descent_clearance
+from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning import bus_scan
-from sextant.services.actuator.commissioning.bus_scan import BusResponse, NotAServoBusError, scan_servo
+from sextant.services.actuator.servo_bus import bus_scan
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, scan_servo
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, ServoBus
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
