@@ -11,7 +11,7 @@ from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.planner.gap_crossing.params import GapApproachParams
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
 from sextant.services.planner.roadmap.exhaustive import passable
-from sextant.services.planner.roadmap.params import PassageSettings
+from sextant.services.planner.roadmap.params import BareGroundParams, PassageSettings
 from sextant.services.planner.roadmap.roadmap import Stance
 from sextant.services.planner.roadmap.sections import goal_behind
 from sextant.services.planner.roadmap.strip_map import StripMap
@@ -46,7 +46,7 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
     height = scenario.walk.body_height
     near = gap_begins(course, scenario.goal.distance) - GapApproachParams().start_distance_m - BEHIND
     field = strip_from(course, near, height)
-    goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near)
+    goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near, BareGroundParams())
     if goal_x is None:
         return True
     settings = PassageSettings(body_height=height, cycles=_CYCLES)

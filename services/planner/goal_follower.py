@@ -39,14 +39,10 @@ class GoalFollower:
             stages: Durations of the planner's work.
         """
         self._profile, self._settings, self._steps, self._plans, self._stages = profile, settings, steps, plans, stages
-        self._path_follower = self._new_path_follower()
+        self._path_follower = PathFollower(profile, settings)
         self._gap_crossing = GapCrossingController(profile, settings)
         self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # poses of the last seconds
         self._certain_ns = 0  # [ns] when perception was last certain of the robot's pose
-
-    def _new_path_follower(self) -> PathFollower:
-        settings = self._settings
-        return PathFollower(self._profile, settings.costmap, settings.path_follower, settings.stall)
 
     @property
     def path(self) -> Array:
@@ -165,5 +161,5 @@ class GoalFollower:
             reason = f"{no_path}; no gap crossing: {led.reason}" if no_path else f"no gap crossing: {led.reason}"
             return Decision("blocked", reason, retry_s=self._settings.revision.interval_s)
         if isinstance(led, Completed):
-            self._path_follower = self._new_path_follower()  # its knowledge of the path does not hold here
+            self._path_follower = PathFollower(self._profile, self._settings)  # its knowledge of the path does not hold here
         return Decision("stepping" if state.phase < 1.0 else "waiting", led.words)

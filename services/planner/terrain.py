@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.services.planner.params import FootholdParams
 from sextant.shared.geometry import Array
-from sextant.shared.wire.messages import UNKNOWN, TerrainMap
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, TerrainMap
 
 STEEPEST = float(np.tan(np.radians(12.0)))  # maximum slope of a plane through feet; feet on stones can suggest a steeper one
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # suitability of a place as a foothold
@@ -70,11 +70,10 @@ class Terrain:
         the function is strongly negative or has a local minimum. It is poor where the function is negative otherwise.
         """
         if self.layer == "score":
-            most = self.params.max_score
             near = self.centres(xy) + self.params.room_m * _AROUND
             scores, around = self.scores(xy), self.scores(near)
-            carries = POOR + (GOOD - POOR) * (around <= most).mean(axis=0)  # NaN, unseen, carries none
-            return np.where(np.isnan(scores), np.nan, np.where(scores <= most, carries, NONE))
+            carries = POOR + (GOOD - POOR) * (around <= MAX_FOOTHOLD_SCORE).mean(axis=0)  # NaN, unseen, carries none
+            return np.where(np.isnan(scores), np.nan, np.where(scores <= MAX_FOOTHOLD_SCORE, carries, NONE))
         here = self._evaluations(xy)
         around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)
         good = here <= np.maximum(around, round(-self.params.firm_m / self.map.resolution))
@@ -83,7 +82,7 @@ class Terrain:
     def footholds(self) -> NDArray[np.bool_]:
         """Return which cells (nx, ny) of the map carry a foot."""
         if self.layer == "score":
-            return np.asarray(self.map.score <= self.params.max_score)
+            return np.asarray(self.map.score <= MAX_FOOTHOLD_SCORE)
         return np.asarray(self.map.evaluation < 0)
 
     def _evaluations(self, xy: Array) -> NDArray[np.int64]:

@@ -24,6 +24,7 @@ MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
 UNKNOWN = 127  # value of the evaluation function in cells that were never seen
+MAX_FOOTHOLD_SCORE = 1.0  # highest score of a cell that carries a foot
 HAZARDS = ("", "water", "loose ground", "no ground by touch")  # indexed by TerrainMap.hazard
 MAX_LENGTH = 4_000_000  # elements along one dimension of an array
 MAX_WAYPOINTS = 32  # of a goal

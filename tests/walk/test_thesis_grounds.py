@@ -23,7 +23,6 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.planner.locomotion.foothold_search import Foothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import GOOD, Layer, Terrain
 from sextant.services.simulator.physics import terrain as ground
 from sextant.services.simulator.physics.terrain import build_terrain
@@ -32,11 +31,10 @@ from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import UNKNOWN, TerrainMap
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 
-ACCEPTABLE = FootholdParams().max_score
 SEARCH = 0.06  # [m] search radius of the planner
 R = 0.01  # [m]
 
@@ -128,7 +126,7 @@ def test_the_six_picks(name: str, layer: Layer) -> None:
         assert terrain.suitability(np.array([pick.xy]))[0] != GOOD
     if layer == "score":
         score = terrain.scores(found.p_world[None, :2])[0]
-        assert score <= ACCEPTABLE
+        assert score <= MAX_FOOTHOLD_SCORE
         if not pick.level:
             assert score > 0.3  # not a perfect score, but an acceptable one
 
@@ -194,7 +192,7 @@ def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
     score = published_score(z, w.slope / (8 * R), w.proximity * 25, kernel=5, sigma=w.proximity_sigma / R)
     for name, pick in PICKS.items():
         away = np.linalg.norm(xy - np.array(pick.xy), axis=2)
-        away[~((score <= ACCEPTABLE) & (away <= SEARCH))] = np.inf
+        away[~((score <= MAX_FOOTHOLD_SCORE) & (away <= SEARCH))] = np.inf
         here = z.ravel()[np.argmin(away)]
         assert np.isfinite(away.min()), name
         assert pick.height[0] - 0.005 <= here <= pick.height[1] + 0.005, name
@@ -280,7 +278,7 @@ def test_the_floor_shows_no_lines() -> None:
     assert floor.sum() > 10_000
     assert np.percentile(np.abs(end.elevation[floor]), 99) < 0.008
     known_well = floor & np.isfinite(end.score)
-    assert (end.score[known_well] <= ACCEPTABLE).mean() > 0.995
+    assert (end.score[known_well] <= MAX_FOOTHOLD_SCORE).mean() > 0.995
     assert (end.evaluation[known_well] < 0).mean() > 0.97
 
 

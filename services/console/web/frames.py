@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.console.web.requests import Layer
-from sextant.shared.wire.messages import UNKNOWN, Preview, TerrainMap
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
 _HIGHEST = np.float32(32767.0)  # [mm] upper limit of heights
@@ -84,7 +84,8 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
         case "color":
             return np.ascontiguousarray(terrain.color), {}
         case "score":
-            return _bytes(terrain.score * np.float32(_SCORE_STEPS)), {"per_byte": 1.0 / _SCORE_STEPS, "limit": 1.0}
+            scale = {"per_byte": 1.0 / _SCORE_STEPS, "limit": MAX_FOOTHOLD_SCORE}
+            return _bytes(terrain.score * np.float32(_SCORE_STEPS)), scale
         case "variance":
             deviation = np.sqrt(np.maximum(terrain.variance, np.float32(0.0)))
             return _bytes(deviation * np.float32(254.0 / _WORST_VARIANCE)), {

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from sextant.services.mapper.footholds.foothold_map import disc
 from sextant.services.mapper.footholds.params import ScoreParams
 from sextant.shared.runtime.compiled import compiled
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -38,8 +39,8 @@ class Walkability:
     It is NaN and not acceptable if the cell is unknown or too close to an unknown one.
     """
 
-    score: NDArray[np.float32]  # (nx, ny) weighted sum of the three terms
-    acceptable: NDArray[np.bool_]  # (nx, ny) score at most the limit
+    score: NDArray[np.float32]  # (nx, ny) weighted sum of the three terms, relative to the limit of the parameters
+    acceptable: NDArray[np.bool_]  # (nx, ny) score of at most `MAX_FOOTHOLD_SCORE`
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,7 @@ class WalkabilityScorer:
         if h.shape != self.shape:
             raise ValueError(f"map of shape {self.shape} expected, found {h.shape}")
         score = self.evaluate(h, reference_height(h)).score.copy()
-        return Walkability(score, score <= np.float32(self.weights.limit))
+        return Walkability(score, score <= np.float32(MAX_FOOTHOLD_SCORE))
 
     def evaluate(self, elevation: NDArray[np.float32], reference: float) -> "Scored":
         """Score a map or a part of it; the next call overwrites the result.
@@ -109,7 +110,7 @@ class WalkabilityScorer:
         2. Slope: Sobel over the 3x3 known cells (Lotriet 2024, eq. 6.1-6.3).
         3. Proximity: Gaussian mean of the known cells minus the cell (eq. 6.4), a normalised convolution.
         4. Roughness: deviation of the known cells from their least-squares plane.
-        5. The weighted sum.
+        5. The weighted sum, relative to the limit.
 
         Args:
             elevation: (a, b) [m] contiguous, at most the scorer's shape, NaN where unseen; the outside is unknown.
@@ -135,7 +136,8 @@ class WalkabilityScorer:
         _slope_and_proximity(gx.ravel(), gy.ravel(), height.ravel(), mean.ravel(), weight.ravel(), flat[0], flat[1])
         for term in flat:
             _mask(complete.ravel(), term)
-        _weighted_sum(flat[0], flat[1], flat[2], (w.slope, w.proximity, w.roughness), score.ravel())
+        weights = w.slope / w.limit, w.proximity / w.limit, w.roughness / w.limit
+        _weighted_sum(flat[0], flat[1], flat[2], weights, score.ravel())
         _mask(evaluable.ravel(), score.ravel())
         self._scored = Scored(slope, proximity, roughness, score, seen, complete, evaluable)
         return self._scored

@@ -26,7 +26,7 @@ from sextant.services.mapper.footholds.foothold_score import Scalar, Walkability
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.params import FootholdLayersParams, FootholdMapParams, ScoreParams
 from sextant.shared.runtime.compiled import compiled
-from sextant.shared.wire.messages import UNKNOWN, BodyPose
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, BodyPose
 
 _WHOLE = 0.8  # share of the map, above which all of it is recomputed
 _BAND = 65536  # cells scored per pass
@@ -245,7 +245,7 @@ class FootholdLayers:
             return np.full(self.shape, levels[fixed], dtype=np.uint8) if fixed else None
         limits = [np.float32((step / margin.sigmas) ** 2 - position_sigma**2) for step in steps[fixed:]]
         # A foothold of either layer: ground too steep for one may be a foothold for the other.
-        foothold = (self._score <= np.float32(weights.limit)) | (self._even == 1)
+        foothold = (self._score <= np.float32(MAX_FOOTHOLD_SCORE)) | (self._even == 1)
         if limits[0] < 0 or fixed:
             added = np.where(foothold, np.uint8(fixed), np.uint8(0))
             v = np.where(np.isnan(variance), np.float32(0.0), variance)

@@ -18,7 +18,7 @@ class ScoreParams(Params):
     slope: float = ranged(1.0 / 0.6, 0.0, 1000.0)  # weight per unit gradient
     proximity: float = ranged(100.0, 0.0, 1e5)  # [1/m] weight of the mean height difference around the cell
     roughness: float = ranged(580.0, 0.0, 1e5)  # [1/m] weight of the deviation from the local plane
-    limit: float = ranged(1.0, 0.01, 100.0)  # [1] highest acceptable score
+    limit: float = ranged(1.0, 0.01, 100.0)  # [1] highest weighted sum of a foothold; the published score is relative to it
     proximity_sigma: float = ranged(0.015, 1e-4, 0.5)  # [m] standard deviation of the Gaussian kernel
     flat_radius: float = ranged(0.02, 1e-4, 0.25)  # [m] half width of kernel and plane fit: ground that a foot needs around it
     noise_sigma: float = ranged(0.0015, 0.0, 0.5)  # [m] noise of the map in the plane deviation, subtracted in squares

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.runtime.compiled import compiled
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
 
 Array = NDArray[np.float64]
 Layer = NDArray[np.float32]
@@ -104,7 +105,7 @@ class TypeMap:
     """Ground type of each cell, in world order."""
 
     probability: Layer  # (nx, ny, 3) of firm, water, loose; they sum to one
-    cost: Layer  # (nx, ny) added to a score with limit 1: 0 for firm ground, above 1 for no foothold
+    cost: Layer  # (nx, ny) added to the score: 0 for firm ground, above `MAX_FOOTHOLD_SCORE` for no foothold
     hazard: NDArray[np.uint8]  # (nx, ny) type for which the cell is no foothold, 0 for none
     confidence: NDArray[np.uint8]  # (nx, ny) [%] of the most probable type, 0 if the cell has neither colour nor touch
 
@@ -334,7 +335,7 @@ class TerrainType:
         if doubt.max() > m.free_below:
             doubt = np.asarray(cv2.dilate(doubt, self._near), dtype=np.float32)
             cost = np.maximum((doubt - np.float32(m.free_below)) / np.float32(m.refused_from - m.free_below), np.float32(0.0))
-            i, j = np.nonzero(cost > 1.0)
+            i, j = np.nonzero(cost > MAX_FOOTHOLD_SCORE)
             if len(i):
                 near = cv2.dilate(np.ascontiguousarray(p[..., 1:]), self._near)[i, j]
                 hazard[i, j] = np.where(near[:, 0] >= near[:, 1], GroundType.WATER, GroundType.LOOSE)

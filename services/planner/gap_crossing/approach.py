@@ -140,7 +140,9 @@ class GapCrossingController:
             self._approach = None
         unready = self._face(goal, state, standing.body, target)
         if unready is None:
-            roadmap = Roadmap(self._profile, PassageSettings.of(self._settings.gap_crossing, goal.body_height))
+            settings = self._settings
+            passage = PassageSettings.of(settings.gap_crossing, settings.gap_detection, goal.body_height)
+            roadmap = Roadmap(self._profile, passage)
             self._gap_crossing = GapCrossing(self._profile, self._settings, roadmap, standing, target, self._yielded)
         return unready
 
@@ -150,7 +152,7 @@ class GapCrossingController:
         start = self._start(goal, standing, terrain)
         if isinstance(start, str):
             return start
-        self._crossing_line, self._approach = (start, target.copy()), self._follower()
+        self._crossing_line, self._approach = (start, target.copy()), PathFollower(self._profile, self._settings)
         self._still_ns = self._turning_ns = -1
         facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
@@ -159,10 +161,6 @@ class GapCrossingController:
             # The robot may stand on pillars, where a turn is difficult, so it crosses straight ahead.
             self._crossing_line, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         return ""
-
-    def _follower(self) -> PathFollower:
-        settings = self._settings
-        return PathFollower(self._profile, settings.costmap, settings.path_follower, settings.stall)
 
     def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> MotionCommand | Outcome | None:
         """Return the next action to face a place and come to rest, or None when done.

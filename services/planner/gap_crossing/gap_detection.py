@@ -7,6 +7,7 @@ import numpy as np
 from sextant.services.planner.gap_crossing.params import GapDetectionParams
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ def detect_gap(
     heights = terrain.heights(places)
     wall = (heights > ground + max_step_m).mean(axis=1) > params.wall_share
     bare = _wide(
-        (terrain.scores(places) <= terrain.params.max_score).mean(axis=1) < params.carrying_share,
+        (terrain.scores(places) <= MAX_FOOTHOLD_SCORE).mean(axis=1) < params.carrying_share,
         round(params.min_length_m / terrain.map.resolution),
     )
     known = np.isfinite(heights).mean(axis=1) > params.known_share

@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 
+from sextant.services.planner.roadmap.params import BareGroundParams
 from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
 
 
 @dataclass(frozen=True, slots=True)
-class GapDetectionParams(Params):
-    """Detection of a gap on the straight line to a goal."""
+class GapDetectionParams(BareGroundParams):
+    """Detection of a gap on the straight line to a goal, and of bare ground in the strip across it."""
 
-    half_width_m: float = ranged(0.20, 0.02, 1.0)  # [m] half width of the band ahead that is checked, about that of the feet
-    carrying_share: float = ranged(0.8, 0.0, 1.0)  # [1] share of the band across that must carry a foot for normal walking
     known_share: float = ranged(0.5, 0.0, 1.0)  # [1] share of it that must be known
     wall_share: float = ranged(0.1, 0.0, 1.0)  # [1] share of the band higher than a step of the legs, from which it is a wall
     wall_base_m: float = ranged(0.10, 0.0, 1.0)  # [m] before a wall, where ground at its foot also carries none

@@ -204,7 +204,7 @@ class GapCrossing:
             return CannotCross(f"the robot is {off} off the centre line of the strip")
         field = self._field = self._ground.excluded_from(self._required_field, root.feet)
         target_x = float(apply(inverse(self._survey.T_world_strip), np.array([*self._target, 0.0]))[0])
-        goal_x = goal_behind(field, float(root.body[0]) + _NEARLY, target_x)
+        goal_x = goal_behind(field, float(root.body[0]) + _NEARLY, target_x, self._settings.gap_detection)
         if goal_x is None:
             return Completed("no gap ahead of the robot")
         refusal = self._search.begin(field, root, goal_x, standing.body[:2, 3])

@@ -9,11 +9,12 @@ import numpy as np
 
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply
-from sextant.shared.wire.messages import HAZARDS, ActuatorState, TerrainMap
+from sextant.shared.wire.messages import HAZARDS, MAX_FOOTHOLD_SCORE, ActuatorState, TerrainMap
 
 _RADIUS = 0.04  # [m] around such a place that is refused
 _KEPT = 64  # maximum number of places, the newest
 _NO_GROUND = HAZARDS.index("no ground by touch")
+_REFUSED = np.float32(MAX_FOOTHOLD_SCORE + 1.0)  # score of such a place
 
 
 class MissingGround:
@@ -48,12 +49,11 @@ class MissingGround:
         x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
         score, evaluation = m.score.copy(), m.evaluation.copy()
         hazard = m.hazard.copy() if m.hazard.size else np.zeros(m.score.shape, dtype=np.uint8)
-        refused = np.float32(terrain.params.max_score + 1.0)
         for place in self.places:
             i, j = (np.flatnonzero(np.abs(axis - at) <= _RADIUS) for axis, at in zip((x, y), place, strict=True))
             near = (x[i, None] - place[0]) ** 2 + (y[None, j] - place[1]) ** 2 <= _RADIUS**2
             box = np.ix_(i, j)
-            score[box] = np.where(near, np.maximum(score[box], refused), score[box])
+            score[box] = np.where(near, np.maximum(score[box], _REFUSED), score[box])
             evaluation[box] = np.where(near, np.maximum(evaluation[box], np.int8(1)), evaluation[box])
             hazard[box] = np.where(near, np.uint8(_NO_GROUND), hazard[box])
         return replace(terrain, map=replace(m, score=score, evaluation=evaluation, hazard=hazard))

@@ -11,8 +11,8 @@ from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
 
+from sextant.services.planner.config import PlannerParams
 from sextant.services.planner.locomotion.gait import GAITS
-from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams, StallParams
 from sextant.services.planner.navigation.path_planner import NoPath, PlannedPath, cost_of, find_path
 from sextant.services.planner.navigation.stall_detection import StallDetector
 from sextant.services.planner.navigation.traversability import (
@@ -60,16 +60,17 @@ class _ActiveGoal:
 class PathFollower:
     """Follows the path to one goal at a time."""
 
-    def __init__(self, profile: RobotProfile, costmap: CostmapParams, params: PathFollowerParams, stall: StallParams):
+    def __init__(self, profile: RobotProfile, settings: PlannerParams):
         """Initialize for a robot."""
-        self._profile, self._params, self._stall = profile, params, stall
+        params = settings.path_follower
+        self._profile, self._params, self._stall = profile, params, settings.stall
         feet = profile.rest_feet()
         half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + params.margin_m  # the robot must be able to turn
         # Next to a hole the outermost feet may stand closer, by the radius of the foothold search.
         closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + params.margin_m
         self._size = RequiredSpace(half, min(closer, half), half + params.preferred_margin_m)
-        self._blind_radius_m = costmap.blind_radius_m
-        self._ground = LocalGroundMap(costmap)
+        self._blind_radius_m = settings.costmap.blind_radius_m
+        self._ground = LocalGroundMap(settings.costmap)
         self._active_goal: _ActiveGoal | None = None
 
     @property

@@ -1,11 +1,19 @@
 """Parameters of the roadmap planner; lengths scale with the robot's size."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Self
 
 from sextant.shared.files import config
 from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
+
+
+@dataclass(frozen=True, slots=True)
+class BareGroundParams(Params):
+    """Bare ground: rows of cells that carry a foot only in some places, too few for normal walking."""
+
+    half_width_m: float = ranged(0.20, 0.02, 1.0)  # [m] half width of the band ahead that is checked, about that of the feet
+    carrying_share: float = ranged(0.8, 0.0, 1.0)  # [1] share of the band across that must carry a foot for normal walking
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +73,13 @@ class PassageSettings(GapCrossingParams):
     """Parameters of the roadmap planner, and the body height of one crossing."""
 
     body_height: float = 0.0  # [m] over the floor; 0 for the profile's value
+    bare_ground: BareGroundParams = field(default_factory=BareGroundParams)
 
     @classmethod
-    def of(cls, params: GapCrossingParams, body_height: float) -> Self:
+    def of(cls, params: GapCrossingParams, bare_ground: BareGroundParams, body_height: float) -> Self:
         """Return the settings of a crossing at a body height [m]."""
-        return cls(**{field.name: getattr(params, field.name) for field in fields(params)}, body_height=body_height)
+        values = {one.name: getattr(params, one.name) for one in fields(params)}
+        return cls(**values, body_height=body_height, bare_ground=bare_ground)
 
     def __post_init__(self) -> None:
         config.verify(self)

@@ -18,7 +18,6 @@ from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 
-_LIT = 0.3  # [1] known share of a row of cells, below which the known ground ends
 _BAND = 0.35  # [m] to either side of the middle line in which cells count
 _MIN_SECTION_M = 0.05  # [m] minimum body travel of a section
 _SPARE = 0.10  # [m] body travel planned beyond the end of a section that does not reach the goal
@@ -187,7 +186,7 @@ class Roadmap:
     def _end_of_the_known(self, field: StripMap, stance: Stance) -> float:
         """Return the limit [m] {strip} of the body that keeps feet on known ground."""
         front = float((self._legs.rest[:, 0]).max())
-        known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _LIT)
+        known = field.known_until(float(stance.feet[:, 0].max()), _BAND)
         return np.inf if known >= field.elevation.shape[0] * field.resolution - 1e-9 else known - front - 0.03
 
     def _repaired(self, stance: Stance) -> Stance:
@@ -248,7 +247,7 @@ class Roadmap:
         without a path onwards has no benefit.
         """
         assert self._field is not None
-        rows, x0, resolution = bare(self._field), self._field.corner[0], self._field.resolution
+        rows, x0, resolution = bare(self._field, self._settings.bare_ground), self._field.corner[0], self._field.resolution
 
         def within(x: float) -> bool:
             row = min(max(round((x - x0) / resolution), 0), len(rows) - 1)

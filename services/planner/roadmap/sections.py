@@ -5,21 +5,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.planner.roadmap.strip_map import StripMap
+from sextant.services.planner.roadmap.params import BareGroundParams
+from sextant.services.planner.roadmap.strip_map import KNOWN_SHARE, StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import UNKNOWN
 
 _BEYOND = 0.40  # [m] from the gap to the body's centre, with which the whole robot stands behind the gap
 _ROOM = 0.80  # [m] of normal ground, enough for the whole robot to stand and walk on
-_HALF_WIDTH = 0.20  # [m] half width of the band ahead that is checked for the end of the gap
-_CARRYING = 0.8  # [1] share of the band that must carry a foot for normal walking
-_KNOWN = 0.3  # [1] share of it that is known at the end of the known ground
 _BORDER = 0.05  # [m] at the strip's far end where no gap is detected, because cells outside a strip count as vacant
 _UNDER = 0.7  # [1] share of the radius of failed ground, in which the ground has certainly sunk with the foot
 _GONE = 1  # evaluation function of a cell without a foothold
 
 
-def goal_behind(field: StripMap, x: float, target: float) -> float | None:
+def goal_behind(field: StripMap, x: float, target: float, params: BareGroundParams) -> float | None:
     """Return the body's goal, from which the whole robot stands behind bare ground.
 
     Bare ground carries a foot only in some places.
@@ -28,12 +26,13 @@ def goal_behind(field: StripMap, x: float, target: float) -> float | None:
         field: The strip.
         x: [m] {strip} of the body.
         target: [m] {strip} of the goal behind all bare ground.
+        params: Parameters of bare ground.
 
     Returns:
         [m] {strip}, at most the target and behind the first bare stretch. Other stretches may follow after room to walk. None
         if there is no bare stretch within the room to walk, or if the body is past the target.
     """
-    rows = bare(field)
+    rows = bare(field, params)
     centres = field.corner[0] + field.resolution * np.arange(len(rows))
     ahead = np.flatnonzero(rows & (centres > x - _BEYOND) & (centres < target))
     if not len(ahead) or x >= target or centres[ahead[0]] > x + _ROOM:
@@ -61,15 +60,15 @@ def without(field: StripMap, sole: Array, radius: float) -> StripMap:
     )
 
 
-def bare(field: StripMap) -> NDArray[np.bool_]:
+def bare(field: StripMap, params: BareGroundParams) -> NDArray[np.bool_]:
     """Return which (nx,) rows of cells carry a foot only in some places.
 
     Rows beyond the known ground and at the end of the strip do not count.
     """
     y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
-    band = field.evaluation[:, np.abs(y) <= _HALF_WIDTH]
-    known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > _KNOWN)
-    rows = (band < 0).mean(axis=1) < _CARRYING
+    band = field.evaluation[:, np.abs(y) <= params.half_width_m]
+    known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > KNOWN_SHARE)
+    rows = (band < 0).mean(axis=1) < params.carrying_share
     rows[known[-1] + 1 if len(known) else 0 :] = False
     rows[-round(_BORDER / field.resolution) - 1 :] = False
     return np.asarray(rows)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse
 from sextant.shared.wire.messages import UNKNOWN, PassageMap
 
+KNOWN_SHARE = 0.3  # [1] known share of a row of cells, below which the known ground ends
+
 
 @dataclass(frozen=True, eq=False)
 class StripMap:
@@ -77,7 +79,7 @@ class StripMap:
         known = around[np.isfinite(around)]
         return float(known.min()) if known.size else np.nan
 
-    def known_until(self, start: float, half_width: float, least: float) -> float:
+    def known_until(self, start: float, half_width: float) -> float:
         """Return the end [m] of the known ground from a place on.
 
         It is the end of the last row with a sufficient share of known cells. Rows before it may have unseen cells, such as the
@@ -86,11 +88,10 @@ class StripMap:
         Args:
             start: [m] start of the search.
             half_width: [m] of the band around the middle line that counts.
-            least: [1] minimum known share of a row in the band.
         """
         nx, ny = self.elevation.shape
         y = (np.arange(ny) + 0.5) * self.resolution - 0.5 * ny * self.resolution
         known = (self.evaluation != UNKNOWN)[:, np.abs(y) <= half_width].mean(axis=1)
         first = min(max(0, int(start / self.resolution)), nx)
-        rows = np.flatnonzero(known[first:] >= least)
+        rows = np.flatnonzero(known[first:] >= KNOWN_SHARE)
         return float((first + (int(rows[-1]) + 1 if len(rows) else 0)) * self.resolution)

@@ -16,6 +16,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
+    MAX_FOOTHOLD_SCORE,
     ActuatorState,
     BodyPose,
     Message,
@@ -496,12 +497,13 @@ def test_scan_color_is_ignored_for_robot_without_color_camera() -> None:
     assert made.color.size == 0
 
 
-def test_passage_map_has_no_foothold_in_puddle() -> None:
+def maps_with_puddle(settings: Settings) -> list[Message]:
+    """Return the messages of a mapper that sees a puddle of 16 x 16 cm around (0.85, 0.1)."""
     rig = Rig()
-    rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
+    rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), settings)
     rig.inbox = Inbox([rig.mapper.trigger, *rig.mapper.subscribes], rig.mapper.stages)
     rig.stand(at())
-    told = []
+    made: list[Message] = []
     for _ in range(8):
         rig.now_ns += 66 * MS
         rig.inbox.now_ns = rig.now_ns
@@ -510,8 +512,21 @@ def test_passage_map_has_no_foothold_in_puddle() -> None:
         seen = ground_scan(rig.now_ns, 0.0)
         puddle = (np.abs(seen.points[:, :2] - [0.85, 0.1]) < 0.08).all(axis=1)
         rgb = np.where(puddle[:, None], [150, 175, 205], [120, 118, 115]).astype(np.uint8)
-        made = rig.mapper.step(replace(seen, color=codes(ycocg_from_rgb(rgb))), rig.inbox)
-        told += [m for m in made if isinstance(m, PassageMap)]
+        made += rig.mapper.step(replace(seen, color=codes(ycocg_from_rgb(rgb))), rig.inbox)
+    return made
+
+
+@pytest.mark.parametrize("limit", [0.3, 1.0, 100.0])
+def test_hazard_is_no_foothold_at_any_limit_of_the_score(limit: float) -> None:
+    footholds = replace(SETTINGS.footholds, score=replace(SETTINGS.footholds.score, limit=limit))
+    last = [m for m in maps_with_puddle(replace(SETTINGS, footholds=footholds)) if isinstance(m, TerrainMap)][-1]
+    scored = last.hazard.astype(bool) & np.isfinite(last.score)
+    assert scored.sum() > 100
+    assert (last.score[scored] > MAX_FOOTHOLD_SCORE).all()
+
+
+def test_passage_map_has_no_foothold_in_puddle() -> None:
+    told = [m for m in maps_with_puddle(SETTINGS) if isinstance(m, PassageMap)]
     x, y = told[-1].origin[0] + 0.01 * np.arange(270)[:, None], told[-1].origin[1] + 0.01 * np.arange(100)
     in_it = (np.abs(x - 0.85) < 0.07) & (np.abs(y - 0.1) < 0.07)
     beside = (np.abs(x - 0.85) < 0.07) & (np.abs(y + 0.15) < 0.07)

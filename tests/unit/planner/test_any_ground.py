@@ -16,6 +16,7 @@ from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
 from sextant.services.planner.navigation.params import CostmapParams
 from sextant.services.planner.navigation.path_planner import NoPath, find_path
 from sextant.services.planner.navigation.traversability import LocalGroundMap, RequiredSpace
+from sextant.services.planner.roadmap.params import BareGroundParams
 from sextant.services.planner.roadmap.sections import bare, goal_behind, without
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.terrain import Terrain
@@ -129,9 +130,9 @@ def test_section_goal_on_any_strip_is_ahead_up_to_target(seed: int) -> None:
     for _ in range(int(rng.integers(0, 4))):
         field = without(field, rng.uniform([-0.2, -0.6, -0.4], [2.9, 0.6, 0.1]), 0.055)
     x, target = rng.uniform(-0.3, 3.0, 2)
-    goal = goal_behind(field, x, target)
+    goal = goal_behind(field, x, target, BareGroundParams())
     assert goal is None or x - BEHIND < goal <= target
-    assert bare(field).shape == (len(field.evaluation),)
+    assert bare(field, BareGroundParams()).shape == (len(field.evaluation),)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.footholds.foothold_score import ScoreTerms, Walkability, WalkabilityScorer
 from sextant.services.mapper.footholds.params import ScoreParams
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
 
 RESOLUTION = 0.01
 
@@ -104,12 +105,12 @@ def test_hole_and_block_have_equal_score() -> None:
     np.testing.assert_allclose(score(z).score, score(-z).score, atol=1e-5)
 
 
-def test_score_is_weighted_sum_and_limit_sets_acceptability() -> None:
+def test_score_is_weighted_sum_relative_to_limit() -> None:
     w = ScoreParams(slope=0.7, proximity=33.0, roughness=210.0, limit=0.4)
     s = score(terrain(3), w)
-    np.testing.assert_allclose(s.score, 0.7 * s.slope + 33.0 * s.proximity + 210.0 * s.roughness, rtol=1e-5)
-    with np.errstate(invalid="ignore"):
-        np.testing.assert_array_equal(s.acceptable, s.score <= np.float32(0.4))
+    weighted_sum = 0.7 * s.slope + 33.0 * s.proximity + 210.0 * s.roughness
+    np.testing.assert_allclose(s.score, weighted_sum / 0.4, rtol=1e-5)
+    np.testing.assert_array_equal(s.acceptable, s.score <= MAX_FOOTHOLD_SCORE)
 
 
 # ---- slope

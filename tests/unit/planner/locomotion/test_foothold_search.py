@@ -11,16 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
 
 Flags = NDArray[np.bool_]
 
 RADIUS, RESOLUTION = 0.06, 0.01
 OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
 NO_OTHER_FEET = np.zeros((0, 2))
-ACCEPTABLE = FootholdParams().max_score
 Maker = Callable[..., Terrain]
 
 
@@ -37,7 +36,7 @@ def patchy(seed: int, bad: float) -> Terrain:
     ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.3)
     rng = np.random.default_rng(seed)
     score, elevation = ground.map.score, ground.map.elevation
-    score[rng.random(score.shape) < bad] = 2.0 * ACCEPTABLE
+    score[rng.random(score.shape) < bad] = 2.0 * MAX_FOOTHOLD_SCORE
     unknown = rng.random(score.shape) < 0.1
     score[unknown], elevation[unknown] = np.nan, np.nan
     return ground
@@ -66,11 +65,11 @@ def test_nearest_foothold_among_those_with_most_room_is_found(seed: int, bad: fl
     i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
     for i in range(map_.score.shape[0]):
         for j in range(map_.score.shape[1]):
-            if (i - i0) ** 2 + (j - j0) ** 2 > (RADIUS / RESOLUTION) ** 2 or not map_.score[i, j] <= ACCEPTABLE:
+            if (i - i0) ** 2 + (j - j0) ** 2 > (RADIUS / RESOLUTION) ** 2 or not map_.score[i, j] <= MAX_FOOTHOLD_SCORE:
                 continue
             places = [map_.origin + map_.resolution * np.array([i, j])]
             around = map_.score[i - 1 : i + 2, j - 1 : j + 2]
-            room = int((around <= ACCEPTABLE).sum()) - 1
+            room = int((around <= MAX_FOOTHOLD_SCORE).sum()) - 1
             if (i, j) == (i0, j0) and room == 8:
                 places.append(nominal)
             for place in places:
@@ -105,7 +104,7 @@ def test_reason_counts_each_cell_once(seed: int) -> None:
     assert total == len(OFFSETS) == sum(tests.values())
     scores = ground.scores(ground.centres(OFFSETS))
     assert tests.get("not seen", 0) == int(np.isnan(scores).sum())
-    assert tests.get("too steep", 0) == int((scores > ACCEPTABLE).sum())
+    assert tests.get("too steep", 0) == int((scores > MAX_FOOTHOLD_SCORE).sum())
     assert f"within {RADIUS * 100:.0f} cm" in found.reason
 
 
@@ -133,7 +132,7 @@ def test_no_foothold_outside_map() -> None:
 
 
 def test_score_at_limit_is_acceptable(make_terrain: Maker) -> None:
-    ground = make_terrain(score=lambda x, y: np.full_like(x, ACCEPTABLE))
+    ground = make_terrain(score=lambda x, y: np.full_like(x, MAX_FOOTHOLD_SCORE))
     assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NO_OTHER_FEET, 0.0, everywhere), Foothold)
 
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from sextant.services.planner.locomotion.missing_ground import MissingGround
-from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import GOOD, NONE, flat_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import HAZARDS, ActuatorState
@@ -43,14 +42,6 @@ def test_missing_ground_is_refused_only_nearby() -> None:
     assert [HAZARDS[h] for h in marked.hazards(near)] == ["no ground by touch"] * 2
     assert (FLAT.suitability(near) == GOOD).all(), "the map itself is left alone"
     assert holes.marked(FLAT) is marked
-
-
-def test_missing_ground_is_refused_at_any_limit_of_the_score() -> None:
-    holes = MissingGround()
-    holes.update(ground_not_found_at((0.2, 0.1)), np.eye(4))
-    for limit in (0.5, 1.0, 10.0):
-        marked = holes.marked(replace(flat_terrain(0, np.zeros(2), 0.0), params=FootholdParams(max_score=limit)))
-        assert marked.suitability(np.array([[0.2, 0.1]]))[0] == NONE
 
 
 def test_missing_ground_is_stored_once_and_carrying_ground_is_not() -> None:

@@ -18,17 +18,15 @@ from sextant.services.planner.locomotion.gait import GAITS, directions, swing_or
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.locomotion.swing_clearance import descent_clearance
-from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.stability import support_margin
-from sextant.shared.wire.messages import GaitName, VelocityCommand
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, GaitName, VelocityCommand
 
 Flags = NDArray[np.bool_]
 
-ACCEPTABLE = FootholdParams().max_score
 PROFILE = load_profile("phantomx_mk2")
 SETTINGS = Settings()
 PLANNER = StepPlanner(PROFILE, SETTINGS)
@@ -110,7 +108,7 @@ def test_stride_and_turn_are_limited() -> None:
 @settings(max_examples=25)
 def test_patchy_ground_gives_acceptable_footholds_or_reason(seed: int) -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0)
-    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * ACCEPTABLE
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * MAX_FOOTHOLD_SCORE
     at = standing()
     found = PLANNER.plan(at, ground)
     if isinstance(found, NoStep):
@@ -118,7 +116,7 @@ def test_patchy_ground_gives_acceptable_footholds_or_reason(seed: int) -> None:
         return
     check_walkable(found, at)
     landed = found.touchdown[at.swing, :2]
-    assert (ground.scores(landed) <= ACCEPTABLE).all()
+    assert (ground.scores(landed) <= MAX_FOOTHOLD_SCORE).all()
     assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= PROFILE.stance.search_radius + 0.01
 
 
@@ -324,7 +322,7 @@ def test_retarget_moves_only_foot_on_bad_ground(make_terrain: Maker) -> None:
     moved = PLANNER.retarget(found, newer)
     changed = np.abs(moved.touchdown - found.touchdown).max(axis=1) > 1e-6
     np.testing.assert_array_equal(np.flatnonzero(changed), [2])
-    assert newer.scores(moved.touchdown[2:3, :2])[0] <= ACCEPTABLE
+    assert newer.scores(moved.touchdown[2:3, :2])[0] <= MAX_FOOTHOLD_SCORE
     np.testing.assert_array_equal(moved.body_goal, found.body_goal)
 
 
@@ -332,7 +330,7 @@ def test_retarget_moves_only_foot_on_bad_ground(make_terrain: Maker) -> None:
 @settings(max_examples=25)
 def test_retargeted_feet_stay_in_reach_until_next_step(seed: int) -> None:
     found, ground = stride(standing(command(0.1))), flat_terrain(0, np.zeros(2), 0.0)
-    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.9] = 2.0 * ACCEPTABLE
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.9] = 2.0 * MAX_FOOTHOLD_SCORE
     moved = PLANNER.retarget(found, ground)
     for body in (found.body_goal, found.body_after):
         within = within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(body), moved.touchdown)))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams, StallParams
+from sextant.services.planner.config import PlannerParams
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.terrain import Terrain
@@ -43,7 +43,7 @@ class Robot:
         yaw: float = 0.0,
         stands: Callable[[Array], bool] = lambda T: True,
     ) -> None:
-        self.pilot = PathFollower(PROFILE, CostmapParams(), PathFollowerParams(), StallParams())
+        self.pilot = PathFollower(PROFILE, PlannerParams())
         self.terrain = terrain
         self.T = from_xyz_rpy((x, y, 0.1), (0.0, 0.0, yaw))
         self.now_ns = 0

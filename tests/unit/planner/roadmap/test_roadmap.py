@@ -184,7 +184,7 @@ def test_foot_at_gap_edge_does_not_count_as_on_pillars(roadmap: Roadmap) -> None
     evaluation[from_:to] = UNKNOWN
     field = StripMap(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
     near = round(START / field.resolution)
-    verge = (near + int(np.argmax(bare(field)[near:])) + 1) * field.resolution
+    verge = (near + int(np.argmax(bare(field, SETTINGS.bare_ground)[near:])) + 1) * field.resolution
     level = stance_at(PROFILE, START, HEIGHT)
     ahead = np.array([verge - level.feet[:, 0].max(), 0.0, 0.0])
     stance = Stance(level.body + ahead, level.feet + ahead)

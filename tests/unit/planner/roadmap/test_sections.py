@@ -1,6 +1,7 @@
 """Section goals in a gap crossing, and ground that gave way."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,10 +10,14 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_strips import FAR, GAP, NEAR, heights, thesis_blocks
 from sextant.evaluation.scoring.passage_truth import field_of
-from sextant.services.planner.roadmap.sections import goal_behind, without
+from sextant.services.planner.gap_crossing.params import GapDetectionParams
+from sextant.services.planner.roadmap import sections
+from sextant.services.planner.roadmap.params import BareGroundParams
+from sextant.services.planner.roadmap.sections import bare, without
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN
 
+goal_behind = partial(sections.goal_behind, params=BareGroundParams())
 PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
 BEHIND = NEAR + GAP + 0.40  # [m] x at which the whole robot stands behind the gap
 END = NEAR + GAP + FAR
@@ -57,6 +62,20 @@ def test_distant_gap_has_no_section_goal_yet() -> None:
     elevation[200:240] = -0.4
     assert goal_behind(field_of(elevation), 1.0, 9.0) is None
     assert goal_behind(field_of(elevation), 1.5, 9.0) is not None
+
+
+def test_bare_ground_follows_parameters_of_gap_detection() -> None:
+    """Check that ground which the detection of gaps accepts is no gap for the goal of a section, and vice versa."""
+    elevation = np.zeros((300, 100), dtype=np.float32)
+    elevation[100:140, 56:72] = -0.4  # a hole of 16 cm to the right of the middle
+    field = field_of(elevation)
+    for params, is_gap in (
+        (GapDetectionParams(), True),
+        (GapDetectionParams(carrying_share=0.2), False),
+        (GapDetectionParams(half_width_m=0.04), False),
+    ):
+        assert bare(field, params)[110:130].all() == is_gap
+        assert (sections.goal_behind(field, 0.6, 9.0, params) is not None) == is_gap
 
 
 def test_gap_at_strip_end_has_section_goal() -> None:
