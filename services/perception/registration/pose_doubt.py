@@ -17,6 +17,10 @@ class PoseDoubt:
             search_every: [frames] between searches while the doubt lasts.
         """
         self._before_search, self._every = frames_before_search, search_every
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames and searches, because the map starts again."""
         self._doubtful = 0  # consecutive frames, including failed ones
         self._away: NDArray[np.float64] | None = None  # (6,) twist to the pose that the last search found for a doubtful frame
         self._suspended = 0  # frames for which the doubt is suspended, because the ground changed and not the pose
@@ -36,8 +40,8 @@ class PoseDoubt:
         self._away = self._away if doubted else None
 
     def clear(self) -> None:
-        """End the doubt: a better pose was found."""
-        self._doubtful = 0
+        """End the doubt: a better pose was found, from which the next search starts."""
+        self._doubtful, self._away = 0, None
 
     @property
     def lasts(self) -> bool:

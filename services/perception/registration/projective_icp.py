@@ -37,6 +37,7 @@ _TRIES = 3  # alignments from a place found by the search
 _UNOBSERVED_SHIFT = 0.02  # [m, rad] largest shift by a search or a slip along a direction that no frame observes
 _STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes that start a search for a lost frame
 _LOST_SIGMA = 0.03  # [m] and [rad] uncertainty of a place found by the search
+_NO_DIRECTIONS: NDArray[np.float64] = np.zeros((0, 6))
 
 
 class Registration:
@@ -83,7 +84,7 @@ class Registration:
         self._doubt = PoseDoubt(limits.doubt, limits.search_every)
         self._rest = RestPose(limits.rest_step, follows_prior=not limits.legless)
         self._failures = 0  # consecutive
-        self._unobserved: NDArray[np.float64] = np.zeros((0, 6))  # (k, 6) degenerate twists of the last frame without doubt
+        self._unobserved = _NO_DIRECTIONS  # (k, 6) degenerate twists of the last frame without doubt
 
     @property
     def keyframe_poses(self) -> NDArray[np.float64]:
@@ -286,6 +287,14 @@ class Registration:
         frame = self._frame
         self._relocalization_map.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
+    def _forget_map(self) -> None:
+        """Forget the map, and everything that is known relative to it."""
+        self._keyframes.clear()
+        self._relocalization_map.clear()
+        self._fit.reset()
+        self._doubt.reset()
+        self._unobserved = _NO_DIRECTIONS
+
     def _refuse(
         self,
         stamp_ns: int,
@@ -298,9 +307,7 @@ class Registration:
         self._rest.end_frame(T_prior)
         if self._failures >= self._acceptance.patience and match is not None:
             # The prior has drifted too far for a search: start a new map there.
-            self._keyframes.clear()
-            self._relocalization_map.clear()
-            self._fit.reset()
+            self._forget_map()
             self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map restarts at the prior pose"
             self._failures = 0

@@ -38,6 +38,26 @@ def test_good_frame_in_between_discards_the_first_search(doubt: PoseDoubt) -> No
     assert not doubt.is_confirmed(AWAY)
 
 
+def test_search_after_the_doubt_ended_needs_its_own_second_search(doubt: PoseDoubt) -> None:
+    """Check a frame that is in doubt right after the pose found by two searches was taken."""
+    doubt.is_confirmed(AWAY)
+    assert doubt.is_confirmed(AWAY)
+    doubt.clear()
+    doubt.update(True)
+    assert not doubt.is_confirmed(AWAY)
+
+
+def test_restart_of_the_map_forgets_frames_searches_and_suspension(doubt: PoseDoubt) -> None:
+    for _ in range(3):
+        doubt.update(True)
+    doubt.is_confirmed(AWAY)
+    doubt.suspend()
+    doubt.reset()
+    assert not doubt.lasts
+    assert not doubt.is_suspended()
+    assert not doubt.is_confirmed(AWAY)
+
+
 def test_suspension_lasts_for_the_time_between_two_searches(doubt: PoseDoubt) -> None:
     assert not doubt.is_suspended()
     doubt.suspend()

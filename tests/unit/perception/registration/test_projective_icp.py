@@ -273,6 +273,21 @@ def test_slip_is_not_assumed_in_directions_that_the_ground_did_not_show(world, m
     assert is_taken is shown
 
 
+def test_restarted_map_knows_nothing_of_what_the_old_ground_hid(world):
+    """Check level ground, which shows neither x, y nor yaw, and a restart at pillars, which show them."""
+    registration, rng = Registration(world.intrinsics, world.sensor, Acceptance(patience=3)), np.random.default_rng(3)
+    T = world.camera_pose(-3.0)
+    for i in range(3):
+        flat = registration.update(world.depth_image(T, world.scenes["flat"], rng), i, T, TIGHT)
+    assert len(flat.degenerate) == 3
+    T = world.camera_pose(0.55)
+    depth = world.depth_image(T, world.scenes["pillars"], rng)
+    refused = [registration.update(depth, i, T, TIGHT) for i in range(3, 6)]
+    assert "restarts" in refused[-1].reason
+    assert len(registration._unobserved) == 0, "a slip may be assumed in any direction, as in a first map"
+    assert not registration._doubt.lasts
+
+
 def test_search_does_not_shift_unobservable_directions(world):
     """Check flat ground in front of the camera: nothing shows whether a pose further ahead is right."""
     registration = Registration(world.intrinsics, world.sensor)
