@@ -191,9 +191,9 @@ class ElevationGrid:
         updated, disputed, replaced = update_cells(as_plain(measured), self._filter_cells, self._filter_rules)
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
-        cleared = self._ray_clearing.clear_along_rays(*at, scan.points, every=self._clearing.every)
-        cleared += self._ray_clearing.clear_along_rays(*at, scan.sights, nearest=scan.nearest)
-        self._ray_clearing.end_scan()
+        self._ray_clearing.count_along_rays(*at, scan.points, every=self._clearing.every)
+        self._ray_clearing.count_along_rays(*at, scan.sights, nearest=scan.nearest)
+        cleared = self._ray_clearing.end_scan(cells)
         return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
 
     def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:

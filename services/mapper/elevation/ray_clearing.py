@@ -34,13 +34,16 @@ class RayClearing:
         """Create for an unseen map of shape (nx, ny)."""
         self._thresholds = _Thresholds(**{name: getattr(params, name) for name in _Thresholds._fields})
         self._highest, self._scans = -math.inf, 0
-        self._marked = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # marks the cells counted in a scan; -1 between scans
+        cells = shape[0] * shape[1]
+        self._counted = np.empty(cells, dtype=np.int32)  # flat indices of the cells that the rays of a scan pass through
+        self._number = 0  # of counted cells
+        self._marked = np.full(cells, -1, dtype=np.int8)  # -1 not counted in this scan, 1 counted inside an object, else 0
 
     def note_height(self, z: float) -> None:
         """Register a new height [m] of a cell."""
         self._highest = max(self._highest, z)
 
-    def clear_along_rays(
+    def count_along_rays(
         self,
         cells: CellLayers,
         low: NDArray[np.int64],
@@ -51,8 +54,8 @@ class RayClearing:
         *,
         every: int = 1,
         nearest: float = 0.0,
-    ) -> int:
-        """Clear the cells that rays of a scan pass through; a cell counts at most once per call.
+    ) -> None:
+        """Count the cells that rays of a scan pass through, each at most once until `end_scan`.
 
         Args:
             cells: Cells of the map.
@@ -63,28 +66,37 @@ class RayClearing:
             points: (n, 3) ends of the rays, in the scan's unit from its origin.
             every: Every n-th ray is traced, different ones in each scan.
             nearest: [m] from the camera, up to which the rays prove nothing.
-
-        Returns:
-            The number of cells that are unseen again.
         """
         if self._scans % _REFRESHED == 0:
             self._highest = float(np.fmax.reduce(cells.height, axis=None))
         if not len(points):
-            return 0
+            return
         lowest = float(scan.origin[2]) + scan.unit * float(points[:, 2].min()) - drift
         if not self._highest - self._thresholds.well_below_m > lowest:
-            return 0  # no cell is higher than the ray ends, as on level ground
-        c = cells
-        cleared = _clear_along_sights(
+            return  # no cell is higher than the ray ends, as on level ground
+        self._number = _count_along_sights(
             points, scan.origin, scan.unit, self._scans % every, every, scan.p_world_camera, drift, nearest,
             int(low[0]), int(low[1]), resolution, self._highest,
-            c.height, c.variance, c.support, c.assumed, c.votes, c.first, c.through, c.fell, self._marked, self._thresholds,
+            cells.height, cells.variance, cells.support, cells.fell, self._marked, self._counted, self._number,
+            self._thresholds,
+        )  # fmt: skip
+
+    def end_scan(self, cells: CellLayers) -> int:
+        """End a scan: clear the cells that rays of enough scans have passed through.
+
+        Returns:
+            The number of cells that are unseen again.
+        """
+        self._scans += 1
+        number, self._number = self._number, 0
+        if not number:
+            return 0
+        c = cells
+        cleared = _clear_counted(
+            self._counted[:number], self._marked, c.height, c.variance, c.support, c.assumed, c.votes, c.first, c.through,
+            c.fell, self._thresholds,
         )  # fmt: skip
         return int(cleared)
-
-    def end_scan(self) -> None:
-        """End a scan."""
-        self._scans += 1
 
 
 @compiled
@@ -123,7 +135,7 @@ def _scans_needed(within: bool, support: int, thresholds: _Thresholds) -> int:
 
 
 @compiled
-def _clear_along_sights(
+def _count_along_sights(
     ends: NDArray[Any],
     origin: Array,
     unit: float,
@@ -139,29 +151,18 @@ def _clear_along_sights(
     height: NDArray[np.float32],
     variance: NDArray[np.float32],
     support: NDArray[np.uint8],
-    assumed: NDArray[np.uint8],
-    votes: NDArray[np.uint8],
-    first: NDArray[np.float32],
-    through: NDArray[np.uint8],
     fell: NDArray[np.uint8],
-    slot: NDArray[np.int32],
+    marked: NDArray[np.int8],
+    counted: NDArray[np.int32],
+    m: int,
     thresholds: _Thresholds,
 ) -> int:
-    """Count cells that stand well above a ray, each once, and clear those counted often enough.
-
-    An object is cleared from the inside (`_is_inside`): a rim follows after its inside. A cell that is not inside an object
-    needs several times as many scans through it as have measured it. A thin object that passed is thus cleared, and one that
-    stands remains.
+    """Add cells that stand well above a ray to the `m` cells counted in this scan, and return their new number.
 
     The arguments are plain, because unpacking tuples of arrays in each call would be slow.
-
-    Returns:
-        The number of cells cleared.
     """
     rows, columns = height.shape
     heights = height.ravel()
-    marked = np.empty(rows * columns, dtype=np.int64)
-    m = 0
     wrap_i, wrap_j = low_i % rows, low_j % columns
     for k in range(begin, len(ends), every):
         x, y, z = origin[0] + unit * ends[k, 0], origin[1] + unit * ends[k, 1], origin[2] + unit * ends[k, 2] - drift
@@ -204,17 +205,41 @@ def _clear_along_sights(
                 continue
             if not height[a, b] > over + 3.0 * min(math.sqrt(variance[a, b]), thresholds.max_sigma_m):
                 continue
-            if slot[c] >= 0:
+            if marked[c] >= 0:
                 continue
             within = _is_inside(height, fell, a, b, over, thresholds.cleared_neighbours)
             if _scans_needed(within, support[a, b], thresholds) <= _MOST_SCANS:
-                slot[c] = np.int32(within)
-                marked[m] = c
+                marked[c] = np.int8(within)
+                counted[m] = c
                 m += 1
+    return m
+
+
+@compiled
+def _clear_counted(
+    counted: NDArray[np.int32],
+    marked: NDArray[np.int8],
+    height: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    assumed: NDArray[np.uint8],
+    votes: NDArray[np.uint8],
+    first: NDArray[np.float32],
+    through: NDArray[np.uint8],
+    fell: NDArray[np.uint8],
+    thresholds: _Thresholds,
+) -> int:
+    """Clear those of the counted cells that enough scans have counted, and return their number.
+
+    An object is cleared from the inside (`_is_inside`): a rim follows after its inside. A cell that is not inside an object
+    needs several times as many scans through it as have measured it. A thin object that passed is thus cleared, and one that
+    stands remains.
+    """
+    columns = height.shape[1]
     cleared = 0
-    for k in range(m):
-        c = marked[k]
-        within, slot[c] = slot[c] == 1, -1
+    for k in range(len(counted)):
+        c = counted[k]
+        within, marked[c] = marked[c] == 1, -1
         a, b = c // columns, c % columns
         through[a, b] = min(through[a, b] + 1, _MOST_SCANS)
         if through[a, b] < _scans_needed(within, support[a, b], thresholds):

@@ -93,6 +93,21 @@ def test_free_space_rays_clear_box_over_abyss_but_not_below_min_range() -> None:
     assert (grid.heights([[0.46, 0.0], [0.48, 0.02]]) > 0.09).all()
 
 
+def test_cell_counts_once_per_scan_by_measured_and_free_space_rays() -> None:
+    """Check a removed box without returns from its place, seen through by one kind of rays or by both."""
+    camera = np.array([0.0, 0.0, 0.4])
+    behind = clear_along_rays(np.zeros((0, 5)), camera)
+    behind = behind[(behind[:, 0] > 1.12) & (np.abs(behind[:, 1]) < 0.17)]
+    cleared: list[list[int]] = []
+    for sights in (np.empty((0, 3)), behind):
+        grid = ElevationGrid(size=400, clearing=RayClearingParams(every=1))
+        for _ in range(3):
+            take(grid, clear_along_rays(BOX, camera), camera)
+        cleared.append([take(grid, behind, camera, sights=sights).cleared for _ in range(16)])
+    assert sum(cleared[0]) > 50
+    assert cleared[1] == cleared[0]
+
+
 def test_clearing_result_is_independent_of_camera_distance() -> None:
     """Check that clearing ends, with the same result, at any distance of the camera.
 
