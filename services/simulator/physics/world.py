@@ -4,7 +4,6 @@ A servo is a position actuator without velocity gain. The joint damping is the m
 Setpoint, stiffness and torque limit are inputs of each step, because they are registers of the real servos.
 """
 
-import logging
 from dataclasses import dataclass
 from itertools import product
 from math import isfinite
@@ -16,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.simulator.physics.solids import Boxes, Capsules, HeightField
 from sextant.services.simulator.physics.terrain import DEPTH, Terrain
+from sextant.shared.errors import SextantError
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, quaternion_from_rotation, rotation_z, transform
 from sextant.shared.robot.profile import JOINTS, RobotProfile
 from sextant.shared.scenario.scenario import Variation
-
-_log = logging.getLogger(__name__)
 
 TIME_STEP_NS = 2_000_000  # [ns]
 ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for ray casts against only one of them
@@ -59,6 +57,12 @@ class Factors:
         return cls(armature, friction, float(rng.uniform(1 / variation.friction, variation.friction)))
 
 
+class PhysicsError(SextantError, FloatingPointError):
+    """The physics is no longer valid."""
+
+    exit_status = 1
+
+
 class World:
     """Simulated robot on a terrain, with a time step of 2 ms.
 
@@ -75,7 +79,7 @@ class World:
             factors: Deviation of the physics from the profile, `Factors.none()` by default.
             imu: Whether to simulate an IMU at the body's origin.
         """
-        mujoco.set_mju_user_warning(_log.warning)  # by default MuJoCo writes warnings to a file in the working directory
+        _disable_log()
         self.profile, self.terrain = profile, terrain
         spec = _spec(profile, terrain, Factors.none() if factors is None else factors, imu)
         self.model: Any = spec.compile()
@@ -96,6 +100,7 @@ class World:
         self._q, self._qd = d.qpos[7:].reshape(6, 3), d.qvel[6:].reshape(6, 3)
         self._body_position, self._body_axes = d.xpos[body], d.xmat[body]
         self._geom_position = d.geom_xpos
+        self._warnings = d.warning.number  # of each kind, since the robot was placed
         self._steps = 0
         self._imu = slice(12, 18) if imu else None
         self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # (n,) [N] load on the weak boxes
@@ -163,7 +168,7 @@ class World:
 
         Raises:
             ValueError: A setpoint is NaN or infinite.
-            FloatingPointError: The physics has diverged.
+            PhysicsError: The physics has diverged, or MuJoCo warns of another fault.
         """
         self._ctrl[...] = setpoint
         if not isfinite(np.vdot(self._ctrl, self._ctrl)):  # MuJoCo would silently replace all setpoints by zero
@@ -180,10 +185,14 @@ class World:
         if len(self._sunk):
             self._give_way(steps * TIME_STEP_NS / 1e9)
         # One velocity is enough, because a NaN spreads to all joints within a step.
-        if not abs(self._qvel[0]) < 1e3:
-            raise FloatingPointError(
-                f"the physics has diverged at {self.time_ns / 1e9:.3f} s; check the commands before that time"
-            )
+        if not abs(self._qvel[0]) < 1e3 or self._warnings.any():
+            raise PhysicsError(f"{self._fault()} at {self.time_ns / 1e9:.3f} s; check the commands before that time")
+
+    def _fault(self) -> str:
+        """Return what is wrong with the physics."""
+        kinds = np.flatnonzero(self._warnings).tolist()
+        texts = [mujoco.mju_warningText(kind, int(self.data.warning.lastinfo[kind])) for kind in kinds]
+        return f"the physics has diverged: {' '.join(texts)}" if texts else "the physics has diverged"
 
     def _give_way(self, dt: float) -> None:
         """Lower the overloaded weak boxes for a duration [s], up to their final depth."""
@@ -284,6 +293,13 @@ class World:
         if self._imu is None:
             raise ValueError("a world built with imu=True expected, found one without")
         return np.array(self._sensors[12:15]), np.array(self._sensors[15:18])
+
+
+def _disable_log() -> None:
+    """Keep MuJoCo from writing warnings to a file in the working directory; `World.step` raises them."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_file = False
+    config.set()
 
 
 def _joint_angles(q: ArrayLike) -> Array:

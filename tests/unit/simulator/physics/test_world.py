@@ -1,11 +1,12 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
-from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, World
+from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, PhysicsError, World
 from sextant.services.simulator.sensors.imu import Imu, ImuNoise
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profile import RobotProfile
@@ -272,8 +273,20 @@ def test_invalid_world_inputs_are_refused() -> None:
         world.step(np.full((6, 3), np.nan), RIGID, STRONG)
     world.stand(standing_angles(PROFILE))
     world.data.qvel[:] = 1e4
-    with pytest.raises(FloatingPointError, match="diverged"):
+    with pytest.raises(PhysicsError, match=r"the physics has diverged at 0\.\d+ s"):
         world.step(standing_angles(PROFILE), RIGID, STRONG)
+
+
+def test_warning_of_mujoco_is_an_error_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = World(PROFILE, FLAT)
+    world.stand(standing_angles(PROFILE))
+    world.data.qvel[7] = 1e12  # of one joint; the body's own velocity is valid
+    with pytest.raises(PhysicsError, match=r"diverged: .* in Q(VEL|ACC) at DOF \d+"):
+        world.step(standing_angles(PROFILE), RIGID, STRONG)
+    assert not list(tmp_path.iterdir())
+    world.stand(standing_angles(PROFILE))  # a robot that is placed again starts without the warning
+    world.step(standing_angles(PROFILE), RIGID, STRONG)
 
 
 def rolling() -> Terrain:
