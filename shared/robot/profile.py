@@ -25,6 +25,7 @@ LEGS = ("left front", "right front", "right middle", "right rear", "left rear", 
 JOINTS = ("coxa", "femur", "tibia")
 GRAVITY = 9.81  # [m/s^2]
 MAX_TRIM_DEG = 20.0  # a larger trim means that the horn is on the wrong notch, or that the pose was wrong
+WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
 _SERVO_RANGE_DEG = 150.0  # in both directions from tick 512
 
 
@@ -99,6 +100,11 @@ class Servo:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def warm_temperature(self) -> float:
+        """Temperature [deg C] from which the robot walks slower."""
+        return self.temperature_limit - WARM_K
 
     @property
     def damping(self) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, WARM_K, RobotProfile
 from sextant.shared.servo.dynamixel import ServoError
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
@@ -14,7 +14,7 @@ _QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is 
 _LOSS = 0.30  # recent share of requests without a usable answer from which the robot's state is unknown
 LATE, LATE_CYCLES = 1.5, 5  # largest cycle time in periods, and number of consecutive cycles that may exceed it
 GAP_S = 0.2  # [s] between two cycles from which the robot counts as uncontrolled
-_WARM, _HOT = 12.0, 5.0  # [K] below the servo's own limit: walk slower; lie down
+_HOT_K = 5.0  # [K] below the servo's own limit, from where the robot lies down
 _MAX_WARMING_K_S = 3.0  # [K/s] limit of a rising reading; a stalled motor warms by 1 K/s
 _OVERHEATED_S = 0.5  # [s] for which a servo must report an overheating shutdown
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
@@ -78,7 +78,7 @@ class Health:
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
         # [deg C] The filter starts at the warm limit at most, because the first readings may be wrong, too.
-        self._temperature: Array = np.full(18, profile.servo.temperature_limit - _WARM)
+        self._temperature: Array = np.full(18, profile.servo.warm_temperature)
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # consecutive late cycles
         self._shutdowns = [_Shutdown() for _ in range(18)]
@@ -204,11 +204,11 @@ class Health:
         self._temperature[known] = np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt)[known]
         hottest = int(np.argmax(np.where(known, self._temperature, -np.inf)))
         below = self._profile.servo.temperature_limit - float(self._temperature[hottest])
-        if below >= _WARM:
+        if below >= WARM_K:
             return Verdict()
         words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
-        pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (_WARM - below) / (_WARM - _HOT))
-        return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}; walking slower",))
+        pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (WARM_K - below) / (WARM_K - _HOT_K))
+        return Verdict(sit=words if below <= _HOT_K else "", pace=pace, warnings=(f"{words}; walking slower",))
 
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
         """Evaluate the battery voltage; a short sag does not count."""

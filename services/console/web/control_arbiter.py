@@ -19,8 +19,8 @@ SEATS = 8  # maximum number of pages that may drive; further pages may only stop
 DEAD_MAN_NS = 300_000_000  # [ns] silence of a page with a held pad after which the press ends
 _NO_SEAT = f"this page can only view and stop: {SEATS} other pages may control the robot; close one, and reload this page"
 _OVERVIEW = "the overview of all robots can only view and stop; open the robot's own page to control it"
-_AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is hidden, frozen or disconnected
-_VELOCITY_NS = 40_000_000  # [ns] minimum period of velocity commands; a page repeats a held pad every 66 ms
+AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is hidden, frozen or disconnected
+VELOCITY_NS = 40_000_000  # [ns] minimum period of velocity commands; a page repeats a held pad every 66 ms
 _ZERO_NS = 300_000_000  # [ns] duration of zero velocity commands after a press
 _GOAL_NS = 200_000_000  # [ns] period of a goal
 _TOLERANCE = 0.05  # [m] radius around a goal
@@ -237,8 +237,8 @@ class ControlArbiter:
         """
         self._state = state
         for page, sender in self._pages.items():
-            if now_ns - sender.heard_ns > _AWAY_NS:
-                self._end_leading(page, sender, now_ns, f"no message from {sender.name} for {_AWAY_NS * 1e-9:.0f} s")
+            if now_ns - sender.heard_ns > AWAY_NS:
+                self._end_leading(page, sender, now_ns, f"no message from {sender.name} for {AWAY_NS * 1e-9:.0f} s")
                 self._commands.end(page)
         self._watch_press(now_ns)
         self._watch_goal(now_ns, status)
@@ -270,7 +270,7 @@ class ControlArbiter:
             self._end_goal(now_ns, "")
 
     def _velocity(self, now_ns: int) -> list[Message]:
-        if now_ns - self._velocity_ns < _VELOCITY_NS:
+        if now_ns - self._velocity_ns < VELOCITY_NS:
             return []
         press, state = self._press, self._state
         if press is not None and state is not None and state.lease == self._pages[press.page].holder:

@@ -20,9 +20,9 @@ NO_HEIGHT = -32768
 _HIGHEST = np.float32(32767.0)  # [mm] upper limit of heights
 NO_VALUE = 255  # unknown value of a layer
 _ALIGNMENT = 4
-_SCORE_STEPS = 100.0  # byte values per unit of the score; a cell with a score up to 1 is a foothold
-_WORST_VARIANCE = 0.02  # [m] standard deviation at the end of the colour scale
-_FAR_VALUE = 25  # [cells] limit of the evaluation function on the colour scale, on both sides
+SCORE_STEPS = 100.0  # byte values per unit of the score; a cell with a score up to 1 is a foothold
+WORST_VARIANCE = 0.02  # [m] standard deviation at the end of the colour scale
+FAR_VALUE = 25  # [cells] limit of the evaluation function on the colour scale, on both sides
 
 
 def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
@@ -84,17 +84,17 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
         case "color":
             return np.ascontiguousarray(terrain.color), {}
         case "score":
-            scale = {"per_byte": 1.0 / _SCORE_STEPS, "limit": MAX_FOOTHOLD_SCORE}
-            return _bytes(terrain.score * np.float32(_SCORE_STEPS)), scale
+            scale = {"per_byte": 1.0 / SCORE_STEPS, "limit": MAX_FOOTHOLD_SCORE}
+            return _bytes(terrain.score * np.float32(SCORE_STEPS)), scale
         case "variance":
             deviation = np.sqrt(np.maximum(terrain.variance, np.float32(0.0)))
-            return _bytes(deviation * np.float32(254.0 / _WORST_VARIANCE)), {
-                "per_byte": _WORST_VARIANCE / 254.0,
-                "limit": _WORST_VARIANCE,
+            return _bytes(deviation * np.float32(254.0 / WORST_VARIANCE)), {
+                "per_byte": WORST_VARIANCE / 254.0,
+                "limit": WORST_VARIANCE,
             }
-    near = np.clip(terrain.evaluation, -_FAR_VALUE, _FAR_VALUE).astype(np.int16) + _FAR_VALUE
+    near = np.clip(terrain.evaluation, -FAR_VALUE, FAR_VALUE).astype(np.int16) + FAR_VALUE
     values = np.where(terrain.evaluation == UNKNOWN, NO_VALUE, near).astype(np.uint8)
-    return values, {"per_byte": 1.0, "zero": float(_FAR_VALUE), "limit": -1.0}
+    return values, {"per_byte": 1.0, "zero": float(FAR_VALUE), "limit": -1.0}
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -53,9 +53,9 @@ class RecorderClient:
         return {
             "recording": state.recording,
             "file": state.file,
-            "seconds": round(state.duration),
-            "megabytes": round(state.size / 1e6, 1),
-            "free_gigabytes": None if state.disk_free < 0 else round(state.disk_free / 1e9, 1),
+            "duration_s": round(state.duration),
+            "size_mb": round(state.size / 1e6, 1),
+            "disk_free_gb": None if state.disk_free < 0 else round(state.disk_free / 1e9, 1),
             "dropped": state.dropped,
             "reason": state.reason,
         }

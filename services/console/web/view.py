@@ -44,7 +44,7 @@ def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any
             "servo_ids": profile.servo_ids.tolist(),
             "joints": JOINTS,
             "stall_torque": profile.servo.stall_torque,
-            "temperature_limit": profile.servo.temperature_limit,
+            "warm_temperature": profile.servo.warm_temperature,
             "warn_voltage": profile.battery.warn_voltage,
         },
         "walk": {

@@ -363,7 +363,7 @@ def test_a_page_records_and_is_shown_how_it_goes(rig: Rig) -> None:
     assert "no recorder is running" in page.until("refused")["words"]
     resting = RecorderState(rig.now, False, -1, "", 0.0, 0, 5 * 10**9, 0, "")
     rig.hear(resting)
-    assert page.until("state", lambda told: told["recorder"])["recorder"]["free_gigabytes"] == 5.0
+    assert page.until("state", lambda told: told["recorder"])["recorder"]["disk_free_gb"] == 5.0
     page.ask("record", on=True)
     orders: list[RecordCommand] = []
     while not orders:

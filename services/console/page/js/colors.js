@@ -24,7 +24,7 @@ const POOR = [224, 130, 62];
 const NONE = [138, 42, 42];
 
 export const TABLES = {
-  score: ramp([[0, GOOD], [60, FAIR], [99, POOR], [100, NONE], [254, [88, 26, 30]]]), // a cell is a foothold up to 100
+  score: ramp([[0, GOOD], [60, FAIR], [99, POOR], [100, NONE], [254, [88, 26, 30]]]), // a cell is a foothold below 100
   evaluation: ramp([[0, [36, 120, 170]], [15, GOOD], [24, FAIR], [25, NONE], [50, [70, 24, 30]], [254, [70, 24, 30]]]),
   variance: ramp([[0, [38, 60, 110]], [60, [52, 140, 150]], [140, FAIR], [254, [226, 90, 60]]]),
 };

@@ -96,19 +96,19 @@ export class Panels {
     button.setAttribute("aria-pressed", String(Boolean(recorder && recorder.recording)));
     write(button, recorder && recorder.recording ? "end" : "record");
     if (!recorder) return set("recorder-words", "no recorder is running", "");
-    const free = recorder.free_gigabytes === null ? "" : `, ${recorder.free_gigabytes} GB free`;
+    const free = recorder.disk_free_gb === null ? "" : `, ${recorder.disk_free_gb} GB free`;
     const lost = recorder.dropped ? `, ${recorder.dropped} messages lost` : "";
-    const how = `${recorder.seconds} s, ${recorder.megabytes} MB${free}${lost}`;
+    const how = `${recorder.duration_s} s, ${recorder.size_mb} MB${free}${lost}`;
     const words = recorder.recording ? `${how}: ${recorder.file}` : recorder.file ? `recorded ${recorder.file}` : `no recording yet${free}`;
     return set("recorder-words", recorder.reason || words, recorder.reason ? "bad" : lost ? "warn" : "");
   }
 
   servos(legs) {
-    const { stall_torque: stall, temperature_limit: hot, warn_voltage: low } = this.robot;
+    const { stall_torque: stall, warm_temperature: hot, warn_voltage: low } = this.robot;
     const volts = legs.voltage === null ? "voltage unknown" : `${legs.voltage.toFixed(1)} V`;
     const warm = legs.temperature === null ? "temperature unknown" : `hottest ${legs.temperature.toFixed(0)} °C`;
     const tired = legs.speed_scale < 1 ? `, walking at ${(100 * legs.speed_scale).toFixed(0)} %` : "";
-    const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot - 12);
+    const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot);
     set("power", `${volts}, ${warm}${tired}`, bad ? "warn" : "");
     this.cells.forEach(({ foot, bars }, i) => {
       mark(foot, `foot ${legs.contact[i] ? "carries" : ""} ${legs.swing[i] ? "swings" : ""}`);

@@ -109,9 +109,9 @@ def test_a_recorder_that_somebody_else_started_is_shown_and_left_alone() -> None
     assert view == {
         "recording": True,
         "file": "/r/1.mcap",
-        "seconds": 61,
-        "megabytes": 2.0,
-        "free_gigabytes": None,
+        "duration_s": 61,
+        "size_mb": 2.0,
+        "disk_free_gb": None,
         "dropped": 0,
         "reason": "",
     }
