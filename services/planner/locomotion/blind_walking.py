@@ -49,7 +49,7 @@ class BlindStepPlanner:
     def fill_unseen_start(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
         """Return the map with unseen cells near the start replaced by the feet's plane.
 
-        The camera cannot see ground so close to the robot, in any direction.
+        The camera cannot see ground so close to the robot, in any direction. Cells of a known hazard stay unseen.
 
         Args:
             terrain: The newest map.
@@ -75,6 +75,8 @@ class BlindStepPlanner:
         x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
         near = np.hypot(x[:, None] - put_down[0], y - put_down[1]) < radius
         unseen = near & ~np.isfinite(m.elevation)
+        if m.hazard.size:
+            unseen &= m.hazard == 0  # a foot found no ground there
         plane = height + slope[0] * (x[:, None] - xy[0]) + slope[1] * (y - xy[1])
         filled = replace(
             m,

@@ -22,6 +22,11 @@ class RefusedSteps:
         self.reason = ""  # of the last refusal
         self.given_up = False  # no way was left; cleared by `forget`, while the planner still retries from time to time
 
+    @property
+    def excludes_ways(self) -> bool:
+        """Whether a way must not be tried; otherwise the ground alone decides whether there is a step."""
+        return bool(self._ways)
+
     def of(self, command: int) -> frozenset[int]:
         """Return the ways that are refused for one of the commands."""
         return frozenset(way for by, way in self._ways if by == command)

@@ -373,8 +373,8 @@ class StepPlanner:
         least = self._profile.stance.support_margin
         if margin >= least:
             return ""
-        needed = f"{least * 100:.1f} cm needed"
-        return f"the centre of mass would be {margin * 100:.1f} cm inside the support polygon {when}, {needed}"
+        place = f"{abs(margin) * 100:.1f} cm {'inside' if margin > 0.0 else 'outside'} the support polygon {when}"
+        return f"the centre of mass would be {place}, {least * 100:.1f} cm inside needed"
 
 
 def time_to_swing(

@@ -80,7 +80,7 @@ class StepSelector:
             step = self._gather(commands[0], robot, terrain)
             if step is not None:
                 return replace(decision, reason=f"moving the feet back under the body: {decision.reason}", step=step)
-        if refusals.count:
+        if refusals.excludes_ways:
             refusals.give_up()
             return Decision("blocked", refusals.words(), retry_s=_RETRY_S)
         return replace(decision, retry_s=retry_s)
@@ -108,7 +108,7 @@ class StepSelector:
         if isinstance(found, PlannedStep):
             step = self._next(robot, found, (0, way), stop=True)
             return Decision("stepping", "by touch: the feet search for the ground", step=step)
-        if refusals.count:
+        if refusals.excludes_ways:
             refusals.give_up()
             return Decision("blocked", f"by touch: {refusals.words()}", retry_s=self._settings.revision.interval_s)
         return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revision.interval_s)

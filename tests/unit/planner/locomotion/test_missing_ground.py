@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.blind_walking import BlindStepPlanner
 from sextant.services.planner.locomotion.missing_ground import MissingGround
-from sextant.services.planner.terrain import GOOD, NONE, flat_terrain
+from sextant.services.planner.terrain import GOOD, NONE, Terrain, flat_terrain
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.wire.messages import HAZARDS, ActuatorState
-from tests.unit.planner.test_service import Rig
+from sextant.shared.wire.messages import HAZARDS, UNKNOWN, ActuatorState
+from tests.unit.planner.test_service import PROFILE, Rig
 
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 
@@ -42,6 +44,24 @@ def test_missing_ground_is_refused_only_nearby() -> None:
     assert [HAZARDS[h] for h in marked.hazards(near)] == ["no ground by touch"] * 2
     assert (FLAT.suitability(near) == GOOD).all(), "the map itself is left alone"
     assert holes.marked(FLAT) is marked
+
+
+def test_missing_ground_at_the_unseen_start_is_not_replaced_by_the_plane_of_the_feet() -> None:
+    blind, seen = BlindStepPlanner(PROFILE, Settings()), FLAT.map
+    x = seen.origin[0] + seen.resolution * np.arange(seen.elevation.shape[0])
+    unseen = np.hypot(x[:, None], x) < 0.4
+    elevation, score = (np.where(unseen, np.float32(np.nan), layer) for layer in (seen.elevation, seen.score))
+    evaluation = np.where(unseen, np.int8(UNKNOWN), seen.evaluation)
+    holes = MissingGround()
+    holes.update(ground_not_found_at((0.2, 0.1)), np.eye(4))
+    start = holes.marked(Terrain(replace(seen, elevation=elevation, score=score, evaluation=evaluation)))
+    feet = PROFILE.rest_feet(0.1) + np.array([0.0, 0.0, 0.1])
+    filled = blind.fill_unseen_start(start, feet, np.zeros(2), 0.0)
+    assert filled is not None
+    for terrain in (filled, replace(filled, layer="evaluation")):
+        missing, other = terrain.suitability(np.array([[0.2, 0.1], [0.2, -0.1]]))
+        assert other == GOOD
+        assert not missing > NONE
 
 
 def test_missing_ground_is_stored_once_and_carrying_ground_is_not() -> None:

@@ -59,6 +59,19 @@ def test_reason_is_that_of_the_last_command(steps: StepSelector) -> None:
     assert decision.retry_s == Settings().revision.interval_s, "the search for the first command takes time"
 
 
+def test_reason_is_that_of_the_ground_if_the_actuator_excludes_no_way(steps: StepSelector, plans: PlanTracker) -> None:
+    """Check a step that is refused once, after which the map shows that there is none."""
+    plans.refusals.add((0, 0), "too fast")
+    nowhere = flat_terrain(0, np.full(2, 9.0), 0.0)
+    decision = steps.select((AHEAD,), robot(), nowhere)  # the first command with this course
+    plans.refusals.add((0, 0), "too fast")
+    again = steps.select((AHEAD,), robot(), nowhere)
+    assert decision.reason == again.reason
+    assert "not seen" in again.reason
+    plans.refusals.add((0, 0), "too fast")
+    assert "the actuator refuses every feasible step: too fast" in steps.select((AHEAD,), robot(), nowhere).reason
+
+
 def test_advice_to_turn_is_for_a_steering_operator_alone(steps: StepSelector, make_terrain: Maker) -> None:
     aside = replace(AHEAD, velocity=np.array([0.0, 0.06]))
     unseen = make_terrain(lambda x, y: np.full_like(x, np.nan), lambda x, y: np.full_like(x, np.nan))
