@@ -185,7 +185,7 @@ class CommandArbiter:
         age_ns = now_ns - order.sequence
         gone = f"`{order.mode}` of {order.holder} refused: by its sequence number, the robot's time [ns], it was given"
         if torque_is_off and order.sequence < self.off_ns:
-            return f"{gone} before torque was ordered off; order it again"
+            return f"{gone} before torque went off; order it again"
         if order.mode == "walk" and order.sequence < self._begun_ns:
             resumes = self.walk_order(now_ns) == WalkOrder(order.holder, order.sequence)
             return "" if resumes else f"{gone} before this actuator started, and was not in force at that time; order it again"

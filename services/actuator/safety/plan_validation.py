@@ -109,8 +109,8 @@ class PlanCheck:
         for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
             margin = support_margin(standing[:, :2], apply(body, self._centre)[:2])
             if margin < MIN_MARGIN:
-                inside = f"{margin * 1e3:.0f} mm inside the support polygon {where}"
-                return f"the centre of mass would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
+                place = f"{abs(margin) * 1e3:.1f} mm {'inside' if margin > 0.0 else 'outside'} the support polygon {where}"
+                return f"the centre of mass would be {place}, {MIN_MARGIN * 1e3:.0f} mm inside needed"
         return ""
 
     def _too_fast(self, plan: StepPlan, T_odom_body: Array, feet: Array, air_s: Array | None) -> str:

@@ -86,7 +86,7 @@ def test_stand_order_repeated_across_restart_does_not_undo_torque_off(tmp_path: 
         assert not rig.torque
         assert latch.closed
     assert state.mode is Mode.OFF
-    assert any("it was given before torque was ordered off; order it again" in words for words in state.warnings)
+    assert any("it was given before torque went off; order it again" in words for words in state.warnings)
     rig.command("stand")
     rig.cycle(2)
     assert rig.torque

@@ -138,7 +138,7 @@ def test_order_older_than_torque_off_does_not_turn_torque_on() -> None:
     robot.now = off_ns + 100_000_000
     robot.handle_order(ModeCommand(robot.now, "off", off_ns, "a"))
     assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns - 1, "b", take_over=True)) == ()
-    assert robot.guard.objection.endswith("it was given before torque was ordered off; order it again")
+    assert robot.guard.objection.endswith("it was given before torque went off; order it again")
     assert not robot.torque
     assert robot.handle_order(ModeCommand(robot.now, "stand", off_ns, "b", take_over=True)) == (Act.TORQUE_ON, Act.RISE)
     assert robot.guard.given_ns == off_ns
