@@ -18,6 +18,15 @@ Table = dict[str, Any]
 S = TypeVar("S")
 
 
+def _misfits_of_handover(actuator: ActuatorParams, planner: PlannerParams) -> list[config.Misfit]:
+    """Return the error of a planner that gives the feet less time to stand than the actuator takes."""
+    standing_s, handover_s = actuator.unload_s + actuator.load_s, planner.step.handover_s
+    if handover_s > standing_s - 1e-9:
+        return []
+    expected = f"at least actuator.unload_s + actuator.load_s, {standing_s:g} s,"
+    return [config.Misfit("planner.step.handover_s", expected, f"{handover_s:g} s")]
+
+
 @dataclass(frozen=True, slots=True)
 class SystemParams(Params):
     """Parameters of all services."""
@@ -26,6 +35,8 @@ class SystemParams(Params):
     mapper: MapperParams = field(default_factory=MapperParams)
     perception: PerceptionParams = field(default_factory=PerceptionParams)
     planner: PlannerParams = field(default_factory=PlannerParams)
+
+    checks = (config.Check(("actuator", "planner"), _misfits_of_handover),)
 
 
 DEFAULTS = SystemParams()

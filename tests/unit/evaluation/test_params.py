@@ -71,6 +71,10 @@ def test_number_within_range_is_taken_and_beyond_it_refused(name: str, default: 
         ("planner.costmap.bare_width_cells=1.5", "planner.costmap.bare_width_cells: a whole number expected, found 1.5"),
         ("perception.alignment.gate_near=0.1", "perception.alignment: gate_near: at most gate_far expected, found"),
         ("mapper.height_drift.end_m=0.01", "mapper.height_drift: end_m: at most begin_m expected, found"),
+        (
+            "actuator.unload_s=0.15",
+            "planner.step.handover_s: at least actuator.unload_s + actuator.load_s, 0.25 s, expected, found 0.15 s",
+        ),
         ("planner.costmap=3", "planner.costmap: a table expected, found 3"),
         ("planner.blind=true", "planner.blind: unknown key"),
         ("max_step_m", "key=value expected, found 'max_step_m'"),
