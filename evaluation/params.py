@@ -105,6 +105,11 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Table:
     return found
 
 
+def changes_in_words(scenario: Scenario) -> str:
+    """Return the plug-ins and the changed parameters of a scenario as text, or ""."""
+    return ", ".join(filter(None, (scenario.plugins.words(), words(scenario.params))))
+
+
 def words(table: Mapping[str, Any]) -> str:
     """Return the parameters of a table as text, as `--set` takes them."""
     return ", ".join(f"{key}={toml_value(value)}" for key, value in flat(table).items())

@@ -180,6 +180,7 @@ class Report:
     input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input": the input is a topic key or "beat"
     missed_beats: dict[str, int] = field(default_factory=dict)  # missed cycles of each service with its own clock
     params: dict[str, Any] = field(default_factory=dict)  # all parameters of the services; empty if they were started elsewhere
+    plugins: dict[str, str] = field(default_factory=dict)  # planner, foothold and registration in place of Sextant's own
 
 
 def without_timing(report: Report) -> Report:

@@ -14,6 +14,7 @@ from sextant.deploy.terminal.arguments import Choice, flag, number, option, opti
 _Function = Callable[..., Any]
 
 if TYPE_CHECKING:
+    from sextant.shared.plugins.loading import Plugins
     from sextant.shared.scenario.scenario import Link, Scenario
     from sextant.shared.wire.messages import GaitName
     from sextant.shared.wire.transport import Endpoints
@@ -126,6 +127,9 @@ class Variant:
     gait: "GaitName | None" = None
     link: str = ""
     params: tuple[str, ...] = ()
+    planner: str = ""
+    foothold: str = ""
+    registration: str = ""
 
     def load(self, scenario: str) -> "Scenario":
         """Return a scenario, by name or TOML file, with these changes."""
@@ -142,14 +146,14 @@ class Variant:
         from sextant.evaluation.params import assigned
         from sextant.services.planner.locomotion.gait import GAITS
 
-        profile, radio = checked_robot(self.robot), _radio(self.link)
+        profile, radio, plugins = checked_robot(self.robot), _radio(self.link), self._plugins()
 
         def apply(scenario: "Scenario") -> "Scenario":
             if profile:
                 scenario = replace(scenario, robot=profile)
             if radio.exists:
                 scenario = replace(scenario, link=radio)
-            scenario = assigned(scenario, self.params)
+            scenario = replace(assigned(scenario, self.params), plugins=plugins)
             if self.gait:
                 slower = GAITS[self.gait].slowness / GAITS[scenario.walk.gait].slowness
                 walk = replace(scenario.walk, gait=self.gait)
@@ -157,6 +161,15 @@ class Variant:
             return scenario
 
         return apply
+
+    def _plugins(self) -> "Plugins":
+        """Return the plug-ins, each loaded once to see that it can be."""
+        from sextant.shared.plugins.loading import KINDS, Plugins, load
+
+        for kind in KINDS:
+            if name := getattr(self, kind):
+                load(kind, name)
+        return Plugins(self.planner, self.foothold, self.registration)
 
 
 variant = options_of(
@@ -171,6 +184,14 @@ variant = options_of(
         default="",
     ),
     params,
+    *(
+        option(f"--{kind}", f"plug-in {what}, as package.module:Object or an entry point's name", "PLUGIN", default="")
+        for kind, what in (
+            ("planner", "that plans steps"),
+            ("foothold", "that scores footholds"),
+            ("registration", "that estimates the camera pose"),
+        )
+    ),
 )
 
 

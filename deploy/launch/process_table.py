@@ -16,6 +16,7 @@ from sextant.evaluation import params
 from sextant.evaluation.params import SystemParams
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.params import Params
+from sextant.shared.plugins.loading import Plugins
 from sextant.shared.runtime.process import load_settings
 from sextant.shared.scenario.scenario import MapOptions, Scenario
 from sextant.shared.wire.transport import Endpoints
@@ -56,6 +57,7 @@ class Choices:
     console_port: int = 8080  # TCP port of the operator page
     recordings: str = "recordings"  # folder for the operator's recordings
     params: SystemParams = field(default_factory=SystemParams)
+    plugins: Plugins = field(default_factory=Plugins)
     camera: str = ""  # device that replaces the profile's: "openni2", "realsense", or a recorded folder
 
 
@@ -90,17 +92,24 @@ def _camera(choices: Choices) -> dict[str, Value]:
 def _perception(choices: Choices) -> dict[str, Value]:
     fine: dict[str, Value] = {"scan_resolution": choices.map.scan_resolution} if choices.map != MapOptions() else {}
     erring: dict[str, Value] = {} if choices.pose_error == "none" else {"pose_error": choices.pose_error, "seed": choices.seed}
-    return {"method": choices.registration, **fine, **erring, **_tuned(choices.params.perception)}
+    plugin = _named("registration", choices.plugins.registration)
+    return {"method": choices.registration, **plugin, **fine, **erring, **_tuned(choices.params.perception)}
 
 
 def _mapper(choices: Choices) -> dict[str, Value]:
     chosen = choices.map
     size: dict[str, Value] = {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": chosen.resolution}
-    return {**(size if chosen != MapOptions() else {}), **_tuned(choices.params.mapper)}
+    plugin = _named("foothold_rule", choices.plugins.foothold)
+    return {**(size if chosen != MapOptions() else {}), **plugin, **_tuned(choices.params.mapper)}
 
 
 def _planner(choices: Choices) -> dict[str, Value]:
-    return {"blind": choices.blind, "footholds": choices.footholds, **_tuned(choices.params.planner)}
+    plugin = _named("step_planner", choices.plugins.planner)
+    return {"blind": choices.blind, "footholds": choices.footholds, **plugin, **_tuned(choices.params.planner)}
+
+
+def _named(setting: str, plugin: str) -> dict[str, Value]:
+    return {setting: plugin} if plugin else {}
 
 
 def _tuned(of: Params) -> dict[str, Value]:
@@ -209,6 +218,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         map=scenario.map,
         lift=scenario.walk.lift,
         params=params.of_scenario(scenario),
+        plugins=scenario.plugins,
     )
 
 

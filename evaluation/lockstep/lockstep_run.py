@@ -87,6 +87,7 @@ class LockstepRun:
             PerceptionSettings,
             tuned.perception,
             method=scenario.variation.registration,
+            registration=scenario.plugins.registration,
             scan_resolution=scenario.map.scan_resolution,
         )
         frames_per_picture = 1
@@ -310,12 +311,25 @@ def _perception(profile: RobotProfile, settings: PerceptionSettings, scenario: S
 
 def _planner_settings(scenario: Scenario, tuned: params.SystemParams) -> PlannerSettings:
     walk = scenario.walk
-    return params.settings(PlannerSettings, tuned.planner, blind=walk.blind, footholds=walk.footholds)
+    return params.settings(
+        PlannerSettings,
+        tuned.planner,
+        blind=walk.blind,
+        footholds=walk.footholds,
+        step_planner=scenario.plugins.planner,
+    )
 
 
 def _map_settings(scenario: Scenario, tuned: params.SystemParams) -> MapperSettings:
     size = scenario.map
-    return params.settings(MapperSettings, tuned.mapper, cells=size.cells, cells_y=size.cells_y, resolution=size.resolution)
+    return params.settings(
+        MapperSettings,
+        tuned.mapper,
+        cells=size.cells,
+        cells_y=size.cells_y,
+        resolution=size.resolution,
+        foothold_rule=scenario.plugins.foothold,
+    )
 
 
 class _Socket:

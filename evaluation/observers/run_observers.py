@@ -36,6 +36,7 @@ class RunObservers:
         self._operator_done_s: float | None = None
         # The parameters of services that were started elsewhere are not known.
         self.params = {} if linked else config.as_table(params.of_scenario(scenario))
+        self.plugins = {} if linked else scenario.plugins.chosen()
 
     def services(self) -> Mapping[str, Service]:
         """Return the three services by name."""
@@ -82,6 +83,7 @@ class RunObservers:
             input_ages_s=lateness.ages(),
             missed_beats=dict(sorted(lateness.missed_beats.items())),
             params=self.params,
+            plugins=self.plugins,
         )
         if ended_by:
             report = replace(report, success=False, reason=ended_by)
@@ -141,5 +143,5 @@ def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
     """
     size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
     walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
-    tuned = {"params": json.dumps(scenario.params)}
+    tuned = {"params": json.dumps(scenario.params), "plugins": scenario.plugins.words()}
     return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk, **tuned}

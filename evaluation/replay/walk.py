@@ -79,6 +79,8 @@ def replay_recording(
     for topic, message, at_ns in recording.messages():
         counts[topic.key] = counts.get(topic.key, 0) + 1
         if replay is None:  # the recording's robot is known from here on
+            if words := recording.about.get("plugins", ""):
+                raise ReplayError(f"{path}: walked with the plug-ins {words}; a replay runs only Sextant's own algorithms")
             replay = _Replay(recording, _fed(only))
         # 2. Feed each message at its time.
         replay.hear(topic, message, at_ns, change)

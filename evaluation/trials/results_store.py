@@ -75,7 +75,7 @@ class Run:
     real_time_factor: float
     passage: Passage = _NO_PASSAGE  # left out of the line of a run without a gap
     machine: str = ""  # that made it, if the line records it
-    params: str = ""  # that differ from their defaults, as text
+    params: str = ""  # plug-ins, and parameters that differ from their defaults, as text
 
     @classmethod
     def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "", params: str = "") -> Self:
@@ -93,7 +93,7 @@ class Run:
         """
         report = entry.get("report")
         if isinstance(report, dict):
-            report = {"params": {}} | report  # older reports do not have them
+            report = {"params": {}, "plugins": {}} | report  # older reports do not have them
         entry = _LEFT_OUT | entry
         problems = reports.check(entry, cls) if report is None else reports.check(report)
         if problems:

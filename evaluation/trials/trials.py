@@ -100,7 +100,7 @@ class Trials:
     failures: dict[str, int]  # reason without its numbers -> runs, most frequent first
     failed_seeds: tuple[int, ...]
     made: Made
-    params: str = ""  # that differ from their defaults, as text
+    params: str = ""  # plug-ins, and parameters that differ from their defaults, as text
     passages: Passages | None = None  # None if no run stepped on pillars or planned for them
 
 
@@ -148,8 +148,8 @@ def run_trials(
     tasks = [(scenario, seed) for seed in left]
     for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
         marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
-        if scenario.params:
-            marks["params"] = params.words(scenario.params)
+        if changed := params.changes_in_words(scenario):
+            marks["params"] = changed
         entry = marks | {"report": reports.as_table(report)}
         done[report.seed] = Run.read(entry)
         with whole_files.reported(say):
@@ -318,7 +318,7 @@ def in_words(figure: Figure, unit: float, form: str) -> str:
 def fingerprint(scenario: Scenario) -> str:
     """Return a digest of all that determines a run except its seed.
 
-    It covers the scenario, the files that the scenario names, and the program.
+    It covers the scenario, the files that the scenario names, its plug-ins, and the program.
     """
     table = config.as_table(replace(scenario, folder="."))
     digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
@@ -326,6 +326,8 @@ def fingerprint(scenario: Scenario) -> str:
     for path in [*named, Path(scenario.robot)]:
         if path.is_file():
             digest.update(path.read_bytes())
+    for path in scenario.plugins.sources():
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -36,6 +36,7 @@ class Settings(MapperParams):
     resolution: float = 0.01  # [m]
     passage_cells: int = 40_000  # maximum per passage
     scan_range: float = 1.5  # [m] horizontally from the camera, equal to the range of perception's scans
+    foothold_rule: str = ""  # plug-in that scores the cells; empty for Lotriet's score
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -13,10 +13,12 @@ from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.scan_admission import ScanAdmission
 from sextant.services.mapper.elevation.start_ground import assume_start_ground
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
-from sextant.services.mapper.footholds.layers import FootholdLayers, body_height_and_sigma
+from sextant.services.mapper.footholds.layers import FootholdLayers, Layers, body_height_and_sigma
 from sextant.services.mapper.footholds.terrain_type_mapping import TerrainTypeMapping, without_hazards
 from sextant.services.mapper.passage_map.passage_survey import PassageSurvey, empty_passage_map
 from sextant.shared.geometry import Array
+from sextant.shared.plugins.foothold_rule import ElevationMap, checked_score
+from sextant.shared.plugins.loading import Plugin
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
@@ -45,6 +47,7 @@ class Mapper:
         self._model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx, settings.elevation)
         self._grid = self._unseen_grid()
         self._layers = FootholdLayers.of(shape, resolution, foot_radius_m, settings.footholds, profile.camera.color)
+        self._rule = Plugin.make("foothold", settings.foothold_rule, profile) if settings.foothold_rule else None
         self._admission = ScanAdmission()
         self._feet = FootEvidence(foot_radius_m, resolution)
         self._types = TerrainTypeMapping(settings, foot_radius_m)
@@ -153,7 +156,7 @@ class Mapper:
                 *body_height_and_sigma(pose),
             )
         self._known = float(np.isfinite(snapshot.elevation).mean())
-        score, evaluation = layers.score, layers.evaluation
+        score, evaluation = self._score(snapshot, layers), layers.evaluation
         made_of: dict[str, NDArray[np.uint8]] = {}
         if self._types.has_types:
             with self.stages("terrain type"):
@@ -173,6 +176,17 @@ class Mapper:
             assumed=snapshot.assumed.astype(np.bool_),
             **made_of,
         )
+
+    def _score(self, snapshot: ElevationSnapshot, layers: Layers) -> NDArray[np.float32]:
+        """Return the score (nx, ny) of the map: Lotriet's, or that of the plug-in."""
+        if self._rule is None:
+            return layers.score
+        arrays = [array.copy() for array in (snapshot.elevation, snapshot.variance, snapshot.origin)]
+        for array in arrays:
+            array.setflags(write=False)
+        ground = ElevationMap(arrays[0], arrays[1], arrays[2], snapshot.resolution, self._profile.foot.radius)
+        with self.stages("foothold plug-in"):
+            return self._rule.call(lambda rule: checked_score(rule(ground), self._settings.shape))
 
     def _map_passage(self, scan: Scan, pose: BodyPose | None, inbox: Inbox) -> Iterator[PassageMap]:
         """Merge the scan into the requested passage map; publish it every `passage_every` scans."""

@@ -41,6 +41,7 @@ class Settings(PerceptionParams):
     """Settings of perception: its parameters, the method, and the scans that the mapper expects."""
 
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
+    registration: str = ""  # plug-in that estimates the camera pose, in place of the method
     legs: bool = True  # whether leg odometry is available; without it a doubtful frame starts a wide search at once
     scan_resolution: float = ranged(0.01, 0.005, 1.0)  # [m] cell edge of scans, equal to the map's
     scan_range: float = 1.5  # [m] maximum horizontal distance from the camera

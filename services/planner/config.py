@@ -33,3 +33,4 @@ class Settings(PlannerParams):
 
     blind: bool = False  # blind baseline: no map is read, the ground is the plane of the standing feet
     footholds: Literal["score", "evaluation"] = "score"  # map layer for footholds: Lotriet's or Masri's
+    step_planner: str = ""  # plug-in that plans steps by sight; empty for Sextant's own

@@ -38,6 +38,9 @@ class ServiceFailedError(SextantError, RuntimeError):
 
     def __init__(self, service: str, error: Exception):
         """Compose the message from the service, the exception and the line that raised it."""
+        if isinstance(error, SextantError):  # its message says all
+            super().__init__(f"{service} failed: {error}")
+            return
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
         super().__init__(f"{service} failed: {type(error).__name__}: {error}{place}")

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from sextant.shared.files import config
+from sextant.shared.plugins.loading import PluginError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import clock
@@ -102,7 +103,7 @@ def run(
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
                 stack.enter_context(service)  # closes ports and servers on exit
-        except (ValueError, TransportError) as error:
+        except (ValueError, TransportError, PluginError) as error:
             logging.error("%s", error)
             return 2
         except OSError as error:  # a missing device or port; unlike the errors above it may return
@@ -111,7 +112,7 @@ def run(
         try:  # a ValueError in this block is a bug and ends in a traceback
             role = arguments.role if keys is None else keys.role.name
             run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True)
-        except clock.ClockError as error:
+        except (clock.ClockError, PluginError) as error:
             logging.error("%s", error)
             return 1
     return 0

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from sextant.shared.files import config
+from sextant.shared.plugins.loading import Plugins
 from sextant.shared.scenario.mover import Mover
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.spelling import hint
@@ -692,6 +693,7 @@ class Scenario:
     link: Link = field(default_factory=Link)
     params: dict[str, object] = field(default_factory=dict, hash=False)  # service -> parameters that differ; docs/parameters.md
     time_limit_s: float = 90.0  # [s] simulated
+    plugins: Plugins = field(default_factory=Plugins)  # of the command line; a file cannot name them, because they are code
     folder: str = "."  # folder of the files named in the scenario; set on loading
 
     checks = (
@@ -785,4 +787,7 @@ def _names(package: str) -> list[str]:
 
 
 def _with_folder(scenario: Scenario, folder: Path) -> Scenario:
+    if scenario.plugins != Plugins():
+        words = "no [plugins] expected, because a scenario is data and a plug-in is code; name plug-ins on the command line"
+        raise config.ConfigError(scenario.name, [words])
     return replace(scenario, folder=str(folder.resolve()))

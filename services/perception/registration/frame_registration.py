@@ -10,6 +10,7 @@ from sextant.services.perception.registration.acceptance import Acceptance
 from sextant.services.perception.registration.error_twist import covariance_at
 from sextant.services.perception.registration.motion_prior import Motion
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
+from sextant.services.perception.registration.plugin_registration import PluginRegistration
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.perception.registration.registration_result import RegistrationResult, refused_result
 from sextant.shared.geometry import Array, inverse, rotation_from_rpy, transform, yaw_of
@@ -99,6 +100,8 @@ def _silent(motion: Motion) -> str:
 
 def _make_method(profile: RobotProfile, settings: Settings) -> RegistrationMethod:
     camera = profile.camera
+    if settings.registration:
+        return PluginRegistration(profile, settings.registration)
     if settings.method == "kiss-icp":
         from sextant.services.perception.registration.kiss_icp_adapter import (
             KissRegistration,  # slow import, only if selected

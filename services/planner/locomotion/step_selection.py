@@ -14,6 +14,7 @@ from sextant.services.planner.locomotion.decision import Decision
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, NumberedStep, PlanTracker
+from sextant.services.planner.locomotion.plugin_step_planner import PluginStepPlanner
 from sextant.services.planner.locomotion.replan_attempts import StepVariant
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.operator_request import is_new_course, is_still
@@ -40,7 +41,9 @@ class StepSelector:
             stages: Durations of the planner's work.
         """
         self._profile, self._settings, self._plans, self._stages = profile, settings, plans, stages
-        self._by_sight = StepPlanner(profile, settings)
+        self._by_sight = (
+            PluginStepPlanner(profile, settings, plans.refusals) if settings.step_planner else StepPlanner(profile, settings)
+        )
         self._by_touch = BlindStepPlanner(profile, settings)
         self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
         self._retargeted: tuple[PlannedStep, TerrainMap] | None = None  # step and map of the last retargeting

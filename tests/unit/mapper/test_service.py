@@ -12,6 +12,7 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.color import codes, ycocg_from_rgb
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.plugins.loading import PluginError
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics
@@ -98,6 +99,21 @@ def test_start_ground_is_foot_plane_marked_assumed() -> None:
     assert map_.assumed[i, j].all()
     assert (ground.scores(under) <= 1.0).all()
     assert np.isnan(ground.heights(np.array([[-0.6, 0.0], [0.3, 0.6]]))).all()
+
+
+def test_score_is_that_of_the_foothold_plugin() -> None:
+    rig = Rig(replace(SETTINGS, foothold_rule="tests.support.plugins:Weighted"))
+    rig.stand(at())
+    (map_,) = rig.scan()
+    assert (map_.score == 1.0).all(), "the rule scores each cell by the foot radius"
+    assert (map_.evaluation < 0).any(), "Masri's layer stays"
+
+
+def test_score_of_another_shape_names_the_plugin() -> None:
+    rig = Rig(replace(SETTINGS, foothold_rule="tests.support.plugins:wrong_shape"))
+    rig.stand(at())
+    with pytest.raises(PluginError, match=r"wrong_shape failed: ValueError: a score as a float array \(200, 200\) expected"):
+        rig.scan()
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.0, 0.1), (1.0, 0.0), (-2.0, -0.08)])

@@ -1,0 +1,1 @@
+"""Example of plug-ins for Sextant."""

@@ -1,0 +1,63 @@
+"""The example package of plug-ins, installed and walked."""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from sextant.deploy import cli
+
+EXAMPLE = Path(__file__).parents[2] / "examples/plugin"
+NAMES = {"planner": "nearest", "foothold": "relief", "registration": "odometry"}
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Install the example as pip does: its package, and metadata with its entry points."""
+    site = tmp_path / "site"
+    shutil.copytree(EXAMPLE / "hexapod_rules", site / "hexapod_rules")
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    info = site / f"hexapod_rules-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    groups = [f"[{group}]\n{_lines(entries)}" for group, entries in project["entry-points"].items()]
+    (info / "entry_points.txt").write_text("\n".join(groups))
+    monkeypatch.syspath_prepend(site)
+    return site
+
+
+def _lines(entries: dict[str, str]) -> str:
+    return "".join(f"{name} = {target}\n" for name, target in entries.items())
+
+
+@pytest.mark.slow
+def test_example_plugins_walk_to_the_goal(installed, tmp_path, capsys):
+    out = tmp_path / "run"
+    chosen = [word for kind, name in NAMES.items() for word in (f"--{kind}", name)]
+    assert cli.main(["run", "flat", "--lockstep", "--seed", "1000", "--out", str(out), *chosen]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["success"]
+    assert report["plugins"] == NAMES
+    assert cli.main(["replay", str(out / "recording.mcap")]) == 2
+    assert "walked with the plug-ins planner nearest, foothold relief, registration odometry" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
+    out = tmp_path / "run"
+    name = "tests.support.plugins:failing"
+    assert cli.main(["run", "flat", "--lockstep", "--seed", "1000", "--out", str(out), "--foothold", name]) == 1
+    report = json.loads((out / "report.json").read_text())
+    assert report["reason"].startswith(f"mapper failed: plug-in {name} failed: KeyError: 'a name' (plugins.py:")
+    assert "Traceback" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "command", [["run", "flat", "--lockstep"], ["trials", "flat", "--seeds", "1000:1001"], ["run", "flat"]]
+)
+def test_unknown_plugin_is_refused_before_the_walk(command, tmp_path, capsys):
+    assert cli.main([*command, "--out", str(tmp_path), "--planner", "tests.support.plugins:Idl"]) == 2
+    assert "did you mean 'Idle'?" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
