@@ -181,10 +181,10 @@ class Mapper:
         """Return the score (nx, ny) of the map: Lotriet's, or that of the plug-in."""
         if self._rule is None:
             return layers.score
-        arrays = [array.copy() for array in (snapshot.elevation, snapshot.variance, snapshot.origin)]
-        for array in arrays:
+        elevation, variance, origin = snapshot.elevation.copy(), snapshot.variance.copy(), snapshot.origin.copy()
+        for array in (elevation, variance, origin):
             array.setflags(write=False)
-        ground = ElevationMap(arrays[0], arrays[1], arrays[2], snapshot.resolution, self._profile.foot.radius)
+        ground = ElevationMap(elevation, variance, origin, snapshot.resolution, self._profile.foot.radius)
         with self.stages("foothold plug-in"):
             return self._rule.call(lambda rule: checked_score(rule(ground), self._settings.shape))
 

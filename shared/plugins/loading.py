@@ -37,9 +37,9 @@ class Plugins:
     foothold: str = ""
     registration: str = ""
 
-    def chosen(self) -> dict[Kind, str]:
+    def chosen(self) -> dict[str, str]:
         """Return kind -> name of the plug-ins."""
-        return {kind: name for kind in KINDS if (name := getattr(self, kind))}
+        return {kind: name for kind in KINDS if (name := str(getattr(self, kind)))}
 
     def words(self) -> str:
         """Return the plug-ins as text, or ""."""
@@ -52,7 +52,10 @@ class Plugins:
             PluginError: A plug-in cannot be found.
         """
         found: set[Path] = set()
-        for kind, name in self.chosen().items():
+        for kind in KINDS:
+            name = str(getattr(self, kind))
+            if not name:
+                continue
             module = _target(kind, name).partition(":")[0]
             spec = importlib.util.find_spec(module.partition(".")[0])
             if spec is None:

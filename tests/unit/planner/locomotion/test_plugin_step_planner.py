@@ -21,7 +21,7 @@ from tests.support.states import actuator_state
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11
 BODY = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
-FEET = PROFILE.rest_feet(HEIGHT) + [0.0, 0.0, HEIGHT]
+FEET = PROFILE.rest_feet(HEIGHT) + BODY[:3, 3]
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 AHEAD = VelocityCommand(0, np.array([0.06, 0.0]), 0.01, HEIGHT, 0.04, gait="ripple")
 GROUPS = [np.arange(6) % 3 == k for k in range(3)]
