@@ -58,6 +58,6 @@ def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
     "command", [["run", "flat", "--lockstep"], ["trials", "flat", "--seeds", "1000:1001"], ["run", "flat"]]
 )
 def test_unknown_plugin_is_refused_before_the_walk(command, tmp_path, capsys):
-    assert cli.main([*command, "--out", str(tmp_path), "--planner", "tests.support.plugins:Idl"]) == 2
+    assert cli.main([*command.split(), "--out", str(tmp_path), "--planner", "tests.support.plugins:Idl"]) == 2
     assert "did you mean 'Idle'?" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -84,7 +84,7 @@ def test_failure_names_plugin_and_innermost_line():
 
 
 def test_failure_while_it_is_made_is_named_too():
-    with pytest.raises(PluginError, match="plug-in .*broken_maker failed: OSError: no licence"):
+    with pytest.raises(PluginError, match=r"plug-in .*broken_maker failed: OSError: no licence"):
         Plugin.make("registration", f"{HERE}:broken_maker", PROFILE)
 
 
