@@ -80,7 +80,7 @@ def load(kind: Kind, name: str) -> Callable[..., Any]:
             raise PluginError(f"plug-in {name}: {module} needs {error.name}, which is not installed") from error
         where = "is it installed in this environment, or its folder on PYTHONPATH?"
         raise PluginError(f"plug-in {name}: there is no module {error.name}; {where}") from error
-    except Exception as error:  # whatever a stranger's module raises when it is imported
+    except Exception as error:  # its import may raise anything
         raise PluginError(f"plug-in {name}: {module} cannot be imported: {described(error, module)}") from error
     for part in path.split("."):
         if not hasattr(found, part):
@@ -136,7 +136,7 @@ class Plugin:
         """
         try:
             return use(self._target)
-        except Exception as error:  # whatever a stranger's code raises
+        except Exception as error:  # its code may raise anything
             module = getattr(self._target, "__module__", None) or type(self._target).__module__
             raise PluginError(f"plug-in {self._name} failed: {described(error, module)}") from error
 

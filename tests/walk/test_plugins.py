@@ -54,9 +54,7 @@ def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
     assert "Traceback" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "command", [["run", "flat", "--lockstep"], ["trials", "flat", "--seeds", "1000:1001"], ["run", "flat"]]
-)
+@pytest.mark.parametrize("command", ["run flat --lockstep", "trials flat --seeds 1000:1001", "run flat"])
 def test_unknown_plugin_is_refused_before_the_walk(command, tmp_path, capsys):
     assert cli.main([*command.split(), "--out", str(tmp_path), "--planner", "tests.support.plugins:Idl"]) == 2
     assert "did you mean 'Idle'?" in capsys.readouterr().err
