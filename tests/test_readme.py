@@ -42,6 +42,7 @@ RUN_BY = {
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
     "benchmarks link": "tests/live/test_link.py::test_robot_holds_during_radio_outage_and_resumes",
     "run --lockstep --set": "tests/unit/evaluation/test_params.py::test_run_reports_parameters_of_its_command",
+    "run --lockstep --foothold": "tests/walk/test_plugins.py::test_example_plugins_walk_to_the_goal",
     "run --connect": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",
@@ -110,7 +111,7 @@ def way_of_running(words: list[str]) -> str:
     ways = [
         word
         for word in words
-        if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live", "--set")
+        if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live", "--set", "--foothold")
     ]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)

@@ -1,15 +1,21 @@
 """The example package of plug-ins, installed and walked."""
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sextant.deploy import cli
+from sextant.plugins import ElevationMap
+from sextant.shared.plugins.loading import Plugin
+from sextant.shared.robot.profiles import load_profile
 
-EXAMPLE = Path(__file__).parents[2] / "examples/plugin"
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples/plugin"
 NAMES = {"planner": "nearest", "foothold": "relief", "registration": "odometry"}
 
 
@@ -52,6 +58,27 @@ def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     assert report["reason"].startswith(f"mapper failed: plug-in {name} failed: KeyError: 'a name' (plugins.py:")
     assert "Traceback" not in capsys.readouterr().out
+
+
+def test_documented_rule_scores_slopes_and_keeps_unknown_cells(tmp_path, monkeypatch):
+    (code,) = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "docs/plugins.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    (tmp_path / "my_rules.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    profile = load_profile("phantomx_mk2")
+    rise = np.tan(np.radians(20.0)) * 0.01 * np.arange(6.0)
+    elevation = np.array([np.zeros(6), np.zeros(6), np.zeros(6)], dtype=np.float32)
+    ramp = (np.zeros((3, 1)) + rise).astype(np.float32)
+    ramp[0, 0] = np.nan
+    rule = Plugin.make("foothold", "my_rules:level", profile)
+    level, steep = (
+        rule.call(lambda score, h=h: score(ElevationMap(h, h, np.zeros(2), 0.01, profile.foot.radius)))
+        for h in (elevation, ramp)
+    )
+    assert (level == 0.0).all()
+    assert np.isnan(steep[0, 0])
+    assert steep[2, 3] == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("command", ["run flat --lockstep", "trials flat --seeds 1000:1001", "run flat"])
