@@ -22,7 +22,7 @@ from sextant.evaluation.figures.summary import (
 )
 from sextant.evaluation.figures.walk_picture import LEG_COLORS
 from sextant.evaluation.report import Report
-from sextant.evaluation.scoring.passage_figures import steps_of
+from sextant.evaluation.scoring.passage_metrics import steps_of
 from sextant.evaluation.trace.trace import PlannedSection, Trace
 from sextant.shared.files import whole_files
 from sextant.shared.geometry import Array, apply, rotation_z, transform

@@ -13,8 +13,8 @@ import numpy as np
 
 from sextant.evaluation.metrics.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
 from sextant.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
-from sextant.evaluation.scoring.passage_figures import passage_figures
-from sextant.evaluation.scoring.walk_figures import pose_error, walk_figures
+from sextant.evaluation.scoring.passage_metrics import passage_metrics
+from sextant.evaluation.scoring.walk_report import add_walk_metrics, pose_error
 from sextant.evaluation.trace.course import Course, Ground
 from sextant.evaluation.trace.recorded_walk import Walk
 from sextant.evaluation.trace.run_log import RunLog
@@ -342,8 +342,8 @@ class Scorer:
         )
         if not trace.walking.any():
             return report
-        report = walk_figures(report, self.walk, trace, self._course)
-        return replace(report, passage=passage_figures(self.walk, self._heard, trace, self._course, self._passable))
+        report = add_walk_metrics(report, self.walk, trace, self._course)
+        return replace(report, passage=passage_metrics(self.walk, self._heard, trace, self._course, self._passable))
 
     def _speed(self) -> tuple[float, float]:
         """Return the mean speed [m/s] and duration [s] from the first step to goal or end."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sextant.evaluation import report as reports
 from sextant.evaluation.report import FootholdEdge, Passage, Section
-from sextant.evaluation.scoring.passage_figures import feet_off, steps_of
+from sextant.evaluation.scoring.passage_metrics import feet_off, steps_of
 from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario

@@ -19,7 +19,7 @@ _FALLEN = 0.08  # [m] below the other feet: the foot stands in the gap
 _LASTING = round(0.1 * topics.TRUTH.rate_hz)  # samples of truth: shorter events occur around planned swings
 
 
-def passage_figures(walk: Walk, heard: RunLog, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
+def passage_metrics(walk: Walk, heard: RunLog, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
     """Return the passage part of a report.
 
     `passable` is the result of an exhaustive search, None if there is none.

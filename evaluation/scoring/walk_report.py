@@ -12,7 +12,7 @@ from sextant.evaluation.trace.trace import Trace
 from sextant.shared.geometry import Array
 
 
-def walk_figures(report: Report, walk: Walk, trace: Trace, course: Course) -> Report:
+def add_walk_metrics(report: Report, walk: Walk, trace: Trace, course: Course) -> Report:
     """Return the report with the metrics of a walk that took steps."""
     walking, downs = walk.walking, trace.touchdowns
     height = walk.p[walking, 2]
