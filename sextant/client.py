@@ -134,7 +134,7 @@ class Client:
         Raises:
             ClientError: The actuator has published no state for 2 s: it has ended, or the connection is interrupted.
         """
-        status = self._commander.status
+        status = self._commander.newest
         if status is None:
             raise ClientError(_SILENT)
         return status
@@ -217,7 +217,7 @@ class Client:
 
     def _end_walk(self) -> None:
         """Stop if a command is still repeated."""
-        if self._commander.doing():
+        if self._commander.status():
             self.stop()
 
     def stop(self) -> None:
@@ -249,7 +249,7 @@ class Client:
         leads = command not in STOPS
         if leads and self._may_only_stop:
             raise ClientError(self._may_only_stop)
-        before = self._commander.status
+        before = self._commander.newest
         given_ns = self._commander.give(command)
 
         def done(status: Status) -> bool:
@@ -286,7 +286,7 @@ class Client:
         """
         until, heard_s = time.monotonic() + within_s, time.monotonic()
         with self._commander.changed:
-            while (status := self._commander.status) is None or not holds(status):
+            while (status := self._commander.newest) is None or not holds(status):
                 now = time.monotonic()
                 heard_s = heard_s if status is None else now
                 if now - heard_s > silent_s:
@@ -318,7 +318,7 @@ class Commander:
         self.name = name
         self.trigger = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
-        self.status: Status | None = None  # None while the actuator is silent
+        self.newest: Status | None = None  # None while the actuator is silent
         self.changed = threading.Condition()  # notified after each step
         self.leads = False  # whether this client holds the lease, or held it last and no other does
         self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
@@ -330,7 +330,7 @@ class Commander:
         self._due_ns: dict[str, int] = {}
         self._lock = threading.Lock()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the command that is repeated, or an empty text."""
         return "" if self._command is None else self._command[0]
 
@@ -357,7 +357,7 @@ class Commander:
 
     def withdraw(self) -> None:
         """Command a stop if this client commands a walk and no other client leads; return once it is published."""
-        if self.doing() == "walk" and self._holder in ("", self.name):
+        if self.status() == "walk" and self._holder in ("", self.name):
             self.give("stop")
             with self.changed:
                 self.changed.wait_for(lambda: "stop" in self._due_ns, timeout=1.0)
@@ -374,10 +374,10 @@ class Commander:
         yield from due
         with self.changed:
             self.refused_by_router = router_refusal(inbox) or self.refused_by_router
-            self.status = None
+            self.newest = None
             if state is not None:
                 planner = inbox.fresh(topics.PLANNER_STATUS, _SILENT_S)
-                self.status = Status(state, inbox.fresh(topics.BODY_POSE, _SILENT_S), planner)
+                self.newest = Status(state, inbox.fresh(topics.BODY_POSE, _SILENT_S), planner)
             self.changed.notify_all()
 
     def _see_lease(self, holder: str) -> None:

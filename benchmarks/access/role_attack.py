@@ -98,7 +98,7 @@ class Leader:
         self.stages = Stages()
         self._order, self._given_ns, self._due_ns = "", 0, 0
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the last order."""
         return self._order
 

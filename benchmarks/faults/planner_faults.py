@@ -89,8 +89,8 @@ class _Meddled:
         """Yield the manipulated messages of a step; `message` is the actuator's state."""
         yield from self._meddler.speak(message.stamp_ns, lambda: iter(self._planner.step(message, inbox)))
 
-    def doing(self) -> str:
-        return self._planner.doing()
+    def status(self) -> str:
+        return self._planner.status()
 
 
 def fuzzed(plan: StepPlan, now_ns: int, rng: np.random.Generator) -> StepPlan:

@@ -34,7 +34,7 @@ class Asker:
         """Repeat the request."""
         yield PassageRequest(tick.stamp_ns, np.array(ORIGIN), 0.0, LENGTH, WIDTH)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the request as text."""
         return "asking for a passage"
 

@@ -41,7 +41,7 @@ class FullFrames:
         self._camera, self._max_range = camera, max_range
         self._poses = 0
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return its purpose."""
         return "mapping full frames"
 

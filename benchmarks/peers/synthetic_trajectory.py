@@ -192,6 +192,6 @@ class CarriedCamera:
         yield DepthImage(tick.stamp_ns, depth)
         self.played += 1
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the progress."""
         return f"at picture {self.played} of {len(self._ride.stamps_ns)}"

@@ -68,8 +68,8 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
         running.start()
         try:
             while not given.finished and not interrupts.asked():
-                if given.doing() != told:
-                    told = given.doing()
+                if given.status() != told:
+                    told = given.status()
                     say(told)
                 stop.wait(_LOOK_S)
         finally:
@@ -83,5 +83,5 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
             return INTERRUPTED
     if given.failed:
         raise CommandError(given.failed)
-    say(given.doing())
+    say(given.status())
     return SUCCESS

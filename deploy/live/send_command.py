@@ -57,7 +57,7 @@ class Order:
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # last state before the order
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the progress of the order as text."""
         return self.failed or self.words
 

@@ -149,7 +149,7 @@ class Bridge:
             wire.subscribe(node.key(topic, kind), self._receiver(kind))
             wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return whether a Twist drives the robot, and the number of refused Twists."""
         words = "a Twist drives the robot" if self._lead.leading else "publishing the robot's state, waiting for cmd_vel"
         return f"{words}; {self.refused} Twists refused: {self.last_refusal}" if self.refused else words

@@ -121,9 +121,9 @@ class NoisyPerception:
         """Topics that the wrapped service publishes."""
         return self._inner.publishes
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the status of the wrapped service."""
-        return self._inner.doing()
+        return self._inner.status()
 
     def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
         """Yield perception's messages, moved by the current error."""

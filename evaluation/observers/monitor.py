@@ -124,7 +124,7 @@ class Monitor:
         )
         return ()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the current activity as text."""
         return "watching"
 

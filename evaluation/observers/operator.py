@@ -119,7 +119,7 @@ class Operator:
         if not self.finished:
             self.progress = self._words(state, status, pose.T_world_body if pose else None)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the current activity as text."""
         return self.reason or self.progress
 

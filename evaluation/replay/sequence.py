@@ -128,7 +128,7 @@ class Player:
         except (FileNotFoundError, ValueError) as error:
             raise ReplayError(str(error)) from None
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the progress as text."""
         return f"playing picture {self.played} of {len(self._stamps_ns)}"
 
@@ -165,7 +165,7 @@ class ConstantVelocity:
         stamp_ns = pose.stamp_ns + self._period_ns
         yield odometry(stamp_ns, T_odom_next, self._travelled, self._turned, reliable=self._prior.measured)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the progress as text."""
         return f"predicting without registration, {self._travelled:.2f} m so far"
 
@@ -305,7 +305,7 @@ def _play(
     try:
         while not player.finished:
             lockstep.run(lockstep.now_ns + _SHOW_NS)
-            progress.say(f"{player.doing()}, {len(heard.poses)} poses")
+            progress.say(f"{player.status()}, {len(heard.poses)} poses")
         lockstep.run(lockstep.now_ns + _SETTLE_NS)
     except ServiceFailedError as error:
         if isinstance(error.__cause__, ReplayError):  # a picture that cannot be read

@@ -115,7 +115,7 @@ class Scorer:
             self._judge(truth)
         return ()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the progress by ground truth, or the reason for the end."""
         return self._end or f"judging: true distance {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
 

@@ -99,7 +99,7 @@ class Actuator:
         """Close the port. The servos keep torque and goals, so the robot stays standing."""
         self._joints.close()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the mode and its reason as status text."""
         refused = f"; refused: {self._guard.refused}" if self._guard.refused else ""
         return f"{self._guard.mode}: {self._guard.reason}{refused}"

@@ -84,7 +84,7 @@ class Console:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.server.__exit__(kind, error, trace)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the address and the number of open pages."""
         return f"serving {self.server.url.partition('#')[0]} to {len(self._feed)} pages"
 

@@ -64,7 +64,7 @@ class Mapper:
         settings = self._settings
         return ElevationGrid(settings.shape, settings.resolution, self._model, settings.ray_clearing, settings.height_drift)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the status for the operator: scans, share of known cells, drift."""
         if self._refused:
             return f"the newest scan is not mapped: {self._refused}"

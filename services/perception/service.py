@@ -60,7 +60,7 @@ class Perception:
         self._preview_ns = 0  # [ns] when the next preview is due
         self._words = "waiting for the first frame"
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the status of the registration and of the link to the mapper."""
         allowed = self._link.budget
         if self._link.share == 1.0:

@@ -59,7 +59,7 @@ class Planner:
         self._moved_footholds = 0
         self._stepped_ns = self._due_ns = self._status_due_ns = 0
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return state and reason."""
         return f"{self._decision.state}: {self._decision.reason}"
 

@@ -133,7 +133,7 @@ class Simulator:
         if self._server is not None:
             self._server.close()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return scenario, simulated time, lag and faults as text."""
         late = f", {self._behind} times too slow for real time" if self._behind else ""
         broken = self.bus.words(self._now_ns())

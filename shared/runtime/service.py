@@ -272,7 +272,7 @@ class Service(Protocol):
         """Return the messages made from the trigger message (or a Tick) and the inbox."""
         ...
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the current activity of the service as text for the operator."""
         ...
 
@@ -371,7 +371,7 @@ class ServiceRunner:
         health = Health(
             stamp_ns=now_ns,
             service=self.service.name,
-            status=(self._starved(now_ns) + self.service.doing())[:500],
+            status=(self._starved(now_ns) + self.service.status())[:500],
             steps=self._steps,
             refused=self.inbox.refused + astray,
             dropped=self.inbox.dropped,

@@ -38,7 +38,7 @@ class Scripted:
         self.seen.append((inbox.now_ns, message))
         return self.act(message, inbox)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "what it is told"
 
 

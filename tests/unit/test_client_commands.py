@@ -307,5 +307,5 @@ def test_a_restarted_robot_clock_voids_the_command(robot: Robot) -> None:
         robot.ahead_ns = -100_000 * MS
         for _ in range(400):
             robot.wait()
-        assert robot.made.doing() == ""
+        assert robot.made.status() == ""
         me.walk(0.08)

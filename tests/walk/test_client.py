@@ -29,13 +29,13 @@ class Led:
 
     @property
     def status(self) -> Status:
-        assert self.commander.status is not None
-        return self.commander.status
+        assert self.commander.newest is not None
+        return self.commander.newest
 
     def until(self, mode: Mode, within_s: float) -> None:
         end = self.run.now_ns() + round(within_s * S)
-        while self.commander.status is None or self.status.actuator.mode is not mode:
-            assert self.run.now_ns() < end, self.commander.status
+        while self.commander.newest is None or self.status.actuator.mode is not mode:
+            assert self.run.now_ns() < end, self.commander.newest
             self.run.run(self.run.now_ns() + S // 20)
 
     def place(self) -> np.ndarray:

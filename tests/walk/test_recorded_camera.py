@@ -44,7 +44,7 @@ class WorldStance:
     def __init__(self) -> None:
         self.stages = Stages()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "standing"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:

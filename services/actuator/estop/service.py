@@ -35,7 +35,7 @@ class EmergencyStop:
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return whether the latch is closed."""
         if self._problem:
             return self._problem

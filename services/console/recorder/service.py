@@ -66,7 +66,7 @@ class RecorderService:
             self._recording.end()
             self._recording.join()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the current or last recording as text."""
         if self._files is None:
             return self._reason or "recording nothing"

@@ -76,7 +76,7 @@ class CameraService:
         if self._thread is not None:
             self._thread.join(1.0)  # a hung driver is not waited for
 
-    def doing(self) -> str:
+    def status(self) -> str:
         """Return the status: the device and image count, or why no images arrive."""
         trouble = self._trouble()
         if trouble:

@@ -45,7 +45,7 @@ def test_each_new_torque_off_order_is_latched_once(latch: Latch) -> None:
     assert not latch.closed
     send_mode(stop, "off", 2)
     assert latch.closed
-    assert stop.doing() == "torque is latched off"
+    assert stop.status() == "torque is latched off"
     latch.open()  # the actuator was ordered to stand
     send_mode(stop, "off", 2)
     send_mode(stop, "off", 1)
@@ -137,10 +137,10 @@ def test_closing_the_latch_is_retried_after_os_error(latch: Latch, monkeypatch: 
     with monkeypatch.context() as patched:
         patched.setattr(Latch, "close", lambda *_: (_ for _ in ()).throw(OSError("no such folder")))
         send_mode(stop, "off", 3)
-        assert "cannot latch a torque-off order: no such folder" in stop.doing()
+        assert "cannot latch a torque-off order: no such folder" in stop.status()
     assert list(stop.step(Tick(0), Inbox(stop.subscribes, stop.stages))) == []
     assert latch.since_ns == 3
-    assert stop.doing() == "torque is latched off"
+    assert stop.status() == "torque is latched off"
 
 
 def test_latch_closes_on_full_disk(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,7 +285,7 @@ def test_unreadable_latch_raises_os_error_and_is_reported(latch: Latch, monkeypa
         with pytest.raises(OSError, match="Input/output error"):
             latch.open()
         assert latch.since_ns == 0
-        assert stop.doing() == "cannot read the torque-off latch: [Errno 5] Input/output error"
+        assert stop.status() == "cannot read the torque-off latch: [Errno 5] Input/output error"
     assert not latch.closed
 
 
@@ -317,7 +317,7 @@ def test_stop_path_continues_after_reporting_a_failed_latch(tmp_path: Path, monk
     monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "gone",))
     stop = EmergencyStop(PROFILE, Settings(PORT))
     send_mode(stop, "off", 1)
-    assert stop.doing().startswith("cannot latch a torque-off order: ")
+    assert stop.status().startswith("cannot latch a torque-off order: ")
     (tmp_path / "gone").mkdir()
     send_mode(stop, "off", 2)
-    assert stop.doing() == "torque is latched off"
+    assert stop.status() == "torque is latched off"

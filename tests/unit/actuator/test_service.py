@@ -190,7 +190,7 @@ def test_plan_without_walk_order_is_refused_with_reason() -> None:
     state = rig.cycle()
     assert state.mode is Mode.HOLD
     assert "not ordered to walk" in state.plan_refusal
-    assert "not ordered to walk" in rig.actuator.doing()
+    assert "not ordered to walk" in rig.actuator.status()
 
 
 def test_plan_is_executed_then_robot_holds_with_torque_on() -> None:

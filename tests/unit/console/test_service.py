@@ -183,7 +183,7 @@ def test_the_map_comes_in_the_layer_that_a_page_asks_for(rig: Rig) -> None:
 def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
     page.ask("watch", layer="score", picture=True)
-    page.until("state", lambda _: len(rig.console.doing()) > 0)
+    page.until("state", lambda _: len(rig.console.status()) > 0)
     limit = time.monotonic() + PATIENCE_S
     stamp = 0
     while "picture" not in page.frames and time.monotonic() < limit:
@@ -267,7 +267,7 @@ def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
     page.until("state", lambda told: len(told["seats"]) == 2)
     other.close()
     page.until("state", lambda told: len(told["seats"]) == 1)
-    assert rig.console.doing().endswith("to 1 pages")
+    assert rig.console.status().endswith("to 1 pages")
 
 
 def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:

@@ -86,12 +86,12 @@ def test_invalid_scan_is_reported_and_map_stays_unchanged(name: str) -> None:
     assert before is not None
     for _ in range(5):
         assert rig.map(garbage) is None, "the old map is not taken for a new one"
-        assert words in rig.mapper.doing()
+        assert words in rig.mapper.status()
     after = rig.map(scan(ground()))
     assert after is not None
     np.testing.assert_array_equal(np.isfinite(after.elevation), np.isfinite(before.elevation))
     np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-4)
-    assert rig.mapper.doing().startswith("mapping")
+    assert rig.mapper.status().startswith("mapping")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_invalid_pose_is_reported_and_map_stays_unchanged(changes: dict[str, Arr
     bad = replace(pose, **changes)  # type: ignore[arg-type]
     rig.inbox.receive(topics.BODY_POSE, codec.encode(bad), rig.now_ns)
     assert rig.map(scan(ground())) is None
-    assert words in rig.mapper.doing()
+    assert words in rig.mapper.status()
     rig.stand((0.0, 0.0, 0.1))
     after = rig.map(scan(ground()))
     assert after is not None
@@ -160,7 +160,7 @@ def test_stale_scans_after_first_are_not_mapped() -> None:
     assert rig.map(scan(ground())) is not None
     for k in range(1, 16):
         assert rig.map(scan(ground()), late_ns=k * 66_000_000) is None
-        assert "not newer" in rig.mapper.doing()
+        assert "not newer" in rig.mapper.status()
     assert rig.map(scan(ground())) is not None
 
 
@@ -215,4 +215,4 @@ def test_mapper_recovers_from_any_scan(
     rig.stand((0.0, 0.0, 0.1))
     map_ = rig.map(scan(ground()))
     assert map_ is not None
-    assert rig.mapper.doing().startswith("mapping")
+    assert rig.mapper.status().startswith("mapping")

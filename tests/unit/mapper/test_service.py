@@ -213,7 +213,7 @@ def test_map_is_published_every_n_scans_with_newest_stamp(every: int) -> None:
         maps = rig.scan()
         assert len(maps) == (k % every == 0)
         assert all(m.stamp_ns == rig.now_ns for m in maps)
-    assert "8 scans" in rig.mapper.doing()
+    assert "8 scans" in rig.mapper.status()
 
 
 def test_map_follows_robot_and_keeps_known_ground() -> None:
@@ -259,17 +259,17 @@ def test_passage_map_is_published_only_while_requested() -> None:
     rig = Rig()
     rig.stand(at())
     rig.scan()
-    assert "mapping a gap" not in rig.mapper.doing()
+    assert "mapping a gap" not in rig.mapper.status()
     (told,) = surveyed(rig, STRIP)
     assert told.stamp_ns == rig.now_ns
     assert told.elevation.shape == (270, 100)
     np.testing.assert_allclose(told.origin, [-0.445, -0.495])
-    assert "mapping a gap" in rig.mapper.doing()
+    assert "mapping a gap" in rig.mapper.status()
     rig.now_ns += 1600 * MS
     rig.inbox.now_ns = rig.now_ns
     made = without_receipt(rig.mapper.step(ground_scan(rig.now_ns, 0.0), rig.inbox))
     assert [type(m) for m in made] == [TerrainMap]
-    assert "mapping a gap" not in rig.mapper.doing()
+    assert "mapping a gap" not in rig.mapper.status()
 
 
 def test_passage_map_distinguishes_measured_assumed_and_unseen_cells() -> None:
@@ -438,7 +438,7 @@ def test_map_is_consistent_with_newest_pose_after_height_drift() -> None:
     early, late = ground.heights(np.array([[0.55, 0.0], [0.9, 0.0]]))
     assert late == pytest.approx(0.0008 * 59, abs=0.003)
     assert early == pytest.approx(late, abs=0.005)
-    assert "compensates +" in rig.mapper.doing()
+    assert "compensates +" in rig.mapper.status()
 
 
 @pytest.mark.parametrize("lifted", [-50.0, 50.0])
@@ -488,7 +488,7 @@ def test_map_restarts_without_ground_under_standing_feet() -> None:
     made = Terrain(stand_on_seen_ground(rig, 0.75, on_pillars=0))
     np.testing.assert_allclose(made.heights(PROFILE.rest_feet(HEIGHT)[:, :2]), 0.0, atol=0.02)
     assert np.isnan(made.heights(np.array([[-0.45, 0.0]]))).all(), "what it knew elsewhere is forgotten"
-    assert "restarted 1 times because the feet stood where the map had no ground" in rig.mapper.doing()
+    assert "restarted 1 times because the feet stood where the map had no ground" in rig.mapper.status()
 
 
 @pytest.mark.parametrize(
@@ -499,7 +499,7 @@ def test_map_restarts_without_ground_under_standing_feet() -> None:
 def test_map_is_kept_if_feet_may_stand_on_it(depth: float, on_pillars: int, scans: int) -> None:
     rig = Rig()
     stand_on_seen_ground(rig, depth, on_pillars, scans)
-    assert "restarted" not in rig.mapper.doing()
+    assert "restarted" not in rig.mapper.status()
 
 
 def test_scan_color_is_ignored_for_robot_without_color_camera() -> None:

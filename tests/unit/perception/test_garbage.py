@@ -96,7 +96,7 @@ def test_invalid_frames_during_walk_are_reported_and_give_no_ground(world, name:
         pose, scan = pose_of(messages), scan_of(messages)
         assert not pose.ok
         assert any(word in pose.reason for word in words)
-        assert pose.reason in rig.perception.doing()
+        assert pose.reason in rig.perception.status()
         assert scan is None or len(scan.points_mm) == 0, "no ground is made of it"
         np.testing.assert_allclose(pose.T_world_body[:3, 3], rig.T_world_body[:3, 3], atol=2e-3)  # from leg odometry
     for _ in range(3):
@@ -114,7 +114,7 @@ def test_invalid_first_frames_start_no_map(world, name: str) -> None:  # type: i
         messages = rig.see(garbage())
         assert scan_of(messages) is None, "no map begins with it"
         assert not pose_of(messages).ok
-        assert any(word in rig.perception.doing() for word in words)
+        assert any(word in rig.perception.status() for word in words)
     messages = rig.see()
     assert pose_of(messages).ok
     assert scan_of(messages) is not None
@@ -151,7 +151,7 @@ def test_out_of_order_frames_are_skipped_and_reported(world) -> None:  # type: i
     rig.see()
     assert rig.see(late_ns=2 * FRAME_NS) == []
     assert rig.see(late_ns=2 * FRAME_NS) == [], "the same stamp again"
-    assert "order" in rig.perception.doing()
+    assert "order" in rig.perception.status()
     assert pose_of(rig.see()).ok
 
 
@@ -171,4 +171,4 @@ def test_perception_keeps_running_for_any_pixels(world, small: NDArray[np.uint16
     rig.see()
     pose = pose_of(rig.see(picture))
     assert np.abs(pose.T_world_body[:3, 3] - rig.T_world_body[:3, 3]).max() < 0.1
-    assert rig.perception.doing()
+    assert rig.perception.status()

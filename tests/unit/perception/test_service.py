@@ -86,7 +86,7 @@ def pose_of(messages: list[Message]) -> BodyPose:
 def test_perception_waits_for_odometry_and_reports_it(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     assert rig.see(body_at(0.0)) == []
-    assert "waiting for odometry" in rig.perception.doing()
+    assert "waiting for odometry" in rig.perception.status()
     assert rig.frame(body_at(0.0))
 
 
@@ -104,7 +104,7 @@ def test_world_frame_is_set_only_once_robot_stands_still(world) -> None:  # type
         if made:
             first = k
             break
-        assert "stand still" in rig.perception.doing()
+        assert "stand still" in rig.perception.status()
     assert 0.2 < (first - 9) * FRAME * 1e-9 <= 0.34
 
 
@@ -134,7 +134,7 @@ def test_true_motion_is_tracked_with_odometry_prior(world) -> None:  # type: ign
         np.testing.assert_allclose(carried[:3, 3], pose.T_world_body[:3, 3], atol=1e-9)  # tilt is smoothed
         assert yaw_of(carried) == pytest.approx(yaw_of(pose.T_world_body), abs=1e-4)
         assert np.linalg.eigvalsh(pose.covariance)[0] > 0
-    assert "overlap" in rig.perception.doing()
+    assert "overlap" in rig.perception.status()
 
 
 def test_unobservable_directions_on_level_ground_are_reported(world) -> None:  # type: ignore[no-untyped-def]
@@ -143,7 +143,7 @@ def test_unobservable_directions_on_level_ground_are_reported(world) -> None:  #
         rig = Rig(world, scene)
         rig.frame(body_at(0.0))
         poses.append(pose_of(rig.frame(body_at(0.01))))
-        assert ("x, y, yaw unobservable" in rig.perception.doing()) is (scene == "flat")
+        assert ("x, y, yaw unobservable" in rig.perception.status()) is (scene == "flat")
     level, rough = poses
     assert level.degenerate.shape == (3, 6)
     assert np.abs(level.degenerate[:, [2, 3, 4]]).max() < 0.2  # height, roll and pitch are observed
@@ -197,8 +197,8 @@ def test_frame_of_wrong_size_is_reported_and_skipped(world) -> None:  # type: ig
     assert isinstance(pose, BodyPose)
     assert not pose.ok
     assert "(240, 320) expected" in pose.reason
-    assert "(240, 320) expected" in rig.perception.doing()
-    assert "found (120, 160)" in rig.perception.doing()
+    assert "(240, 320) expected" in rig.perception.status()
+    assert "found (120, 160)" in rig.perception.status()
     assert pose_of(rig.frame(body_at(0.005))).ok
 
 
@@ -208,7 +208,7 @@ def test_empty_frame_falls_back_to_odometry_with_reason(world) -> None:  # type:
     pose = pose_of(rig.frame(body_at(0.02), depth=np.zeros((240, 320), dtype=np.uint16)))
     assert not pose.ok
     assert pose.reason
-    assert "odometry only" in rig.perception.doing()
+    assert "odometry only" in rig.perception.status()
     np.testing.assert_allclose(pose.T_world_body, body_at(0.02), atol=1e-9)
 
 
@@ -252,7 +252,7 @@ def test_missing_odometry_is_a_fault_only_on_unobservable_ground(world) -> None:
         assert any(isinstance(m, Scan) for m in made) is told
         if not told:
             assert "no odometry from the actuator for" in pose_of(made).reason
-            assert "no odometry" in rig.perception.doing()
+            assert "no odometry" in rig.perception.status()
 
 
 def test_image_frozen_before_first_odometry_is_reported(world) -> None:  # type: ignore[no-untyped-def]

@@ -113,7 +113,7 @@ def test_planner_steps_with_all_inputs() -> None:
     assert plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s)
     status = rig.status()
     assert status.state == "stepping"
-    assert rig.planner.doing().startswith("stepping")
+    assert rig.planner.status().startswith("stepping")
 
 
 def test_reduced_servo_pace_shortens_step() -> None:
@@ -766,7 +766,7 @@ def test_repeated_refusals_by_actuator_count_as_stall() -> None:
     for cycle in range(1000):
         refuse(rig, cycle)
         sent += [m for m in rig.cycle() if isinstance(m, StepPlan)]
-    assert "stuck" in rig.planner.doing()
+    assert "stuck" in rig.planner.status()
 
 
 def test_view_pose_is_robot_pose_at_map_stamp(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -144,17 +144,17 @@ def test_slow_machine_drops_time_and_reports_it() -> None:
     sim = simulator()
     run(sim, 40 * MS)
     inbox = Inbox(sim.subscribes, sim.stages, lambda _: False)
-    assert "too slow" not in sim.doing()
+    assert "too slow" not in sim.status()
     before = sim.world.time_ns
     made = list(sim.step(Tick(5_000 * MS), inbox))
     assert sim.world.time_ns - before <= 2 * TIME_STEP_NS
-    assert "1 times too slow" in sim.doing()
+    assert "1 times too slow" in sim.status()
     assert len([m for m in made if isinstance(m, DepthImage)]) <= 2
     # From there on time passes as before, on the new origin.
     stamps = [m.stamp_ns for m in run(sim, 5_100 * MS, from_ns=5_004 * MS) if isinstance(m, GroundTruth)]
     assert min(stamps) > 4_990 * MS
     assert np.diff(stamps).max() <= 20 * MS + TIME_STEP_NS
-    assert "1 times too slow" in sim.doing()
+    assert "1 times too slow" in sim.status()
 
 
 def test_small_delay_is_caught_up() -> None:
@@ -162,7 +162,7 @@ def test_small_delay_is_caught_up() -> None:
     run(sim, 40 * MS)
     list(sim.step(Tick(140 * MS), Inbox(sim.subscribes, sim.stages, lambda _: False)))
     assert sim.world.time_ns == 140 * MS
-    assert "too slow" not in sim.doing()
+    assert "too slow" not in sim.status()
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -202,7 +202,7 @@ def test_bus_fault_of_scenario_starts_and_ends_in_time() -> None:
     sim = Simulator(PROFILE, Settings(), Scenario("flat", (Plane(),), Goal(1.0), bus_faults=(fault,)))
     run(sim, 120 * MS)
     assert [is_bus_silent(sim, at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
-    assert sim.doing() == "simulating flat, 0.1 s, faults: bus silent"
+    assert sim.status() == "simulating flat, 0.1 s, faults: bus silent"
 
 
 def read_register(sim: Simulator, row: int, register: dxl.Register, at_ns: int | None = None) -> int:
@@ -259,7 +259,7 @@ def test_fault_message_is_injected_and_invalid_one_is_refused() -> None:
     ):
         inbox.receive(topics.FAULT, codec.encode(command), 0)
         truths = [m for m in sim.step(Tick(sim.world.time_ns + BEAT_NS), inbox) if isinstance(m, GroundTruth)]
-        assert words in sim.doing()
+        assert words in sim.status()
     run(sim, 100 * MS)
     truths = [m for m in run(sim, 200 * MS, from_ns=100 * MS) if isinstance(m, GroundTruth)]
     assert truths[-1].shutdown[PROFILE.servo_ids == 8].all()

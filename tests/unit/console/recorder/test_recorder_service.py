@@ -91,7 +91,7 @@ def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> No
         desk.beat(False, 2)
         assert not desk.beat(True, 2).recording
         assert not desk.beat(True, 1).recording, "one that was overtaken"
-        assert "recorded" in desk.recorder.doing()
+        assert "recorded" in desk.recorder.status()
 
 
 def test_ending_the_process_finishes_the_file(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_disk_without_room_is_said_at_once(tmp_path: Path) -> None:
     assert not state.recording
     assert state.sequence == 1
     assert "must stay free" in state.reason
-    assert state.reason == desk.recorder.doing() == desk.beat().reason, "until the next order"
+    assert state.reason == desk.recorder.status() == desk.beat().reason, "until the next order"
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path,
             state = desk.beat()
     assert "No space left on device" in state.reason
     assert not desk.link.listeners, "nothing more is sent to it"
-    assert desk.recorder.doing() == state.reason
+    assert desk.recorder.status() == state.reason
 
 
 @pytest.mark.parametrize("wrong", [{"folder": " "}, {"file_s": 0.0}, {"reserve_mb": -1}])

@@ -32,7 +32,7 @@ class OrderPublisher:
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
         yield ModeCommand(tick.stamp_ns, "stand", 1)
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "calling"
 
 
@@ -55,7 +55,7 @@ class OrderSubscriber:
             raise ValueError(f"cannot {order.mode}")
         return ()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "listening"
 
 

@@ -47,7 +47,7 @@ def test_stand_order_finishes_when_robot_stands() -> None:
     desk.run_ticks(2)
     desk.run_ticks(40, mode=Mode.STAND, reason="standing up", lease="me")
     assert not desk.order.finished
-    assert desk.order.doing() == "stand: standing up"
+    assert desk.order.status() == "stand: standing up"
     desk.run_ticks(1, mode=Mode.HOLD, reason="standing", lease="me")
     assert desk.order.finished
     assert not desk.order.failed

@@ -225,7 +225,7 @@ def test_random_bytes_are_refused_counted_and_move_nothing(data: bytes, kind: st
     assert bench.beat() == []
     assert bench.bridge.refused == 2
     assert bench.bridge.last_refusal.startswith(f"{kind}: ")
-    assert "2 Twists refused" in bench.bridge.doing()
+    assert "2 Twists refused" in bench.bridge.status()
     assert all(words.startswith("Twist refused: ") for words in bench.words)
 
 

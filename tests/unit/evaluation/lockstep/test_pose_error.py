@@ -96,7 +96,7 @@ class StaticPerception:
     def __init__(self, scan: Scan) -> None:
         self.stages, self._scan = Stages(), scan
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "resting"
 
     def step(self, stamp_ns: int, _: Any) -> Iterator[Message]:
@@ -171,7 +171,7 @@ def test_noisy_perception_keeps_perception_settings() -> None:
     made = make(load_profile("phantomx_mk2"), Settings(settle_s=0.1, pose_error="rgbdslam"))
     assert made.name == "perception"
     assert made.trigger is topics.DEPTH
-    assert "waiting" in made.doing()
+    assert "waiting" in made.status()
 
 
 def test_invalid_correlation_is_refused() -> None:

@@ -242,7 +242,7 @@ def test_operator_does_not_reorder_failed_robot(mode):
 def test_operator_status_shows_awaited_event():
     robot = Robot()
     operator = robot.operator
-    assert "waiting for the actuator" in operator.doing()
+    assert "waiting for the actuator" in operator.status()
     list(operator.step(Tick(0), Inbox(operator.subscribes, operator.stages)))
     robot.run(5)
     assert "standing up" in operator.progress

@@ -286,7 +286,7 @@ def test_constant_velocity_guess_predicts_steady_motion_exactly() -> None:
         if i:
             assert np.allclose(T_world_odom @ said.T_odom_body, T @ step, atol=1e-8)
         T = T @ step
-    assert guess.doing().startswith("predicting")
+    assert guess.status().startswith("predicting")
 
 
 def test_simulated_sequence_replay_matches_ground_truth(tmp_path: Path) -> None:

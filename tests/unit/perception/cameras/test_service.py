@@ -69,7 +69,7 @@ def test_depth_is_published_at_device_rate_and_state_at_4_hz(kit) -> None:  # ty
     assert 10 <= len(states) <= 14
     assert states[-1].ok
     assert states[-1].device == "test camera"
-    assert service.doing().startswith("test camera, ")
+    assert service.status().startswith("test camera, ")
 
 
 def test_color_is_read_only_with_subscribers_and_has_depth_stamp(kit) -> None:  # type: ignore[no-untyped-def]
@@ -95,7 +95,7 @@ def test_unplugged_device_is_reported_immediately_and_reopened(kit) -> None:  # 
     assert not of(made, DepthImage)
     assert not any(state.ok for state in of(made, CameraState))
     assert of(made, CameraState)[-1].reason == "no device found; plug it in"
-    assert "no images: no device found" in service.doing()
+    assert "no images: no device found" in service.status()
     device.plugged = True
     made = run(service, kit, 5.0)
     assert of(made, DepthImage)

@@ -193,7 +193,7 @@ class Beating:
         self.act()
         return ()
 
-    def doing(self) -> str:
+    def status(self) -> str:
         return "beating"
 
 
