@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
 
 KEPT = 300  # entries
-_BAD = (Mode.FAULT, Mode.OFF)
 _SILENT_NS = 3_000_000_000  # [ns] without health after which a service is logged as silent
 
 
@@ -46,8 +45,8 @@ class EventLog:
         if state is None:
             self._if_new(now_ns, "actuator", "mode", "no message from the actuator", True, unless="")
             return
-        self._if_new(now_ns, "actuator", "mode", f"{state.mode}: {state.reason}", state.mode in _BAD)
-        self._if_new(now_ns, "actuator", "refused", state.plan_refusal, True)
+        self._if_new(now_ns, "actuator", "mode", f"{state.mode}: {state.reason}", state.mode is Mode.FAULT)
+        self._if_new(now_ns, "actuator", "refused", state.plan_refusal, False)  # the planner plans again
         self._if_new(now_ns, "actuator", "lease", f"{state.lease or 'no client'} is in control", False)
         warnings = frozenset(state.warnings)
         for words in state.warnings:

@@ -124,7 +124,10 @@ def x_of(robot: PageRobot) -> float:
 
 def test_robot_walks_while_pad_is_held(robot: PageRobot, hand: Hand) -> None:
     begun = x_of(robot)
+    hand.page.wait_for_selector("#first:not([hidden])")
+    assert hand.says("#first") == 'Hold the pad to walk, or press "goal" and click the map.'
     walk(robot, hand)
+    assert hand.says("#first") == ""
     assert hand.says("#leader-words") == "you are in control"
     robot.pass_time(1.0)
     assert x_of(robot) > begun + 0.05

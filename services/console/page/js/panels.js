@@ -20,8 +20,16 @@ function mark(element, kind) {
   if (element.className !== kind) element.className = kind;
 }
 
+const FIRST = { // what to do before the first walk, by mode
+  off: 'Press "stand": the robot gets up.',
+  ready: 'Press "stand": the robot gets up.',
+  stand: "The robot is getting up.",
+  hold: 'Hold the pad to walk, or press "goal" and click the map.',
+};
+
 export class Panels {
   constructor() {
+    this.walked = false;
     this.seat = 0;
     this.robot = null;
     this.cells = [];
@@ -74,8 +82,17 @@ export class Panels {
     mark($("leader"), mine ? "me" : "");
     $("take-over").hidden = mine || !lease || this.seat === 0;
     $("give-up").disabled = !state.goal;
+    this.first(legs ? legs.mode : "", this.seat > 0 && (mine || !lease));
     if (this.newest === null) setTimeout(() => this.numbers(), NUMBERS_MS);
     this.newest = state;
+  }
+
+  /** Show what to do first, until the robot walks. */
+  first(mode, free) {
+    this.walked ||= mode === "walk";
+    const words = (!this.walked && free && FIRST[mode]) || "";
+    write($("first"), words);
+    $("first").hidden = !words;
   }
 
   numbers() {

@@ -1,12 +1,13 @@
 // Model of the robot: its profile, measured joint angles, support polygon, trail, and planned path and footholds.
 
 import * as THREE from "../vendor/three/three.module.js";
-import { matte } from "./matte.js";
+import { trunk } from "./body.js";
 import { Skeleton } from "./skeleton.js";
 
 const LEG_COLORS = [0x7fb7f0, 0xe8b64c, 0x7fb7f0, 0xe8b64c, 0x7fb7f0, 0xe8b64c]; // by tripod
 const CARRIES = 0x6cc5a8;
-const IN_AIR = 0xf4f1e8;
+const BAND = 0.006; // [m] half width of the path
+const BAND_STEP = 0.02; // [m] between two heights of the path
 const TRAIL = 200; // points
 const TRAIL_STEP = 0.02; // [m]
 const MOST_FOOTHOLDS = 512;
@@ -28,7 +29,7 @@ export class Robot {
     this.group.add(this.trunk, this.rings, this.footholds);
     this.polygon = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({ color: CARRIES, transparent: true, opacity: 0.22, side: THREE.DoubleSide, depthWrite: false }));
     this.outline = new THREE.LineLoop(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: CARRIES }));
-    this.path = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0xffffff }));
+    this.path = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({ color: 0xf08426, transparent: true, opacity: 0.75, side: THREE.DoubleSide }));
     this.trail = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x7fb7f0, transparent: true, opacity: 0.7 }));
     this.centre = new THREE.Mesh(new THREE.CircleGeometry(0.008, 16), new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.DoubleSide }));
     for (const thing of [this.polygon, this.outline, this.path, this.trail]) thing.frustumCulled = false;
@@ -45,25 +46,15 @@ export class Robot {
   build(profile) {
     this.trunk.clear();
     this.profile = profile;
-    const skin = matte(0x44525c);
-    const [length, width, height] = profile.body;
-    const box = new THREE.Mesh(new THREE.BoxGeometry(length, width, height), skin);
-    const nose = new THREE.Mesh(new THREE.ConeGeometry(height * 0.35, height * 0.8, 4), matte(0xf4f1e8));
-    nose.rotation.z = -Math.PI / 2;
-    nose.position.set(length / 2, 0, height * 0.35);
-    this.trunk.add(box, nose);
-    const eye = new THREE.Mesh(new THREE.BoxGeometry(0.02, 0.06, 0.02), matte(0x14212b));
-    eye.applyMatrix4(matrix(profile.camera).multiply(new THREE.Matrix4().makeRotationY(Math.PI / 2)));
-    this.trunk.add(eye);
-    this.skeleton = new Skeleton(profile.legs.length, Math.max(profile.foot_radius, 0.008));
-    this.trunk.add(this.skeleton.mesh);
+    this.skeleton = new Skeleton(profile);
+    this.trunk.add(trunk(profile), this.skeleton.mesh);
     this.built = true;
   }
 
-  /** Draw the legs at joint angles [rad], and return the foot centres {body}. */
+  /** Draw the legs at joint angles [rad], and return the knees and foot centres {body} of each. */
   pose(q, contact) {
     const [coxa, femur, tibia] = this.profile.links;
-    const feet = this.profile.legs.map((leg, i) => {
+    const legs = this.profile.legs.map((leg, i) => {
       const [a, b, c] = q.slice(3 * i, 3 * i + 3);
       const yaw = leg.yaw + a;
       const out = (r, z) => new THREE.Vector3(leg.mount[0] + r * Math.cos(yaw), leg.mount[1] + r * Math.sin(yaw), leg.mount[2] + z);
@@ -73,33 +64,61 @@ export class Robot {
         out(coxa + femur * Math.cos(b), femur * Math.sin(b)),
         out(coxa + femur * Math.cos(b) + tibia * Math.cos(b + c), femur * Math.sin(b) + tibia * Math.sin(b + c)),
       ];
-      this.skeleton.leg(i, joints, contact[i] ? CARRIES : IN_AIR);
-      return joints[3];
+      this.skeleton.leg(i, joints, contact[i]);
+      return joints.slice(1);
     });
     this.skeleton.done();
-    return feet;
+    return legs;
   }
 
-  /** Show the state of the robot. */
-  show(state) {
+  /** Show the state of the robot on the ground of a map. */
+  show(state, terrain) {
     if (!this.built || !state.legs || !state.pose) return;
     this.T.copy(matrix(state.pose.T));
     this.trunk.matrix.copy(this.T);
-    const feet = this.pose(state.legs.q, state.legs.contact).map((foot) => foot.applyMatrix4(this.T));
+    const legs = this.pose(state.legs.q, state.legs.contact).map((joints) => joints.map((point) => point.applyMatrix4(this.T)));
+    const feet = legs.map((joints) => joints[2]);
+    terrain.shade(this.T, this.profile.body, legs);
     const radius = this.profile.foot_radius;
     const ground = feet.filter((_, i) => state.legs.contact[i]).map((foot) => new THREE.Vector3(foot.x, foot.y, foot.z - radius + LIFT));
     this.support(hull(ground));
     const place = new THREE.Vector3().setFromMatrixPosition(this.T);
     const low = ground.length ? ground.reduce((sum, p) => sum + p.z, 0) / ground.length : place.z;
     this.centre.position.set(place.x, place.y, low + LIFT);
+    this.ground = low; // [m] {world} of the standing feet
     this.walk(place, low);
     this.plan(state);
-    line(this.path, pairs(state.planner ? state.planner.path : [], 2).map(([x, y]) => new THREE.Vector3(x, y, low + 0.02)));
+    this.route(pairs(state.planner ? state.planner.path : [], 2), (x, y) => terrain.heightAt(x, y) ?? low);
     this.goal.visible = Boolean(state.goal);
     if (state.goal) {
       const [x, y] = state.goal[state.goal.length - 1];
       this.goal.position.set(x, y, low);
     }
+  }
+
+  /** Draw the path to the goal as a band on the ground. */
+  route(corners, heightAt) {
+    const words = corners.join();
+    if (words === this.drawnRoute) return;
+    this.drawnRoute = words;
+    this.path.visible = corners.length > 1;
+    const places = [];
+    for (let k = 0; k + 1 < corners.length; k++) {
+      const [[x, y], [u, v]] = [corners[k], corners[k + 1]];
+      const length = Math.hypot(u - x, v - y);
+      if (length < 1e-6) continue;
+      const [aside, along] = [(BAND / length) * (y - v), (BAND / length) * (u - x)];
+      const steps = Math.max(1, Math.ceil(length / BAND_STEP));
+      for (let n = 0; n < steps; n++) {
+        const [from, to] = [n / steps, (n + 1) / steps].map((s) => {
+          const [px, py] = [x + s * (u - x), y + s * (v - y)];
+          const z = heightAt(px, py) + 2 * LIFT;
+          return [new THREE.Vector3(px + aside, py + along, z), new THREE.Vector3(px - aside, py - along, z)];
+        });
+        places.push(from[0], from[1], to[0], from[1], to[1], to[0]);
+      }
+    }
+    line(this.path, places);
   }
 
   support(corners) {

@@ -26,7 +26,21 @@ in vec3 vPlace;
 in vec2 vCell;
 uniform sampler2D values, table;
 uniform bool colored;
+uniform vec4 trunk, legs[12];
+uniform vec2 trunkHalf;
 out vec4 color;
+float shadow() { // of the robot, below it
+  vec2 p = vPlace.xy - trunk.xy;
+  if (dot(p, p) > 0.25) return 0.0;
+  vec2 outside = abs(vec2(trunk.z * p.x + trunk.w * p.y, trunk.z * p.y - trunk.w * p.x)) - trunkHalf;
+  float dark = 0.5 * (1.0 - smoothstep(-0.02, 0.03, length(max(outside, 0.0)) + min(max(outside.x, outside.y), 0.0)));
+  for (int k = 0; k < 12; k++) {
+    vec2 a = vPlace.xy - legs[k].xy, b = legs[k].zw - legs[k].xy;
+    float apart = length(a - b * clamp(dot(a, b) / max(dot(b, b), 1e-6), 0.0, 1.0));
+    dark = max(dark, 0.4 * (1.0 - smoothstep(0.005, 0.022, apart)));
+  }
+  return dark;
+}
 void main() {
   vec3 normal = normalize(cross(dFdx(vPlace), dFdy(vPlace)));
   if (normal.z < 0.0) normal = -normal;
@@ -36,6 +50,7 @@ void main() {
   vec3 base = colored ? value.rgb : texelFetch(table, ivec2(int(value.r * 255.0 + 0.5), 0), 0).rgb;
   vec2 line = abs(fract(vPlace.xy * 10.0 + 0.5) - 0.5) / max(fwidth(vPlace.xy * 10.0), 1e-4);
   float grid = (1.0 - min(min(line.x, line.y), 1.0)) * (1.0 - smoothstep(0.2, 0.6, max(fwidth(vPlace.x), fwidth(vPlace.y)) * 10.0));
+  light *= 1.0 - shadow();
   color = vec4(mix(base * light, vec3(0.0), 0.12 * grid), 1.0); // the tables are sRGB already
 }`;
 
@@ -50,7 +65,9 @@ export class Terrain {
       side: THREE.DoubleSide,
       uniforms: {
         values: { value: null }, table: { value: null }, colored: { value: false },
-        origin: { value: new THREE.Vector2() }, resolution: { value: 0.01 }, ny: { value: 0 },
+        origin: { value: new THREE.Vector2() }, resolution: { value: 0.01 }, ny: { value: 0 }, cells: { value: new THREE.Vector2() },
+        trunk: { value: new THREE.Vector4(1e3, 1e3, 1, 0) }, trunkHalf: { value: new THREE.Vector2() },
+        legs: { value: Array.from({ length: 12 }, () => new THREE.Vector4()) },
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
@@ -81,7 +98,8 @@ export class Terrain {
     if (colored) {
       const out = values.image.data;
       for (let i = 0; i < cells; i++) {
-        out[4 * i] = bytes[3 * i]; out[4 * i + 1] = bytes[3 * i + 1]; out[4 * i + 2] = bytes[3 * i + 2]; out[4 * i + 3] = 255;
+        out[4 * i] = bytes[3 * i]; out[4 * i + 1] = bytes[3 * i + 1]; out[4 * i + 2] = bytes[3 * i + 2];
+        out[4 * i + 3] = this.heights[i] === NO_HEIGHT ? 0 : 255;
       }
     } else {
       values.image.data.set(bytes.subarray(0, cells));
@@ -92,8 +110,22 @@ export class Terrain {
     uniforms.origin.value.set(header.origin[0], header.origin[1]);
     uniforms.resolution.value = header.resolution;
     uniforms.ny.value = ny;
+    uniforms.cells.value.set(nx, ny);
     this.header = header;
     this.mesh.visible = true;
+  }
+
+  /** Place the shadow of a robot: body pose, size of the body, and femur axis, knee and foot {world} of each leg. */
+  shade(T, [length, width], legs) {
+    const { trunk, trunkHalf, legs: limbs } = this.material.uniforms;
+    const [x, y] = T.elements.slice(12, 14);
+    const turn = Math.atan2(T.elements[1], T.elements[0]);
+    trunk.value.set(x, y, Math.cos(turn), Math.sin(turn));
+    trunkHalf.value.set(length / 2, width / 2);
+    legs.forEach(([femur, knee, foot], i) => {
+      limbs.value[2 * i].set(femur.x, femur.y, knee.x, knee.y);
+      limbs.value[2 * i + 1].set(knee.x, knee.y, foot.x, foot.y);
+    });
   }
 
   /**

@@ -3,6 +3,7 @@
 import * as THREE from "../vendor/three/three.module.js";
 import { Paper } from "./paper.js";
 import { Terrain } from "./terrain.js";
+import { Floor } from "./floor.js";
 import { Robot } from "./robot.js";
 
 const CLICK_PX = 5; // a pointer that moved less counts as a click
@@ -29,7 +30,8 @@ export class View {
     this.camera.up.set(0, 0, 1);
     this.terrain = new Terrain(software ? 3 : 1);
     this.robot = new Robot();
-    this.scene.add(this.terrain.mesh, this.robot.group);
+    this.floor = new Floor(this.terrain.material.uniforms);
+    this.scene.add(this.terrain.mesh, this.floor.mesh, this.robot.group);
     this.target = new THREE.Vector3();
     this.eye = { azimuth: Math.PI, elevation: 0.75, distance: 1.7 };
     this.follow = true;
@@ -87,9 +89,10 @@ export class View {
   }
 
   show(state) {
-    this.robot.show(state);
+    this.robot.show(state, this.terrain);
+    const place = new THREE.Vector3().setFromMatrixPosition(this.robot.T);
+    if (this.robot.ground !== undefined) this.floor.show(place, this.robot.ground);
     if (this.follow && state.pose) {
-      const place = new THREE.Vector3().setFromMatrixPosition(this.robot.T);
       const turned = wrapped(state.pose.yaw - (this.yaw ?? state.pose.yaw));
       this.yaw = state.pose.yaw;
       this.eye.azimuth += turned;

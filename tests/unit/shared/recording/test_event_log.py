@@ -92,3 +92,10 @@ def test_a_computer_that_is_too_slow_is_noted_once_and_when_it_is_over() -> None
         "console: all services are fast enough again",
     ]
     assert [e.bad for e in event_log.entries] == [True, False]
+
+
+def test_refused_plan_and_torque_off_are_normal_events() -> None:
+    event_log, state = EventLog(), actuator_state(PROFILE, reason="torque off as ordered", mode=Mode.OFF)
+    event_log.legs(0, replace(state, plan_refusal="a foot is out of reach"))
+    assert "actuator: a foot is out of reach" in said(event_log)
+    assert not any(entry.bad for entry in event_log.entries)
