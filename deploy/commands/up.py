@@ -83,6 +83,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     """Run the processes of a role until Ctrl-C."""
     from sextant.deploy.launch import process_table
     from sextant.deploy.launch.host_launcher import HostLauncher
+    from sextant.deploy.live.page import Page
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.deploy.terminal.progress import Terminal
     from sextant.shared.runtime.process_priority import allow_many_files
@@ -105,13 +106,16 @@ def up(launch: Launch, print_zenoh: bool) -> int:
         with HostLauncher(launch.role, rows, chosen, extra, gated, tell) as half:
             say(half.where())
             say(f"starting {', '.join(half.names)}; Ctrl-C stops them")
-            if paged:
-                say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
+            page = Page(chosen.console_port) if paged else None
+            if page:
+                say(f"the operator's page: {page.url}")
             problem = ""
             shown = time.monotonic()
             with _monitor(gated, launch.role) if drawn else nullcontext() as monitor:
                 while not problem and not interrupts.asked():
                     problem = half.beat(0.2)
+                    if page:
+                        page.show()
                     if monitor is not None and time.monotonic() - shown >= _SHOW_S:
                         shown = time.monotonic()
                         progress.update(monitor.view)
@@ -265,17 +269,13 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:
     """Return the page's port: as requested, else the usual one, else a free one."""
+    from sextant.deploy.live.page import page_port
     from sextant.services.console.config import Settings
     from sextant.shared.runtime.process import load_settings
-    from sextant.shared.wire.ports import free_port, port_taken
 
     if any(re.match(r"port\s*=", setting) for setting in settings):
         return load_settings(Settings, None, settings).port
-    if not port_taken(usual):
-        return usual
-    port = free_port()
-    say(f"port {usual} is taken, so the operator's page is on {port}; --set console.port=PORT selects another")
-    return port
+    return page_port(lambda words: say(f"{words}; --set console.port=PORT selects another"), usual)
 
 
 def _see_servo_port(settings: Sequence[str]) -> None:

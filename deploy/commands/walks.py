@@ -1,10 +1,13 @@
 """`sextant run` and `sextant demo`: one walk, over Zenoh or in lockstep."""
 
 import contextlib
+import sys
 import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import click
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import (
@@ -25,6 +28,11 @@ if TYPE_CHECKING:
     from sextant.shared.wire.transport import Endpoints
 
 
+_page = click.option(
+    "--page/--no-page", default=None, help="serve the operator's page during the run (default: if the output is a terminal)"
+)
+
+
 @command()
 @argument(
     "scenario",
@@ -36,6 +44,7 @@ if TYPE_CHECKING:
 @flag("--lockstep", "run in one process on simulated time, as fast as the machine allows")
 @flag("--bridge", "simulate a microcontroller on the servo bus, see docs/bridge.md")
 @flag("--slow-down", "slow simulated time down if this computer is too slow, as the demo does (default: real time)")
+@_page
 @options.as_json
 @option("--record-depth", "also write the depth frames for `sextant replay` (with --lockstep)", "DIR")
 @options_of(
@@ -54,6 +63,7 @@ def run(
     lockstep: bool,
     bridge: bool,
     slow_down: bool,
+    page: bool | None,
     as_json: bool,
     record_depth: str | None,
     connection: options.Connection,
@@ -80,12 +90,14 @@ def run(
         raise InputError(f"{course.name} injects faults into services that this command starts; leave --connect out")
     if connection.connect and course.params:
         raise InputError(f"{course.name} has [params] for services that this command starts; leave --connect out")
+    if page and (lockstep or connection.connect):
+        raise InputError("--page is for services that this command starts live; leave --lockstep and --connect out")
     attach = connection.endpoints() if connection.connect else None
     course = replace(course, bridge=True) if bridge else course
     walk = _Walk(course, scenario, seed, out_folder(out, f"{course.name}-{seed}"), as_json)
     if lockstep:
         return _run_lockstep(walk, record_depth)
-    return _run_live(walk, "use --lockstep", slow_down, attach, parent)
+    return _run_live(walk, "use --lockstep", slow_down, attach, parent, page)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,19 +146,32 @@ _LINE = 119  # characters
 @options.seed
 @options.out
 @options.params
-def demo(course: str, seed: int, out: str | None, params: tuple[str, ...]) -> int:
+@_page
+def demo(course: str, seed: int, out: str | None, params: tuple[str, ...], page: bool | None) -> int:
     """Simulate a walk over low steps, or across a gap, over Zenoh."""
     shown = DEMOS[course]
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
     scenario = options.Variant(params=params).load(shown.scenario)
     walk = _Walk(scenario, shown.scenario, seed, out_folder(out, f"{scenario.name}-{seed}"))
-    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True)
+    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True, page=page)
     if status == SUCCESS:
         recording = f"has all messages; `sextant video {walk.out}` draws them, Foxglove opens them"
         files = {shown.picture: shown.shows, "recording.mcap": recording, "report.json": "has the result in numbers"}
         say("The robot stands at its goal. Three files are worth opening:")
         say("\n".join(f"  {walk.out / name} {words}" for name, words in files.items()))
+        _offer_film(walk.out)
     return status
+
+
+def _offer_film(folder: Path) -> None:
+    """Draw the film of a walk if the user, at a terminal, wants it."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return
+    if not click.confirm("Draw the film of the walk? It takes some minutes", default=False):
+        return
+    from sextant.deploy.commands.video import video
+
+    video.main([str(folder)], standalone_mode=False)
 
 
 def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
@@ -166,8 +191,16 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
     return _tell(report, walk)
 
 
-def _run_live(walk: _Walk, remedy: str, slow_down: bool, attach: "Endpoints | None" = None, parent: int | None = None) -> int:
+def _run_live(
+    walk: _Walk,
+    remedy: str,
+    slow_down: bool,
+    attach: "Endpoints | None" = None,
+    parent: int | None = None,
+    page: bool | None = None,
+) -> int:
     from sextant.deploy.live import live_run
+    from sextant.deploy.live.page import Page, page_port
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
@@ -181,8 +214,12 @@ def _run_live(walk: _Walk, remedy: str, slow_down: bool, attach: "Endpoints | No
         if interrupts.asked():
             raise KeyboardInterrupt
         source = str(Path(walk.source).resolve()) if walk.source.endswith(".toml") else walk.source
+        watched = not attach and (page or (page is None and sys.stdout.isatty() and not walk.as_json))
+        shown = Page(page_port(progress.say)) if watched else None
+        if shown:
+            progress.say(f"watch it, or lead it yourself: {shown.url}")
         outcome = live_run.run_live_scenario(
-            walk.scenario, source, walk.seed, walk.out, progress, interrupts, attach, slow_down=slow_down
+            walk.scenario, source, walk.seed, walk.out, progress, interrupts, attach, slow_down=slow_down, page=shown
         )
     status = _tell(outcome.report, walk, f"{remedy} or close programs")
     return INTERRUPTED if outcome.interrupted else status

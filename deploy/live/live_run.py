@@ -16,6 +16,7 @@ from sextant.deploy.launch import process_table
 from sextant.deploy.launch import warm_up as compilation
 from sextant.deploy.launch.launcher import Launcher, host_router
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command, Process
+from sextant.deploy.live.page import Page
 from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.evaluation.observers.progress import Progress
 from sextant.evaluation.observers.run_observers import RECORDING, RunObservers, about, clear
@@ -66,6 +67,7 @@ def run_live_scenario(
     attach: Endpoints | None = None,
     started: Callable[[Launcher], None] = lambda _: None,
     slow_down: bool = False,
+    page: Page | None = None,
 ) -> Outcome:
     """Run a scenario over Zenoh to its end.
 
@@ -81,6 +83,7 @@ def run_live_scenario(
         attach: Endpoints of services that already run; None starts them.
         started: Receives the launcher once all processes run, for tests that inject faults.
         slow_down: Let simulated time wait for services that are late on this computer, instead of real time.
+        page: Page to serve during the run, of services that this function starts; None serves none.
 
     Raises:
         ValueError: `slow_down` with services that already run.
@@ -95,6 +98,9 @@ def run_live_scenario(
         endpoints = attach or stack.enter_context(host_router())
         chosen = process_table.choices(scenario, source, seed, free_port())
         rows = () if attach else process_table.rows("all", simulated=True)
+        if page and not attach:
+            chosen = replace(chosen, console_port=page.port)
+            rows = process_table.rearranged(rows, ["console"], [], "all")
         simulated_time = stack.enter_context(_shared_time(rows)) if slow_down else None
         time_file = simulated_time.path if simulated_time else None
         # 2. Record, command, score and monitor from this process, each over its own link. They connect before the services
@@ -110,7 +116,9 @@ def run_live_scenario(
         started(launcher)
         # 3. Watch until the run ends, and inject the scenario's faults.
         speed = Speed()
-        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts, speed)
+        faults = Faults(scenario.faults_at(seed))
+        show = page.show if page else lambda: None
+        ended_by = _watch(attendance, attendants, launcher, faults, progress, interrupts, speed, show)
         slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
@@ -246,6 +254,7 @@ def _watch(
     progress: Progress,
     interrupts: Interrupts,
     speed: "Speed",
+    show_page: Callable[[], None],
 ) -> str:
     """Watch a run; return what ended it from outside, or an empty string."""
     began = shown = time.monotonic()
@@ -255,6 +264,7 @@ def _watch(
             if not ended.restarted:
                 return str(ended)
         attendants.check()
+        show_page()
         view = attendance.monitor.view
         if view.up:
             speed.update()
@@ -325,7 +335,7 @@ def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
     """Create a simulated time that this process and its children share."""
     with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
         path = Path(folder) / "simulated_time"
-        names = [SERVO_BUS, *(p.name for p in rows if p.side != "simulation")]
+        names = [SERVO_BUS, *(p.name for p in rows if p.side not in ("simulation", "page"))]
         simulated_time = SimulatedTime.create(path, names)
         with going_by(simulated_time):
             yield simulated_time
