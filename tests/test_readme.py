@@ -53,12 +53,13 @@ RUN_BY = {
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
-    "video": "tests/unit/evaluation/test_video.py::test_video_command_renders_run_and_prints_summary",
+    "video": "tests/unit/evaluation/video/test_video.py::test_video_command_renders_run_and_prints_summary",
     "recording info": "tests/unit/shared/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
     "recording recover": "tests/unit/shared/recording/test_recovery.py::"
     "test_the_command_leaves_the_old_file_and_says_what_was_lost",
-    "topics foxglove": "tests/unit/evaluation/test_viewers.py::test_foxglove_server_advertises_channels_and_sends_subscribed",
-    "recording export": "tests/unit/evaluation/test_viewers.py::test_recording_is_exported_to_rerun",
+    "topics foxglove": "tests/unit/evaluation/viewers/test_viewers.py::"
+    "test_foxglove_server_advertises_channels_and_sends_subscribed",
+    "recording export": "tests/unit/evaluation/viewers/test_viewers.py::test_recording_is_exported_to_rerun",
     "plot": "tests/unit/evaluation/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
     "up --camera": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up --connect": "tests/live/test_live_walk.py::test_onboard_and_offboard_start_in_either_order",
