@@ -13,7 +13,7 @@ install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(V
 	then echo "No package index is reachable, so $(VENV) cannot be set up: connect this machine, or set PIP_INDEX_URL to a mirror ($(VENV)/pip.log)." >&2; \
 	else cat $(VENV)/pip.log >&2; fi; exit 2; }
 
-.PHONY: demo test check compiled live others campaign format clean
+.PHONY: demo test docs check compiled live others campaign format clean
 
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
@@ -24,6 +24,11 @@ test:
 	@$(MAKE) --no-print-directory --jobs=2 check compiled
 	@touch $(VENV)/.live
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
+
+# The site, from docs/; a warning is an error. It needs no network.
+docs: $(VENV)/.installed-dev
+	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs docs/_build/html
+	@echo "docs/_build/html/index.html"
 
 live: $(VENV)/.installed-dev
 	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign"
@@ -50,7 +55,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) runs docs/_build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -30,6 +30,7 @@ KEPT_DRAWN = ROOT / "docs" / "campaign_commit.jsonl"  # with seeds from a commit
 # The commands behind each `make` target.
 MAKE = {
     "demo": ("sextant demo",),
+    "docs": ("sphinx --quiet --fail-on-warning",),
     "test": ("ruff check", "ruff format --check", "mypy", "lint-imports", "pytest"),
 }
 # The test that runs each `sextant` command; an option counts if it makes another way of running.
