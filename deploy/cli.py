@@ -19,7 +19,8 @@ from sextant.deploy.commands.fleet import fleet
 from sextant.deploy.commands.keys import keys
 from sextant.deploy.commands.order import order
 from sextant.deploy.commands.plots import plot
-from sextant.deploy.commands.recordings import record, recording, replay
+from sextant.deploy.commands.recordings import record, recording
+from sextant.deploy.commands.robot import robot
 from sextant.deploy.commands.service import service
 from sextant.deploy.commands.servos import servos
 from sextant.deploy.commands.topics import topics
@@ -36,6 +37,7 @@ _MOVED = {
     "info": ("recording", "info"),
     "recover": ("recording", "recover"),
     "export": ("recording", "export"),
+    "replay": ("recording", "replay"),
     "foxglove": ("topics", "foxglove"),
     "ros2": ("topics", "ros2"),
     "compose": ("service", "compose"),
@@ -88,8 +90,8 @@ click.option("--version", is_flag=True, is_eager=True, expose_value=False, callb
     sextant
 )
 for _command in (
-    *(demo, run, trials, table, up, fleet, order, record, replay, video, plot),
-    *(keys, recording, service, topics, servos, doctor),
+    *(demo, run, trials, table, up, fleet, order, record, video, plot),
+    *(keys, recording, service, topics, robot, servos, doctor),
     *(_moved_to_benchmarks(name, new) for name, new in _TO_BENCHMARKS.items()),
 ):
     sextant.add_command(_command)

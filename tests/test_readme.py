@@ -51,10 +51,11 @@ RUN_BY = {
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_passage_and_thesis_tables",
     "trials troubles": "tests/unit/deploy/test_cli.py::test_trials_troubles_table_covers_each_trouble_and_terrain",
-    "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
-    "replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
+    "recording replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
+    "recording replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
     "video": "tests/unit/evaluation/video/test_video.py::test_video_command_renders_run_and_prints_summary",
+    "robot export": "tests/unit/deploy/test_robot_command.py::test_export_writes_file_or_prints",
     "recording info": "tests/unit/shared/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
     "recording recover": "tests/unit/shared/recording/test_recovery.py::"
     "test_the_command_leaves_the_old_file_and_says_what_was_lost",
@@ -108,7 +109,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """Return the key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "troubles"], ["trials", "table"], ["demo", "gap"])
-    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service")
+    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service", "robot")
     group = words[:2] if words[0] in groups or words[:2] in pairs else words[:1]
     ways = [
         word

@@ -40,7 +40,7 @@ def test_kitchen_recording_is_complete() -> None:
 
 @pytest.mark.slow
 def test_kitchen_trajectory_error_is_within_20_mm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["replay", str(recording("kinect_kitchen")), "--out", str(tmp_path), "--json"]) == 0
+    assert cli.main(["recording", "replay", str(recording("kinect_kitchen")), "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table["frames"] == table["poses"] == 300
     assert table["pose_error_m"]["rms"] <= 0.020

@@ -1,4 +1,4 @@
-"""`sextant record`, `recording`, `replay` and `topics foxglove`."""
+"""`sextant record`, `recording` and `topics foxglove`."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ _LOOK_S = 0.2
 _SHOW_S = 5.0
 _SILENCE_S = 3.0  # [s] without a message, after which that is reported
 
-recording = Group("recording", "Describe, repair or convert a recording.")
+recording = Group("recording", "Describe, repair, replay or convert a recording.")
 _path = argument("path", "an MCAP file, or a folder of them", "RECORDING")
 
 
@@ -195,7 +195,7 @@ def recover(path: str) -> int:
     return status
 
 
-@command()
+@recording.command("replay")
 @argument("source", "folder with depth.txt, camera.toml (and groundtruth.txt), or a recording", "SOURCE")
 @option("--only", "replay only this recorded topic; repeatable", "TOPIC", multiple=True)
 @options.as_json

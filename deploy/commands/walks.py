@@ -46,7 +46,7 @@ _page = click.option(
 @flag("--slow-down", "slow simulated time down if this computer is too slow, as the demo does (default: real time)")
 @_page
 @options.as_json
-@option("--record-depth", "also write the depth frames for `sextant replay` (with --lockstep)", "DIR")
+@option("--record-depth", "also write the depth frames for `sextant recording replay` (with --lockstep)", "DIR")
 @options_of(
     options.Connection,
     "connection",

@@ -13,6 +13,7 @@ from sextant.deploy.ros2.lead import Lead
 from sextant.deploy.ros2.message_types import CdrError, TwistStamped, decode, encode
 from sextant.deploy.ros2.names import Node, attachment, gid
 from sextant.shared.geometry import Array
+from sextant.shared.robot.links import BASE, CAMERA
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
@@ -179,7 +180,7 @@ class Bridge:
         for message in inbox.drain(topics.ODOMETRY):
             at_ns = self._at(message)
             self._publish("odom", converted.odometry, message, self._before, at_ns)
-            self._publish("/tf", converted.transforms, at_ns, (converted.ODOM, converted.BASE, message.T_odom_body))
+            self._publish("/tf", converted.transforms, at_ns, (converted.ODOM, BASE, message.T_odom_body))
             self._before = message
 
     def _pass_state(self, inbox: Inbox) -> None:
@@ -190,7 +191,7 @@ class Bridge:
         for message in inbox.drain(topics.BODY_POSE):
             at_ns = self._at(message)
             correction = (converted.MAP, converted.ODOM, message.T_world_odom)
-            camera = (converted.BASE, converted.CAMERA, self._camera)
+            camera = (BASE, CAMERA, self._camera)
             self._publish("pose", converted.pose, message, at_ns)
             self._publish("/tf", converted.transforms, at_ns, correction, camera)
 

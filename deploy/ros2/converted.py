@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from sextant.deploy.ros2 import message_types as ros
 from sextant.shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
-from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.shared.robot.links import BASE, CAMERA, JOINT_NAMES
 from sextant.shared.wire.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
 
-MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_depth_optical_frame"
-JOINT_NAMES = tuple(f"{leg.replace(' ', '_')}_{joint}" for leg in LEGS for joint in JOINTS)
+MAP, ODOM = "map", "odom"
 _NOT_KNOWN = np.zeros(36)
 _LONG_NS = 500_000_000  # [ns] between two odometry messages, above which the velocity is zero
 

@@ -1,6 +1,6 @@
 """Recorder of a simulated depth camera and its true poses, in TUM RGB-D layout.
 
-`sextant replay` reads this layout.
+`sextant recording replay` reads this layout.
 """
 
 from collections import deque

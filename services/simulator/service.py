@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 
 from sextant.services.simulator.config import Settings
+from sextant.services.simulator.physics.model import TIME_STEP_NS, Factors
 from sextant.services.simulator.physics.terrain import build_terrain
-from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, World
+from sextant.services.simulator.physics.world import World
 from sextant.services.simulator.sensors.imu import Imu as ImuSensor
 from sextant.services.simulator.sensors.imu import ImuNoise
 from sextant.services.simulator.sensors.robot_camera import RobotCamera

@@ -46,7 +46,7 @@ def test_example_plugins_walk_to_the_goal(installed, tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     assert report["success"]
     assert report["plugins"] == NAMES
-    assert cli.main(["replay", str(out / "recording.mcap")]) == 2
+    assert cli.main(["recording", "replay", str(out / "recording.mcap")]) == 2
     assert "walked with the plug-ins planner nearest, foothold relief, registration odometry" in capsys.readouterr().err
 
 

@@ -69,7 +69,7 @@ def test_a_recorded_walk_replays_onto_its_truth(recorded: Path, tmp_path: Path) 
 def test_the_command_replays_a_folder_and_prints_json(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["replay", str(recorded), "--out", str(tmp_path), "--json"]) == 0
+    assert cli.main(["recording", "replay", str(recorded), "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table["pose_error_m"]["rms"] <= 0.015
     assert set(table) >= {"pose_error_m", "map_error_m", "stages_ms"}

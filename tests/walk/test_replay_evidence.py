@@ -1,4 +1,4 @@
-"""`sextant replay` on synthetic sequences.
+"""`sextant recording replay` on synthetic sequences.
 
 The exit status is 0 only if the pictures support the trajectory.
 """
@@ -19,7 +19,7 @@ NOTHING = np.zeros((0, 6))
 
 def replayed(folder: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
     """Return exit status, table and last line on stderr."""
-    status = cli.main(["replay", str(folder), "--out", str(out), "--json"])
+    status = cli.main(["recording", "replay", str(folder), "--out", str(out), "--json"])
     found = capsys.readouterr()
     return status, json.loads(found.out), found.err.splitlines()[-1]
 
@@ -48,7 +48,7 @@ def test_a_bare_floor_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert table["evidence"]["unobservable"] == {"x": 29, "y": 29, "yaw": 29}
     assert all(picture["unobservable"] == ["x", "y", "yaw"] for picture in table["pictures"][1:])
     assert "x, y, yaw unobservable" in error
-    assert error.startswith("sextant replay: 0 of 29 pictures")
+    assert error.startswith("sextant recording replay: 0 of 29 pictures")
 
 
 def test_a_wrong_scale_is_named_with_one_that_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

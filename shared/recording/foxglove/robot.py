@@ -15,10 +15,9 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from sextant.shared.geometry import Array
 from sextant.shared.recording.foxglove import parts
 from sextant.shared.robot.kinematics import leg_points
-from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.links import JOINT_NAMES
+from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.wire.messages import ActuatorState, PassagePlan, PlannerStatus, StepPlan
-
-JOINT_NAMES = tuple(f"{leg} {joint}".replace(" ", "_") for leg in LEGS for joint in JOINTS)
 
 _BODY, _LEG = (0.25, 0.29, 0.35, 0.9), (0.85, 0.87, 0.9, 1.0)
 _CARRIES, _IN_AIR, _STANDS = (0.2, 0.75, 0.35, 1.0), (0.95, 0.65, 0.15, 1.0), (0.6, 0.6, 0.6, 1.0)

@@ -34,7 +34,7 @@ def test_help_imports_no_heavy_packages() -> None:
     loaded = set(done.stdout.split())
     assert "sextant.deploy.cli" in loaded, done.stderr
     assert not loaded & {"numpy", "zenoh", "cv2", "numba", "mujoco", "mcap"}
-    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "recording", "service"):
+    for command in ("demo", "run", "trials", "up", "record", "topics", "doctor", "recording", "service"):
         assert command in loaded, f"{command} is not offered"
 
 
@@ -58,8 +58,8 @@ def test_help_imports_no_heavy_packages() -> None:
         (["up", "onboard", "--without", "mapper"], "mapper is not started by the role onboard"),
         (["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"], "no servo port /dev/nowhere; plug in"),
         (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
-        (["replay", "nowhere.mcap"], "recording.mcap of a run"),
-        (["replay", "nowhere.txt"], "depth.txt"),
+        (["recording", "replay", "nowhere.mcap"], "recording.mcap of a run"),
+        (["recording", "replay", "nowhere.txt"], "depth.txt"),
         (["service", "compose", "--scenario", "stepz"], "did you mean 'steps'?"),
         (["trials", "stepz", "--seeds", "0:2"], "did you mean 'steps'?"),
         (["trials", "table", "nowhere"], "campaign.jsonl or trials.jsonl, expected"),
@@ -480,7 +480,7 @@ def test_closed_stdout_pipe_causes_no_traceback() -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("words", [["info", "nowhere.mcap"], ["recover", "nowhere.mcap"]])
+@pytest.mark.parametrize("words", [["info", "nowhere.mcap"], ["recover", "nowhere.mcap"], ["replay", "nowhere.mcap"]])
 def test_moved_command_still_runs_and_prints_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(words) == 2
     hint, error = capsys.readouterr().err.splitlines()

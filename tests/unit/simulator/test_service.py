@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.services.simulator.config import Settings
-from sextant.services.simulator.physics.world import TIME_STEP_NS
+from sextant.services.simulator.physics.model import TIME_STEP_NS
 from sextant.services.simulator.service import Simulator
 from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.profiles import load_profile

@@ -184,15 +184,15 @@ def test_replay_command_accepts_recording_or_its_folder(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert cli.main(["replay", str(recorded), "--out", str(out), "--json"]) == 0
+    assert cli.main(["recording", "replay", str(recorded), "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
-    assert cli.main(["replay", str(recorded.parent), "--out", str(out), "--json"]) == 0
+    assert cli.main(["recording", "replay", str(recorded.parent), "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
-    assert cli.main(["replay", str(recorded), "--only", "perception/pose", "--out", str(out), "--json"]) == 1
+    assert cli.main(["recording", "replay", str(recorded), "--only", "perception/pose", "--out", str(out), "--json"]) == 1
     found = capsys.readouterr()
     assert "nothing was compared: 6 maps" in found.err
     assert json.loads(found.out)["evidence"]["problem"] in found.err
-    assert cli.main(["replay", str(recorded), "--only", "perception/skan", "--out", str(out)]) == 2
+    assert cli.main(["recording", "replay", str(recorded), "--only", "perception/skan", "--out", str(out)]) == 2
     assert "did you mean 'perception/scan'" in capsys.readouterr().err
 
 

@@ -4,9 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sextant.services.simulator.physics.model import TIME_STEP_NS, Factors
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
-from sextant.services.simulator.physics.world import TIME_STEP_NS, Factors, PhysicsError, World
+from sextant.services.simulator.physics.world import PhysicsError, World
 from sextant.services.simulator.sensors.imu import Imu, ImuNoise
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profile import RobotProfile

@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sextant.services.simulator.physics.model import ROBOT_GROUP
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
-from sextant.services.simulator.physics.world import ROBOT_GROUP, World
+from sextant.services.simulator.physics.world import World
 from sextant.services.simulator.sensors.renderer import BOX, FIELD, PLANE, ROBOT, Renderer
 from sextant.shared.geometry import Array, from_xyz_rpy, transform
 from sextant.shared.robot.camera import Intrinsics

@@ -1,0 +1,52 @@
+"""`sextant robot export` writes URDF and MJCF."""
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from sextant.deploy import cli
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.urdf import urdf
+
+
+@pytest.mark.parametrize(("kind", "root"), [("urdf", "robot"), ("mjcf", "mujoco")])
+def test_export_writes_file_or_prints(kind: str, root: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "robot.xml"
+    assert cli.main(["robot", "export", "phantomx_mk2", f"--{kind}", "--out", str(target)]) == 0
+    assert capsys.readouterr().out.startswith(f"{target}: {kind.upper()} of phantomx_mk2, ")
+    assert cli.main(["robot", "export", "phantomx_mk2", f"--{kind}"]) == 0
+    assert ET.fromstring(capsys.readouterr().out).tag == ET.parse(target).getroot().tag == root
+
+
+def test_profile_of_a_file_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = tmp_path / "mine.toml"
+    own.write_text('extends = "phantomx_mk2"\nname = "mine"\n[links]\ntibia = 0.15\n', encoding="utf-8")
+    assert cli.main(["robot", "export", str(own), "--urdf"]) == 0
+    assert capsys.readouterr().out == urdf(load_profile(str(own)))
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["phantomx_mk2"], 2, "one of --urdf and --mjcf expected, found none"),
+        (["phantomx_mk2", "--urdf", "--mjcf"], 2, "one of --urdf and --mjcf expected, found both"),
+        (["fantomx_mk2", "--urdf"], 2, "did you mean 'phantomx_mk2'?"),
+        (["nowhere.toml", "--mjcf"], 2, "nowhere.toml: no such file"),
+        (["phantomx_mk2", "--urdf", "--out", "nowhere/robot.urdf"], 1, "its folder does not exist"),
+    ],
+)
+def test_invalid_input_is_reported_in_one_sentence(
+    words: list[str],
+    status: int,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["robot", "export", *words]) == status
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert len(printed.err.splitlines()) == 1
+    assert printed.out == ""
