@@ -224,7 +224,7 @@ class _Host:
     def arrived(self, connection: Connection, glances: bool) -> Page:
         return Page(0)
 
-    def hear(self, page: Page, text: str) -> None:
+    def receive_text(self, page: Page, text: str) -> None:
         self.heard += _take_request(text.encode(errors="replace"))
 
 

@@ -285,7 +285,7 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
         raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
     bench = BenchEmulator(_profile(robot), np.random.default_rng(seed), fresh=fresh)
     try:
-        server = TcpBusServer(bench, port=listen, turns_away=True)
+        server = TcpBusServer(bench, port=listen, rejects_others=True)
     except OSError as error:
         raise InputError(f"cannot listen on port {listen}: {error}; give another with --listen") from None
     with server:

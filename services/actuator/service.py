@@ -300,7 +300,7 @@ class Actuator:
 
     def _check_gaps(self, elapsed: float) -> None:
         """Restart gently after an interruption of the bus or of this process."""
-        was_away, self._bus_was_away = self._bus_was_away, self._joints.out_of_touch
+        was_away, self._bus_was_away = self._bus_was_away, self._joints.all_behind
         returned, motion = was_away and not self._bus_was_away, self._motion
         if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
             self._joints.mark_stale()

@@ -91,7 +91,7 @@ class Perception:
         if motion is None:
             self._words = "waiting for odometry from the actuator"
             return
-        if self._tracker.registered is None and not self._odometry.settled(self._settings.settle_s):
+        if self._tracker.last_registered is None and not self._odometry.settled(self._settings.settle_s):
             self._words = "waiting for the legs to stand still"
             return
         found = self._register(image, fault, motion, inbox)
@@ -103,7 +103,7 @@ class Perception:
     def _register(self, image: DepthImage, fault: str, motion: Motion, inbox: Inbox) -> RegistrationResult:
         """Register a frame and track its pose."""
         tracker = self._tracker
-        legs = inbox.latest(topics.ACTUATOR_STATE) if tracker.registered is None else None
+        legs = inbox.latest(topics.ACTUATOR_STATE) if tracker.last_registered is None else None
         if legs is not None:  # the robot walked before perception started: keep its {world}
             tracker.T_world_odom = np.array(legs.T_world_odom)
         prior, covariance = tracker.predict(motion, self._odometry.restarts)
@@ -137,7 +137,7 @@ class Perception:
 
         `cameras.image_quality` limits how long this may last.
         """
-        registered = self._tracker.registered
+        registered = self._tracker.last_registered
         if registered is None or motion.silence_s > SILENT_S:
             return False
         empty = measured_share(image.depth, self._camera.sensor) < EMPTY
@@ -167,7 +167,7 @@ class Perception:
 
         A colour image for it may arrive later.
         """
-        if self._coloring is None or self._tracker.registered is None or not self._check.has_expected_size(image):
+        if self._coloring is None or self._tracker.last_registered is None or not self._check.has_expected_size(image):
             return
         motion = self._odometry.at(image.stamp_ns)
         if motion is not None:

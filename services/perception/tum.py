@@ -27,8 +27,8 @@ from sextant.shared.files.input_file import FileError
 from sextant.shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
-_USUAL = DepthSensor()
-_PAIRED_NS = 20_000_000  # [ns] largest time between a depth and a colour image that form a pair, as in the benchmark's tools
+_DEFAULT_SENSOR = DepthSensor()
+_MAX_PAIR_GAP_NS = 20_000_000  # [ns] longest time between the two images of a pair, as in the benchmark's tools
 _DEPTH_FILE, _TRUTH_FILE = "depth.txt", "groundtruth.txt"
 _DEPTH_HEADER = "# timestamp filename\n"
 _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
@@ -42,8 +42,8 @@ class Camera:
     depth_scale: float  # raw units per metre
     rate_hz: float  # [Hz]
     gravity_world: NDArray[np.float64] | None  # (3,) unit vector pointing down, None if unknown
-    min_range: float = _USUAL.min_range  # [m] smaller depths are not used
-    max_range: float = _USUAL.max_range  # [m]
+    min_range: float = _DEFAULT_SENSOR.min_range  # [m] smaller depths are not used
+    max_range: float = _DEFAULT_SENSOR.max_range  # [m]
 
     @property
     def sensor(self) -> DepthSensor:
@@ -63,9 +63,9 @@ class _CameraFile:
     cx: float  # [px]
     cy: float  # [px]
     depth_scale: float  # raw units per metre
-    rate_hz: float = _USUAL.rate_hz  # [Hz]
-    min_range: float = _USUAL.min_range  # [m]
-    max_range: float = _USUAL.max_range  # [m]
+    rate_hz: float = _DEFAULT_SENSOR.rate_hz  # [Hz]
+    min_range: float = _DEFAULT_SENSOR.min_range  # [m]
+    max_range: float = _DEFAULT_SENSOR.max_range  # [m]
     gravity_world: tuple[float, float, float] | None = None  # unit vector pointing down
     # Distortion coefficients of OpenCV's model, accepted only if they are 0.
     k1: float = 0.0
@@ -143,9 +143,9 @@ class Recording:
         return np.asarray(picture_file.read_grey(path, bits=(16,), size=self._size), dtype=np.uint16)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
-        """Read the colour image (h, w, 3), R, G, B, that belongs to a depth image.
+        """Read the colour image (h, w, 3), R, G, B, that is nearest in time to a depth image.
 
-        It is the one nearest in time, or None if that is too far away.
+        The result is None without a colour image within 20 ms.
 
         Raises:
             FileError: It is not a colour image of the camera's size.
@@ -154,7 +154,7 @@ class Recording:
             return None
         stamps, files = self.colors
         nearest = int(np.abs(stamps - self.stamps_ns[index]).argmin())
-        if abs(int(stamps[nearest] - self.stamps_ns[index])) > _PAIRED_NS:
+        if abs(int(stamps[nearest] - self.stamps_ns[index])) > _MAX_PAIR_GAP_NS:
             return None
         return picture_file.read_color(self.folder / files[nearest], self._size)
 

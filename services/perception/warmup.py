@@ -10,7 +10,7 @@ from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profile import Camera, RobotProfile
-from sextant.shared.runtime.warmup import Rehearsal
+from sextant.shared.runtime.warmup import WarmupRunner
 from sextant.shared.wire.messages import ColorImage, DepthImage, Odometry
 
 _TICK_NS = 20_000_000  # [ns] period of the odometry
@@ -24,7 +24,7 @@ _LOOKS = 10  # frames used per place: enough to settle, and to search while in d
 def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that perception calls for a robot's camera."""
     camera = profile.camera
-    stage = Rehearsal(Perception(profile, settings))
+    warmup = WarmupRunner(Perception(profile, settings))
     frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
     frame_ns = round(1e9 / camera.sensor.rate_hz)
     stamp_ns = 0
@@ -33,12 +33,12 @@ def compile_functions(profile: RobotProfile, settings: Settings) -> None:
         rgb = np.full((*depth.shape, 3), 90, dtype=np.uint8)
         for _ in range(frames):
             for told_ns in range(stamp_ns, stamp_ns + frame_ns, _TICK_NS):
-                stage.hear(
+                warmup.deliver(
                     Odometry(told_ns, from_xyz_rpy((walked, 0.0, 0.0), (0.0, 0.0, 0.0)), walked, 0.0, np.ones(6, bool), True)
                 )
             stamp_ns += frame_ns
-            stage.hear(DepthImage(stamp_ns, depth))
-            stage.hear(ColorImage(stamp_ns, rgb))
+            warmup.deliver(DepthImage(stamp_ns, depth))
+            warmup.deliver(ColorImage(stamp_ns, rgb))
 
 
 def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:

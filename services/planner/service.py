@@ -1,6 +1,6 @@
 """Planner service: plan the next step from the newest map and pose.
 
-It follows Lotriet's state machine of resting and stepping.
+It rests or steps, as in Lotriet's state machine.
 """
 
 from collections.abc import Iterator
@@ -23,12 +23,12 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
 _STATUS_PERIOD_NS = 100_000_000
-_GAP_NS = 500_000_000  # [ns] between two actuator states, above which the planner counts as delayed
+_PAUSE_NS = 500_000_000  # [ns] between two actuator states, above which the time between them does not count as a stall
 _MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives too late to be executed
 
 
 class Planner:
-    """Plans the next step and revises running touchdowns as the map improves."""
+    """Plans the next step, and revises the touchdowns of the running step as the map improves."""
 
     name = "planner"
     trigger: AnyTopic = topics.ACTUATOR_STATE
@@ -56,8 +56,9 @@ class Planner:
         self._goals = GoalFollower(profile, settings, self._steps, self._plans, self.stages)
         self._decision = Decision("waiting", "starting")  # the newest one
         self._has_goal = False
-        self._moved_footholds = 0
-        self._stepped_ns = self._due_ns = self._status_due_ns = 0
+        self._moved_footholds = 0  # in the newest plan
+        self._state_ns = 0  # [ns] stamp of the newest actuator state
+        self._due_ns = self._status_due_ns = 0  # [ns] when the next decision and the next status are due
 
     def status(self) -> str:
         """Return state and reason."""
@@ -65,9 +66,9 @@ class Planner:
 
     def step(self, state: ActuatorState, inbox: Inbox) -> Iterator[Message]:
         """Track the legs and plan when a plan is due."""
-        if state.stamp_ns - self._stepped_ns > _GAP_NS:
+        if state.stamp_ns - self._state_ns > _PAUSE_NS:
             self._goals.pause()
-        self._stepped_ns = state.stamp_ns
+        self._state_ns = state.stamp_ns
         if self._plans.update(state):
             self._due_ns = 0  # a new step: check its touchdowns immediately
         pose = inbox.latest(topics.BODY_POSE)

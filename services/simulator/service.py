@@ -20,7 +20,7 @@ from sextant.services.simulator.sensors.robot_camera import RobotCamera
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank, bank_of
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, make_servo_bank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
@@ -92,7 +92,7 @@ class Simulator:
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self.bus = self._wired(scenario)
         self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # device at the actuator's port
-        self._outlet = self.bus.outlet(0)
+        self._adapter_port = self.bus.adapter_port(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
         self._origin_ns: int | None = None  # [ns] tick time at which simulated time is 0
@@ -105,7 +105,7 @@ class Simulator:
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
         self.world.stand(q, (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
-        bank = bank_of(profile.servo.model, list(profile.servo_names), servo, scenario.battery_ah)
+        bank = make_servo_bank(profile.servo.model, list(profile.servo_names), servo, scenario.battery_ah)
         for row, angle in enumerate(servo):
             bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # configured for 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
@@ -126,7 +126,7 @@ class Simulator:
     def __enter__(self) -> Self:
         """Open the TCP ports of the servo bus, for a live run."""
         port, other = self._settings.bus_port, self._settings.other_bus_port
-        self._server = TcpBusServer(self.device, port=port, other_port=other, answering=self._up_to_date)
+        self._server = TcpBusServer(self.device, port=port, other_port=other, is_current=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
         return self
 
@@ -177,8 +177,8 @@ class Simulator:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
-        if self._server is not None and self.bus.outlet(tick.stamp_ns) != self._outlet:
-            self._outlet = self.bus.outlet(tick.stamp_ns)
+        if self._server is not None and self.bus.adapter_port(tick.stamp_ns) != self._adapter_port:
+            self._adapter_port = self.bus.adapter_port(tick.stamp_ns)
             self._server.replug()
 
     def _break(self, command: FaultCommand) -> None:
@@ -210,7 +210,7 @@ class Simulator:
         command = self._bank.step(*self._joints(), _DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
         world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
-        self._bank.feel(*self._joints(), now_ns + TIME_STEP_NS)
+        self._bank.set_joint_state(*self._joints(), now_ns + TIME_STEP_NS)
 
     def _joints(self) -> tuple[Array, Array, Array]:
         """Return angles [rad], speeds [rad/s] and torques [N m] of the servos, each (18,)."""

@@ -3,7 +3,7 @@
 from sextant.services.simulator.config import Settings
 from sextant.services.simulator.service import Simulator
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.runtime.warmup import Rehearsal
+from sextant.shared.runtime.warmup import WarmupRunner
 from sextant.shared.servo import dynamixel as dxl
 
 _FOR_S = 0.2  # [s] simulated time, long enough for several depth frames
@@ -16,5 +16,5 @@ def compile_functions(profile: RobotProfile, settings: Settings) -> None:
         ConfigError: The scenario cannot be simulated.
     """
     simulator = Simulator(profile, settings)
-    Rehearsal(simulator).tick(_FOR_S)
+    WarmupRunner(simulator).tick(_FOR_S)
     simulator.servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)

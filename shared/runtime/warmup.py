@@ -11,31 +11,31 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message
 
 
-class Rehearsal:
+class WarmupRunner:
     """Runs a separate instance of a service and discards its messages."""
 
     def __init__(self, service: Service):
         """Start at time zero."""
         self._now_ns = 0
-        self._paced_by = service.trigger
+        self._trigger = service.trigger
         self._worker = ServiceRunner(service, lambda _topic, _frame, _at_ns: None, lambda: self._now_ns)
 
-    def hear(self, message: Message) -> None:
-        """Deliver a message at the time of its stamp [ns].
+    def deliver(self, message: Message) -> None:
+        """Deliver a message at the time of its stamp [ns], if the service subscribes to its topic.
 
-        If its topic is the trigger, the service runs a step.
+        If the topic is the trigger, the service runs a step.
         """
         topic = topics.OF_TYPE[type(message)]
         if topic not in self._worker.subscribes:
             return
         self._now_ns = max(self._now_ns, message.stamp_ns)
         self._worker.inbox.receive(topic, codec.encode(message), self._now_ns)
-        if topic is self._paced_by:
+        if topic is self._trigger:
             self._worker.arrived()
 
     def tick(self, for_s: float) -> None:
-        """Run the beats of a periodic service for some time [s]."""
-        assert isinstance(self._paced_by, Every)
-        for _ in range(round(for_s * 1e9 / self._paced_by.period_ns)):
-            self._now_ns += self._paced_by.period_ns
+        """Run the cycles of a periodic service for some time [s]."""
+        assert isinstance(self._trigger, Every)
+        for _ in range(round(for_s * 1e9 / self._trigger.period_ns)):
+            self._now_ns += self._trigger.period_ns
             self._worker.tick()

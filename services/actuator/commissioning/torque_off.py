@@ -21,7 +21,7 @@ def torque_off(bus: Servos) -> dict[int, str]:
         BusDisconnectedError: The port is gone.
     """
     bus.set_torque(False)
-    bus.meet()
+    bus.open_session()
     bus.set_torque(False)
     left = {}
     for servo_id in bus.servo_ids:

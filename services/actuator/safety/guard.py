@@ -43,13 +43,13 @@ class Legs:
     step: int  # the running step, or the last one
     resting: bool  # no step is running
     planned: bool  # a step of a plan is running, not one that the actuator generated
-    swing: NDArray[np.bool_]  # (6,) legs that the running step swings
+    swing: NDArray[np.bool_]  # (6,) legs that swing in the running step
     clearance: Array  # (6,) [m] clearance with which its feet were lifted; infinite while it can still be raised
-    body: Array  # (4, 4) {odom} when a plan takes effect: for the next step, at the end of this one
-    feet: Array  # (6, 3) [m] {odom} at the same time
+    body: Array  # (4, 4) {odom} commanded body pose at the end of the running step, where the next plan begins
+    feet: Array  # (6, 3) [m] {odom} commanded feet at that time
     body_now: Array  # (4, 4) {odom} commanded body pose now
     feet_now: Array  # (6, 3) [m] {odom} commanded feet now
-    air_s: Array  # (6,) [s] for which feet of the running step are still in the air; infinite for the others
+    air_s: Array  # (6,) [s] for which the swinging feet are still in the air; infinite for the others
     trouble: str  # problem of the last step, or an empty string
     waits: str  # why no plan may be walked yet, or an empty string
 
@@ -74,7 +74,7 @@ class Guard:
             plan_age_s: [s] older plans are refused.
             epoch: [ns] of {odom}, which begins now.
             torque: Whether torque is on.
-            handover_s: [s] of a step in which the feet of its legs are not in the air.
+            handover_s: [s] of a step in which its swinging feet are still or again on the ground.
             off_ns: [ns] time of the torque-off order that is still in force; -1 without one.
             walk: The walk order that was in force when the previous process ended.
         """
@@ -224,7 +224,7 @@ class Guard:
 
     def accept_plan(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
         """Return whether a plan may be walked; if not, set `refused` to the reason."""
-        closed = self._closed(now_ns, legs)
+        closed = self._plan_refusal(now_ns, legs)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
         resting = not legs.planned
         self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
@@ -241,7 +241,7 @@ class Guard:
         self._enter(Mode.WALK, "walking")
         return True
 
-    def _closed(self, now_ns: int, legs: Legs) -> str:
+    def _plan_refusal(self, now_ns: int, legs: Legs) -> str:
         """Return why no plan is accepted now, or an empty string."""
         if self.tipped:
             return f"{self.tipped}; order `walk` again"

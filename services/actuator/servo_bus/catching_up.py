@@ -7,10 +7,11 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.shared.geometry import Array
 from sextant.shared.servo import dynamixel as dxl
 
-_CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
-_STILL = np.radians(10.0)  # [rad/s] ... so it has also arrived if it is slower than this ...
-_MOVED_NS = 100_000_000  # [ns] ... this long after its first new reading
-_PATIENT_NS = 1_000_000_000  # [ns] of waiting for silent servos after the others have answered again
+_CAUGHT_UP_RAD = np.radians(5.0)  # [rad] between a joint and its goal, below which it has caught up
+# Under load a joint stays some degrees off its goal, so it has also caught up if it is slow some time after its first reading.
+_STILL_RAD_S = np.radians(10.0)  # [rad/s]
+_MIN_MOTION_NS = 100_000_000  # [ns]
+_SILENT_TIMEOUT_NS = 1_000_000_000  # [ns] for silent servos to answer after the first one has answered again
 
 
 class CatchingUp:
@@ -19,9 +20,9 @@ class CatchingUp:
     def __init__(self) -> None:
         """Begin with servos that have received all goals."""
         self.behind: NDArray[np.bool_] = np.zeros(18, dtype=np.bool_)  # servos that missed goals
-        self.out_of_touch = False  # whether all servos missed goals and have not yet answered and caught up
-        self._top: Array = np.full(18, GENTLE)  # [rad/s] speed limit of those
-        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those first answered again, 0 before
+        self.all_behind = False  # whether all servos missed goals, and have not yet answered and caught up
+        self._max_speed: Array = np.full(18, GENTLE)  # [rad/s] speed limit of servos that are behind
+        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when they first answered again, 0 before
 
     @property
     def answering(self) -> NDArray[np.bool_]:
@@ -30,19 +31,19 @@ class CatchingUp:
 
     @property
     def speed_ticks(self) -> NDArray[np.int64]:
-        """(18,) moving speed registers, 0 for uncontrolled."""
-        return np.where(self.behind, [dxl.moving_speed_from(top) for top in self._top.tolist()], 0)
+        """(18,) moving speed registers, 0 without a limit."""
+        return np.where(self.behind, [dxl.moving_speed_from(speed) for speed in self._max_speed.tolist()], 0)
 
-    def leave_behind(self, servos: NDArray[np.bool_], top: float) -> None:
-        """Limit the speed of servos (18,) that miss goals to `top` [rad/s]."""
-        self._top[servos & ~self.behind] = top
-        self._top[servos] = np.minimum(self._top[servos], top)
+    def leave_behind(self, servos: NDArray[np.bool_], max_speed: float) -> None:
+        """Limit the speed of servos (18,) that miss goals to `max_speed` [rad/s]."""
+        self._max_speed[servos & ~self.behind] = max_speed
+        self._max_speed[servos] = np.minimum(self._max_speed[servos], max_speed)
         self.behind |= servos
         self._back_ns[servos] = 0
 
     def leave_all_behind(self) -> None:
         """Treat the positions of all servos as unknown."""
-        self.out_of_touch = True
+        self.all_behind = True
         self.leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
 
     def note_reading(self, index: int, stamp_ns: int, off: float, speed: float) -> None:
@@ -57,16 +58,16 @@ class CatchingUp:
         if not self.behind[index]:
             return
         self._back_ns[index] = self._back_ns[index] or stamp_ns
-        arrived = abs(speed) < _STILL and stamp_ns - self._back_ns[index] > _MOVED_NS
-        if arrived or abs(off) < _CAUGHT_UP:
+        arrived = abs(speed) < _STILL_RAD_S and stamp_ns - self._back_ns[index] > _MIN_MOTION_NS
+        if arrived or abs(off) < _CAUGHT_UP_RAD:
             self.behind[index] = False
 
-    def check_touch(self, now_ns: int) -> None:
-        """End `out_of_touch` once all servos have caught up, or after some waiting."""
-        if self.out_of_touch:
+    def update_all_behind(self, now_ns: int) -> None:
+        """End `all_behind` once all servos have caught up, or 1 s after the first one has answered again."""
+        if self.all_behind:
             back = self._back_ns[self._back_ns > 0]
-            waited = len(back) > 0 and now_ns - int(back.min()) > _PATIENT_NS
-            self.out_of_touch = bool(self.behind.any()) and not waited
+            waited = len(back) > 0 and now_ns - int(back.min()) > _SILENT_TIMEOUT_NS
+            self.all_behind = bool(self.behind.any()) and not waited
 
     def readopt(self, off: Array, now_ns: int) -> None:
         """Continue with goals that were adopted from the servos, all of which have just answered.
@@ -77,5 +78,5 @@ class CatchingUp:
             off: (18,) [rad] between joints and goals.
             now_ns: [ns] time of their answers.
         """
-        self.behind &= np.abs(off) >= _CAUGHT_UP
+        self.behind &= np.abs(off) >= _CAUGHT_UP_RAD
         self._back_ns = np.where(self.behind, now_ns, 0)

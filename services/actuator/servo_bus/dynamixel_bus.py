@@ -264,7 +264,7 @@ class ServoBus:
         """Return the first bytes within a second without a request; servos send none."""
         return self._line.unrequested_bytes()
 
-    def meet(self) -> None:
+    def open_session(self) -> None:
         """Do nothing: the bus has no microcontroller that needs a session."""
 
     def setup(self) -> None:

@@ -18,16 +18,23 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import ServoError
 
-# [ns] startup timeout of the servos: a simulation starts late, and a USB hub needs time to wake up.
-_PATIENCE_NS = 3_000_000_000
-_ADOPT_WITHIN = np.radians(10.0)  # goals stored in the servos are kept if the joints are within this distance
-_AGAIN_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
-# Registers with the state of a servo, and the block of its table that contains them.
-_STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
-_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
-_TRIES = 3  # requests to one servo of a reopened bus
-_DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: goals may not arrive; the state of the robot is unknown
-_WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers is used
+_STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
+_ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
+_REOPEN_PERIOD_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
+# Registers with the state of a servo, and the addresses of the block that contains them.
+_STATE_REGISTERS = (
+    dxl.MAX_TORQUE,
+    dxl.TORQUE_ENABLE,
+    dxl.GOAL_POSITION,
+    dxl.TORQUE_LIMIT,
+    dxl.PRESENT_POSITION,
+    dxl.PRESENT_LOAD,
+)
+_STATE_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
+_MAX_REQUESTS = 3  # maximum number of requests for the state of one servo on a reopened bus
+_NO_READING_S = 0.05  # [s] without a reading of any servo, from which goals may not arrive
+_BUS_LOST_S = 0.1  # [s] without one, from which the state of the robot is unknown
+_MIN_READING_TIME_NS = 200_000_000  # [ns] of reading, from which the loss rate is meaningful
 
 
 class Joints:
@@ -46,9 +53,9 @@ class Joints:
         Args:
             profile: The robot.
             settings: Settings of the actuator.
-            opener: Opens the port instead of the one that the settings name; raises OSError without a port.
+            opener: Opens the port; None opens the one that the settings name. It raises OSError if there is no port.
             clock: [ns] monotonic clock for the timing of the port.
-            latched: Whether torque must be off; polled throughout the start, before anything else.
+            latched: Returns whether torque must be off. It is polled before each request of the start.
 
         Raises:
             BusSetupError: Servos are missing or wrong; the message names all of them.
@@ -61,19 +68,19 @@ class Joints:
         self._latched = latched
         self._off_ordered = latched()  # whether an order requires torque off
         self._bus = self._open()
-        self._set_up()
+        self._set_up_bus()
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
-        self.gone = ""  # why there is no bus
+        self.gone = ""  # why there is no bus, or an empty string
         self._torque_loss = TorqueLossCheck()
-        self._excused = int(settings.bridge)  # tolerated unanswered requests: readings from a bridge may be a cycle old
+        self._tolerated = int(settings.bridge)  # unanswered requests: readings from a bridge may be a cycle old
         self._catching_up = CatchingUp()
-        self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; goals as stored in the servos
+        self.q = self.goals = np.zeros((6, 3))  # [rad] joint angles by the newest readings; goals as stored in the servos
         self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
-        self._most = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
-        self._take_in([self._ask(i) for i in self._bus.servo_ids])
-        self._bus.between = _nothing
+        self._max_torque = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
+        self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
+        self._bus.between = _do_nothing
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.voltage = np.full(18, np.nan)  # [V]
         self.temperature = np.full(18, np.nan)  # [deg C]
@@ -88,14 +95,14 @@ class Joints:
         return self.gone or self._bus.trouble
 
     @property
-    def out_of_touch(self) -> bool:
-        """Whether all servos missed goals and have not yet answered and caught up."""
-        return self._catching_up.out_of_touch
+    def all_behind(self) -> bool:
+        """Whether all servos missed goals, and have not yet answered and caught up."""
+        return self._catching_up.all_behind
 
     @property
     def not_responding(self) -> bool:
-        """Whether goals should stay as they are, because servos may not receive them."""
-        return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
+        """Whether goals should not change, because servos may not receive them."""
+        return bool(self.trouble) or self.all_behind or float(self._bus.ages().min()) > _NO_READING_S
 
     @property
     def vitals(self) -> Vitals:
@@ -110,14 +117,14 @@ class Joints:
             torque_disabled=~self.torque,
             behind=self._catching_up.answering,
             strength=self.strength,
-            loss=self._bus.loss if self._watched else 0.0,
+            loss=self._bus.loss if self._has_loss_rate else 0.0,
             trouble=self.trouble,
         )
 
     @property
-    def _watched(self) -> bool:
+    def _has_loss_rate(self) -> bool:
         """Whether the bus has been read long enough for a meaningful loss rate."""
-        return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
+        return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _MIN_READING_TIME_NS
 
     @property
     def torque_disabled(self) -> NDArray[np.bool_]:
@@ -131,13 +138,13 @@ class Joints:
 
     @property
     def unsure(self) -> NDArray[np.bool_]:
-        """(6, 3) joints without torque, or not yet at their goal after a silence."""
+        """(6, 3) joints without torque, or not yet at their goal after their servos missed goals."""
         return np.asarray(self.torque_disabled | self._catching_up.behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 
     def read(self, urgent: Sequence[int]) -> list[ServoReading]:
-        """Read urgent servos (0 to 17), then the rotation; reopen a lost bus."""
+        """Read the urgent servos (0 to 17), then the others in turn as time allows; reopen a lost bus."""
         if self.gone:
             self._reconnect()
             return []
@@ -147,9 +154,9 @@ class Joints:
         try:
             readings = self._bus.poll(self._budget_ns, urgent)
             for reading in readings:
-                self._note(reading)
-            self._find_torque_disabled(readings)
-            self._check_touch()
+                self._store_reading(reading)
+            self._check_torque_loss(readings)
+            self._check_silence()
         except BusDisconnectedError as error:
             self._disconnect(error)
             return []
@@ -163,7 +170,7 @@ class Joints:
         self.goals = q_goal
         self._catching_up.leave_behind(self._bus.missed >= SILENT, LOWERED)
         ticks, speeds = _ticks(self._profile.servo_angles(q_goal).ravel()), self._catching_up.speed_ticks
-        self._tell(lambda: self._bus.sync_write_goals(ticks, speeds))
+        self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
 
     def mark_stale(self) -> None:
         """Treat all joint positions as unknown; recent goals may not have arrived."""
@@ -171,7 +178,7 @@ class Joints:
         self._catching_up.leave_all_behind()
 
     def torque_off(self) -> None:
-        """Turn all torque off; without a bus, as soon as it is back, before anything else."""
+        """Turn all torque off; without a bus, this is the first request once the bus is back."""
         self._off_ordered = True
         self.torque[:] = False
         self._send_torque_off()
@@ -183,31 +190,31 @@ class Joints:
         """
         self._off_ordered = False
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
-        anew = (~self.torque | weak).reshape(6, 3)
-        within = self._within(self.q)
-        self._catching_up.leave_behind((anew & (within != self.q)).ravel(), GENTLE)
-        self.write(np.where(anew, within, self.goals))
-        if self._latched():  # torque was ordered off while this process was late
+        restored = (~self.torque | weak).reshape(6, 3)
+        clipped = self._clipped_to_limits(self.q)
+        self._catching_up.leave_behind((restored & (clipped != self.q)).ravel(), GENTLE)
+        self.write(np.where(restored, clipped, self.goals))
+        if self._latched():  # torque was ordered off after the order that this call executes
             self.torque_off()
             return
         for _ in range(2):  # a broadcast is not acknowledged
-            self._tell(lambda: self._bus.set_torque(True))
+            self._call_bus(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
         self._torque_loss.doubt_all()
         for index in np.flatnonzero(weak).tolist():
-            self._tell(partial(self._restore, index))
+            self._call_bus(partial(self._restore_torque_limit, index))
 
     def restore_torque(self, index: int) -> None:
-        """End a servo's shutdown (0 to 17) at its present position, once acknowledged.
+        """End the shutdown of a servo (0 to 17) at its present position, once it acknowledges this position as its goal.
 
         A joint beyond its limit returns to the limit slowly.
         """
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
-        goals[leg, joint] = self._within(self.q)[leg, joint]
+        goals[leg, joint] = self._clipped_to_limits(self.q)[leg, joint]
         self._catching_up.leave_behind(np.arange(18) == index, GENTLE)
         self.write(goals)
-        self._tell(lambda: self._restore(index))
+        self._call_bus(lambda: self._restore_torque_limit(index))
 
     def read_loads(self) -> Array:
         """Read motor torques (6, 3) [N m] in joint direction; zero without an answer."""
@@ -217,18 +224,18 @@ class Joints:
 
     def _open(self) -> Servos:
         bus = connect(self._profile, self._settings, self._opener(), self._clock)
-        bus.between = self._obey
+        bus.between = self._check_latch
         return bus
 
-    def _obey(self) -> None:
-        """Execute a torque-off order between requests, before the remaining ones."""
+    def _check_latch(self) -> None:
+        """Turn torque off between two requests of the start, if it has been ordered off."""
         if not self._off_ordered and self._latched():
             self._off_ordered = True
             self._bus.set_torque(False)
 
-    def _set_up(self) -> None:
+    def _set_up_bus(self) -> None:
         """Set the bus up, and wait some time for servos that are silent at first."""
-        until = self._clock() + _PATIENCE_NS
+        until = self._clock() + _STARTUP_TIMEOUT_NS
         while True:
             if self._off_ordered:
                 self._bus.set_torque(False)
@@ -240,7 +247,7 @@ class Joints:
             else:
                 return
 
-    def _note(self, reading: ServoReading) -> None:
+    def _store_reading(self, reading: ServoReading) -> None:
         leg, joint = divmod(reading.index, 3)
         sign = self._profile.servo_signs[leg, joint]
         self.q[leg, joint] = sign * reading.position - self._profile.horn_offsets[leg, joint]
@@ -251,104 +258,102 @@ class Joints:
             reading.index, reading.stamp_ns, self.q[leg, joint] - self.goals[leg, joint], reading.speed
         )
 
-    def _within(self, q: Array) -> Array:
+    def _clipped_to_limits(self, q: Array) -> Array:
         """Return joint angles (6, 3) [rad] clipped to the joint limits."""
         limits = self._profile.joint_limits
         return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
 
-    def _check_touch(self) -> None:
-        """Treat all servos as lost if none answers, until all have caught up."""
-        if float(self._bus.ages().min()) > _LOST_S:
+    def _check_silence(self) -> None:
+        """Treat all joint positions as unknown if no servo answers, until all servos have caught up."""
+        if float(self._bus.ages().min()) > _BUS_LOST_S:
             self.mark_stale()
         else:
-            self._catching_up.check_touch(self._clock())
+            self._catching_up.update_all_behind(self._clock())
 
-    def _find_torque_disabled(self, readings: list[ServoReading]) -> None:
-        """Read Torque Enable of doubtful servos, a few per cycle.
-
-        A short power loss turns torque off.
-        """
+    def _check_torque_loss(self, readings: list[ServoReading]) -> None:
+        """Read Torque Enable of a few servos, and keep which ones have lost torque."""
         for index in self._torque_loss.due([reading.index for reading in readings], self.torque):
             enabled = self._bus.read(self._bus.servo_ids[index], dxl.TORQUE_ENABLE)
             if enabled is not None:
                 self.torque[index] = bool(enabled)
                 self._torque_loss.confirm(index)
-        self._torque_loss.end_cycle(self._bus.missed > self._excused)
+        self._torque_loss.end_cycle(self._bus.missed > self._tolerated)
 
-    def _restore(self, index: int) -> None:
-        """Give a servo its full torque limit, if it acknowledges its position as goal."""
+    def _restore_torque_limit(self, index: int) -> None:
+        """Give a servo its full torque limit, if it acknowledges its goal."""
         servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
-        placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
-        if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._most[index])):
+        acknowledged = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
+        if acknowledged and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._max_torque[index])):
             self.strength[index] = 1.0
 
-    def _tell(self, say: Callable[[], object]) -> None:
+    def _call_bus(self, call: Callable[[], object]) -> None:
+        """Send something to the servos; without a bus do nothing, and if the bus is lost close it."""
         if self.gone:
             return
         try:
-            say()
+            call()
         except BusDisconnectedError as error:
             self._disconnect(error)
 
     def _send_torque_off(self) -> None:
-        self._tell(lambda: self._bus.set_torque(False))
+        self._call_bus(lambda: self._bus.set_torque(False))
 
     def _disconnect(self, error: BusDisconnectedError) -> None:
-        self.gone, self._tried_ns, self._since_ns, self._catching_up.out_of_touch = str(error), self._clock(), -1, True
+        self.gone, self._tried_ns, self._since_ns, self._catching_up.all_behind = str(error), self._clock(), -1, True
         self._bus.close()
 
     def _reconnect(self) -> None:
         """Try to reopen the bus, and read goals and torque of all servos again."""
-        if self._clock() - self._tried_ns < _AGAIN_NS and not self._off_ordered:
+        if self._clock() - self._tried_ns < _REOPEN_PERIOD_NS and not self._off_ordered:
             return
         self._tried_ns = self._clock()
         try:
             self._bus = self._open()
             if self._off_ordered:
                 self._bus.set_torque(False)
-            self._bus.meet()
-            found = [self._insist(i) for i in self._bus.servo_ids]
+            self._bus.open_session()
+            found = [self._read_state_again(i) for i in self._bus.servo_ids]
         except OSError as error:
             self._bus.close()
             self.gone = f"the servo port is gone: {error}"
             return
-        self._take_in(found)
-        self._bus.between = _nothing
+        self._adopt_state(found)
+        self._bus.between = _do_nothing
         self.gone = ""
         self._catching_up.readopt((self.q - self.goals).ravel(), self._clock())
 
-    def _take_in(self, tables: list[bytes]) -> None:
-        """Adopt the state of each servo; a far goal is replaced by the joint position."""
-        found = [[_value(table, register) for register in _STANDS] for table in tables]
-        most, pulls, goals, limits, ticks, loads = np.array(found).T
-        self.torque = pulls.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
-        self._most = most
-        self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
-        self.q, stand = self._angles(ticks), self._angles(goals)
-        self.load = self._torques(loads.tolist())  # earlier loads belong to a moving robot
-        self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+    def _adopt_state(self, tables: list[bytes]) -> None:
+        """Adopt the state of each servo; a goal far from its joint is replaced by the joint angle."""
+        found = [[_value(table, register) for register in _STATE_REGISTERS] for table in tables]
+        max_torque, enabled, goals, limits, ticks, loads = np.array(found).T
+        self.torque = enabled.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
+        self._max_torque = max_torque
+        self.strength = np.minimum(limits / np.maximum(max_torque, 1), 1.0)
+        self.q, goal_angles = self._angles(ticks), self._angles(goals)
+        self.load = self._torques(loads.tolist())  # earlier readings may be those of a moving robot
+        self.goals = np.where(np.abs(goal_angles - self.q) < _ADOPT_WITHIN_RAD, goal_angles, self.q)
 
     def _torques(self, loads: Sequence[int]) -> Array:
         """Return motor torques (6, 3) [N m] from load registers (18,)."""
         shares = np.array([dxl.load_from_register(value) for value in loads]).reshape(6, 3)
         return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
 
-    def _stand(self, servo_id: int) -> bytes | None:
+    def _read_state(self, servo_id: int) -> bytes | None:
         """Read the state block of a servo, None when it does not answer."""
-        return self._bus.read_bytes(servo_id, _BLOCK.start, len(_BLOCK))
+        return self._bus.read_bytes(servo_id, _STATE_BLOCK.start, len(_STATE_BLOCK))
 
-    def _ask(self, servo_id: int) -> bytes:
-        """Read the state block, repeating until the servo has answered."""
-        until = self._clock() + _PATIENCE_NS
-        while (table := self._stand(servo_id)) is None:
+    def _wait_for_state(self, servo_id: int) -> bytes:
+        """Read the state block of a servo, and repeat the request until it has answered."""
+        until = self._clock() + _STARTUP_TIMEOUT_NS
+        while (table := self._read_state(servo_id)) is None:
             if self._clock() >= until:
                 raise ConnectionError(f"servo {servo_id} stopped answering while its state was read")
         return table
 
-    def _insist(self, servo_id: int) -> bytes:
-        """Read the state block of a servo on a reopened bus."""
-        for _ in range(_TRIES):
-            if (table := self._stand(servo_id)) is not None:
+    def _read_state_again(self, servo_id: int) -> bytes:
+        """Read the state block of a servo on a reopened bus, with a limited number of requests."""
+        for _ in range(_MAX_REQUESTS):
+            if (table := self._read_state(servo_id)) is not None:
                 return table
         raise ConnectionError(f"the port is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
 
@@ -357,7 +362,7 @@ class Joints:
 
 
 def _value(table: bytes, register: dxl.Register) -> int:
-    start = register.address - _BLOCK.start
+    start = register.address - _STATE_BLOCK.start
     return int.from_bytes(table[start : start + register.size], "little")
 
 
@@ -367,5 +372,5 @@ def _ticks(servo: Array) -> NDArray[np.int64]:
     return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     pass

@@ -168,10 +168,10 @@ class Bridge:
             BusSetupError: No bridge answers, its version differs, or servos are missing or wrong; all are named.
             BusDisconnectedError: The port is gone.
         """
-        self.meet()
+        self.open_session()
         self._registers.setup()
 
-    def meet(self) -> None:
+    def open_session(self) -> None:
         """Open a session; the servos and their goals stay as they are.
 
         Raises:

@@ -53,7 +53,7 @@ class Servos(Protocol):
         """Recent share of requests without a usable answer."""
         ...
 
-    def meet(self) -> None:
+    def open_session(self) -> None:
         """Open a session with a microcontroller, if there is one, on a newly opened port."""
         ...
 

@@ -25,15 +25,15 @@ from sextant.services.console.web.requests import MAX_BYTES
 log = logging.getLogger(__name__)
 
 SOCKET = "/socket"
-GLANCE = "glance"  # query string of a fleet page, which receives only a summary of the robot
-_PATIENCE_S = 5.0  # [s] timeout for a request
-_SENDING_S = 30.0  # [s] timeout for sending a file
+GLANCE = "glance"  # query string of a page of the fleet, which receives only a summary of each robot
+_REQUEST_TIMEOUT_S = 5.0  # [s] for a browser to send its request
+_FILE_TIMEOUT_S = 30.0  # [s] for a browser to receive a file
 _PING_S = 5.0  # [s] period of pings; a ping without an answer within this time ends the connection
-_CLOSING_S = 1.0  # [s] timeout for the browser to close the connection
-_wire_log = logging.getLogger("websockets.server")
+_CLOSE_TIMEOUT_S = 1.0  # [s] for a browser to close the connection
+_protocol_log = logging.getLogger("websockets.server")
 
 
-class Host(Protocol):
+class PageHost(Protocol):
     """Interface of the server that owns the connections and pages."""
 
     origin_policy: OriginPolicy
@@ -60,7 +60,7 @@ class Host(Protocol):
         """Remove a page that has disconnected."""
         ...
 
-    def hear(self, page: Page, text: str) -> None:
+    def receive_text(self, page: Page, text: str) -> None:
         """Process a text that a page has sent."""
         ...
 
@@ -68,37 +68,37 @@ class Host(Protocol):
 class Connection(asyncio.Protocol):
     """Protocol of one connection of a browser."""
 
-    def __init__(self, host: Host):
+    def __init__(self, host: PageHost):
         """Create a connection that waits for its request."""
-        _wire_log.setLevel(logging.WARNING)
+        _protocol_log.setLevel(logging.WARNING)
         self._host = host
-        self._wire = ServerProtocol(subprotocols=[PROTOCOL], max_size=MAX_BYTES, logger=_wire_log)  # type: ignore[list-item]
+        self._protocol = ServerProtocol(subprotocols=[PROTOCOL], max_size=MAX_BYTES, logger=_protocol_log)  # type: ignore[list-item]
         self._loop = asyncio.get_running_loop()
         self._page: Page | None = None
-        self._full = False  # the send buffer is full
-        self._answered = True  # the newest ping was answered
+        self._send_buffer_full = False
+        self._ping_answered = True  # of the newest ping
 
     # --------------------------------------------------------------------------------------------- asyncio.Protocol methods
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Wait for a request, with a timeout."""
         self._transport = cast(asyncio.Transport, transport)
-        self._timer = self._loop.call_later(_PATIENCE_S, self._transport.abort)
+        self._timer = self._loop.call_later(_REQUEST_TIMEOUT_S, self._transport.abort)
         self._host.opened(self)
 
     def data_received(self, data: bytes) -> None:
         """Process received bytes."""
-        self._wire.receive_data(data)
-        for event in self._wire.events_received():
+        self._protocol.receive_data(data)
+        for event in self._protocol.events_received():
             if isinstance(event, HttpRequest):
-                self._begin(event)
+                self._handle_request(event)
             elif isinstance(event, Frame):
-                self._take(event)
+                self._handle_frame(event)
         self._flush()
 
     def eof_received(self) -> None:
         """Process the end of the browser's stream."""
-        self._wire.receive_eof()
+        self._protocol.receive_eof()
         self._flush()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -111,30 +111,30 @@ class Connection(asyncio.Protocol):
 
     def pause_writing(self) -> None:
         """Stop sending because the send buffer is full."""
-        self._full = True
+        self._send_buffer_full = True
 
     def resume_writing(self) -> None:
         """Continue sending because the send buffer has room again."""
-        self._full = False
+        self._send_buffer_full = False
         self.send()
 
     # --------------------------------------------------------------------------------------------- methods for the server
 
     def send(self) -> None:
         """Send the waiting messages of the page, unless the send buffer is full."""
-        if self._page is None or self._full or self._wire.state is not State.OPEN:
+        if self._page is None or self._send_buffer_full or self._protocol.state is not State.OPEN:
             return
         for message in self._page.take():
             if isinstance(message, str):
-                self._wire.send_text(message.encode())
+                self._protocol.send_text(message.encode())
             else:
-                self._wire.send_binary(message)
+                self._protocol.send_binary(message)
         self._flush()
 
     def close(self, code: int) -> None:
         """Start the closing handshake of the WebSocket with a status code."""
-        if self._wire.state is State.OPEN:
-            self._wire.send_close(code)
+        if self._protocol.state is State.OPEN:
+            self._protocol.send_close(code)
             self._flush()
 
     def abort(self) -> None:
@@ -143,18 +143,21 @@ class Connection(asyncio.Protocol):
 
     # ------------------------------------------------------------------------------------------------------------- private
 
-    def _begin(self, request: HttpRequest) -> None:
-        if self._wire.parser_exc is not None:  # the bytes after the request are not WebSocket frames, so no answer is possible
+    def _handle_request(self, request: HttpRequest) -> None:
+        """Answer the request: with a file, or by opening the page's WebSocket."""
+        if (
+            self._protocol.parser_exc is not None
+        ):  # the bytes after the request are not WebSocket frames, so no answer is possible
             self.abort()
             return
         response = self._answer(request)
-        self._wire.send_response(response)
+        self._protocol.send_response(response)
         self._timer.cancel()
         if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
             self._page = self._host.arrived(self, request.path.partition("?")[2] == GLANCE)
             self._timer = self._loop.call_later(_PING_S, self._ping)
         else:
-            self._timer = self._loop.call_later(_SENDING_S, self._transport.abort)
+            self._timer = self._loop.call_later(_FILE_TIMEOUT_S, self._transport.abort)
 
     def _answer(self, request: HttpRequest) -> Response:
         path, hosts = request.path.partition("?")[0], request.headers.get_all("Host")
@@ -169,8 +172,8 @@ class Connection(asyncio.Protocol):
         if refusal:
             if words := self._host.rejection_log.words(refusal, self._loop.time()):
                 log.warning("%s", words)
-            return self._wire.reject(HTTPStatus.FORBIDDEN, refusal)
-        return self._wire.accept(request)
+            return self._protocol.reject(HTTPStatus.FORBIDDEN, refusal)
+        return self._protocol.accept(request)
 
     def _file(self, path: str, host: str) -> Response:
         if not self._host.origin_policy.is_own(host):
@@ -181,39 +184,42 @@ class Connection(asyncio.Protocol):
             return _plain(HTTPStatus.NOT_FOUND, "no such file")
         return _response(HTTPStatus.OK, headers_of(name), content)
 
-    def _take(self, frame: Frame) -> None:
+    def _handle_frame(self, frame: Frame) -> None:
+        """Pass a text of the page on, and refuse frames that a page does not send."""
         match frame.opcode:
             case Opcode.TEXT if frame.fin and self._page is not None:
                 try:
                     text = bytes(frame.data).decode()
                 except UnicodeDecodeError:
-                    self._wire.fail(1007, "a text in UTF-8 expected")
+                    self._protocol.fail(1007, "a text in UTF-8 expected")
                     return
-                self._host.hear(self._page, text)
+                self._host.receive_text(self._page, text)
             case Opcode.TEXT | Opcode.BINARY | Opcode.CONT:
-                self._wire.fail(1003, "an unfragmented text message expected")
+                self._protocol.fail(1003, "an unfragmented text message expected")
             case Opcode.PONG:
-                self._answered = True
+                self._ping_answered = True
 
     def _ping(self) -> None:
-        if not self._answered:
+        """Send a ping, or end the connection if the last one was not answered."""
+        if not self._ping_answered:
             self._transport.abort()
             return
-        self._answered = False
-        if self._wire.state is State.OPEN:
-            self._wire.send_ping(b"")
+        self._ping_answered = False
+        if self._protocol.state is State.OPEN:
+            self._protocol.send_ping(b"")
             self._flush()
         self._timer = self._loop.call_later(_PING_S, self._ping)
 
     def _flush(self) -> None:
-        for data in self._wire.data_to_send():
+        """Write what the protocol has to send, and wait only briefly for the end of a closing connection."""
+        for data in self._protocol.data_to_send():
             if data:
                 self._transport.write(data)
             elif self._transport.can_write_eof():
                 self._transport.write_eof()
-        if self._page is not None and self._wire.close_expected():
+        if self._page is not None and self._protocol.close_expected():
             self._timer.cancel()
-            self._timer = self._loop.call_later(_CLOSING_S, self._transport.abort)
+            self._timer = self._loop.call_later(_CLOSE_TIMEOUT_S, self._transport.abort)
 
 
 def _plain(status: HTTPStatus, words: str) -> Response:

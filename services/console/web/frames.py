@@ -1,6 +1,6 @@
 """Binary frames for pages: a JSON header and arrays that the GPU uses directly.
 
-    uint32 little-endian header length | header | padding to 4 bytes | heights, int16 | values, uint8
+    uint32 little-endian length of header and padding | header | spaces as padding to 4 bytes | heights, int16 | values, uint8
 
 Heights are in millimetres {world}; -32768 is unknown. The values of a layer are one byte per cell, with the scale of the
 header; the layer "color" has three bytes per cell, R, G, B.
@@ -17,12 +17,12 @@ from sextant.services.console.web.requests import Layer
 from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
-_HIGHEST = np.float32(32767.0)  # [mm] upper limit of heights
+_MAX_HEIGHT_MM = np.float32(32767.0)  # [mm] upper limit of heights
 NO_VALUE = 255  # unknown value of a layer
 _ALIGNMENT = 4
 SCORE_STEPS = 100.0  # byte values per unit of the score; a cell with a score up to 1 is a foothold
-WORST_VARIANCE = 0.02  # [m] standard deviation at the end of the colour scale
-FAR_VALUE = 25  # [cells] limit of the evaluation function on the colour scale, on both sides
+MAX_SIGMA_M = 0.02  # [m] standard deviation of a height at the end of the colour scale
+MAX_EVALUATION_CELLS = 25  # [cells] absolute value of the evaluation function at both ends of the colour scale
 
 
 def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
@@ -47,7 +47,7 @@ def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
         "scale": scale,
         "layers": ["score", "evaluation", "variance", *(["color"] if terrain.color.size else [])],
     }
-    return framed(header, _heights(terrain), values)
+    return make_frame(header, _heights(terrain), values)
 
 
 def picture_frame(picture: Preview) -> bytes:
@@ -58,11 +58,11 @@ def picture_frame(picture: Preview) -> bytes:
         "depth": len(picture.depth_jpeg),
         "color": len(picture.color_jpeg),
     }
-    return framed(header, picture.depth_jpeg, picture.color_jpeg)
+    return make_frame(header, picture.depth_jpeg, picture.color_jpeg)
 
 
-def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
-    """Return a frame of a header and arrays."""
+def make_frame(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
+    """Return the frame of a header and arrays: the layout of this module, with any arrays."""
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     gap = -(4 + len(text)) % _ALIGNMENT
     return b"".join((struct.pack("<I", len(text) + gap), text, b" " * gap, *(array.tobytes() for array in arrays)))
@@ -71,7 +71,7 @@ def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
 def _heights(terrain: TerrainMap) -> NDArray[np.int16]:
     mm = terrain.elevation * np.float32(1000.0)
     np.fmax(mm, np.float32(NO_HEIGHT), out=mm)  # fmax replaces NaN by NO_HEIGHT
-    np.fmin(mm, _HIGHEST, out=mm)
+    np.fmin(mm, _MAX_HEIGHT_MM, out=mm)
     return mm.astype(np.int16)
 
 
@@ -88,13 +88,13 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
             return _bytes(terrain.score * np.float32(SCORE_STEPS)), scale
         case "variance":
             deviation = np.sqrt(np.maximum(terrain.variance, np.float32(0.0)))
-            return _bytes(deviation * np.float32(254.0 / WORST_VARIANCE)), {
-                "per_byte": WORST_VARIANCE / 254.0,
-                "limit": WORST_VARIANCE,
+            return _bytes(deviation * np.float32(254.0 / MAX_SIGMA_M)), {
+                "per_byte": MAX_SIGMA_M / 254.0,
+                "limit": MAX_SIGMA_M,
             }
-    near = np.clip(terrain.evaluation, -FAR_VALUE, FAR_VALUE).astype(np.int16) + FAR_VALUE
+    near = np.clip(terrain.evaluation, -MAX_EVALUATION_CELLS, MAX_EVALUATION_CELLS).astype(np.int16) + MAX_EVALUATION_CELLS
     values = np.where(terrain.evaluation == UNKNOWN, NO_VALUE, near).astype(np.uint8)
-    return values, {"per_byte": 1.0, "zero": float(FAR_VALUE), "limit": -1.0}
+    return values, {"per_byte": 1.0, "zero": float(MAX_EVALUATION_CELLS), "limit": -1.0}
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:

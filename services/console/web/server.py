@@ -21,23 +21,23 @@ from sextant.services.console.web.page_files import page_files
 from sextant.services.console.web.pages import Page
 from sextant.services.console.web.requests import Drive, Heartbeat, Request, RequestError, Seen, parse
 
-_OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001
-_WAITING = 4096  # maximum number of requests that wait for the next tick; beyond it the oldest are dropped
+_OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001  # [s] after a drive request, when the dead-man time of the pad has passed
+_MAX_EVENTS = 4096  # maximum number of events that wait for the next tick; the oldest are dropped
 _SERVICE_RESTART = 1012  # WebSocket close code
-_FAREWELL_S = 0.05  # [s] for sending the last messages on shutdown
+_SHUTDOWN_S = 0.05  # [s] for sending the last messages at the shutdown
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Event of a page: a request, or that the page has connected or disconnected."""
+    """Event of a page: a request, or a connection that was opened or closed."""
 
-    page: int
-    what: Request | Literal["arrived", "glances", "left"]
+    page: int  # number of the page
+    what: Request | Literal["arrived", "glances", "left"]  # a page of the fleet `glances`: it receives only a summary
     at_ns: int  # [ns] time of arrival
 
 
 class PageServer:
-    """Web server that runs inside `wait`; a context manager."""
+    """Web server of the page; a context manager. It serves only during `wait`."""
 
     def __init__(self, settings: Settings, clock: Callable[[], int]):
         """Open the listening socket.
@@ -55,10 +55,10 @@ class PageServer:
         self._connections: dict[int, tuple[Page, Connection]] = {}  # page number -> page and its connection
         self._open: set[Connection] = set()  # all connections, including those without a page
         self._count = 0
-        self._events: deque[Event] = deque(maxlen=_WAITING)
+        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._touched: set[int] = set()  # numbers of pages with new messages
-        self._urgent = False  # an event must be processed at once
-        self._overdue: asyncio.TimerHandle | None = None  # starts a tick when the dead-man time of the pad has passed
+        self._urgent = False  # whether an event must be processed at once, which ends `wait`
+        self._overdue: asyncio.TimerHandle | None = None  # ends `wait` when the dead-man time of the pad has passed
         family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
         try:
             self._socket = socket.create_server((settings.host, settings.port), family=family)
@@ -82,7 +82,7 @@ class PageServer:
         if self._connections:
             for _, connection in self._connections.values():
                 connection.close(_SERVICE_RESTART)
-            self._serve(_FAREWELL_S)
+            self._serve(_SHUTDOWN_S)
         for connection in self._open:
             connection.abort()
         self._serve(0.0)
@@ -103,12 +103,12 @@ class PageServer:
 
     def post(self, kind: str, text: str, pages: Collection[int]) -> None:
         """Queue a text for pages; `flush` sends it."""
-        for page in self._those(pages):
+        for page in self._pages_with(pages):
             page.post(kind, text)
 
     def show(self, kind: str, frame: bytes, pages: Collection[int]) -> None:
         """Queue a frame for pages; `flush` sends it."""
-        for page in self._those(pages):
+        for page in self._pages_with(pages):
             page.show(kind, frame)
 
     def flush(self) -> None:
@@ -117,16 +117,19 @@ class PageServer:
             self._connections[number][1].send()
         self._touched.clear()
 
-    def _those(self, numbers: Collection[int]) -> list[Page]:
+    def _pages_with(self, numbers: Collection[int]) -> list[Page]:
+        """Return the open pages with these numbers, and mark them for `flush`."""
         self._touched.update(numbers)
         return [self._connections[number][0] for number in numbers if number in self._connections]
 
     def _serve(self, length_s: float) -> None:
+        """Run the event loop for a time [s], or until an urgent event."""
         over = self._loop.call_later(length_s, self._loop.stop)
         self._loop.run_forever()
         over.cancel()
 
-    def _stir(self) -> None:
+    def _end_wait(self) -> None:
+        """End `wait` at once, or prevent the next one."""
         self._urgent = True
         self._loop.stop()
 
@@ -149,15 +152,15 @@ class PageServer:
         self._count += 1
         page = Page(self._count)
         self._connections[page.number] = page, connection
-        self._tell(page, "glances" if glances else "arrived")
+        self._add_event(page, "glances" if glances else "arrived")
         return page
 
     def left(self, page: Page) -> None:
         """Remove a page that has disconnected."""
         del self._connections[page.number]
-        self._tell(page, "left")
+        self._add_event(page, "left")
 
-    def hear(self, page: Page, text: str) -> None:
+    def receive_text(self, page: Page, text: str) -> None:
         """Parse a text of a page, and queue the request as an event."""
         try:
             request = parse(text)
@@ -169,15 +172,16 @@ class PageServer:
             page.seen(request.what)
             self._connections[page.number][1].send()
         else:
-            self._tell(page, request)
+            self._add_event(page, request)
 
-    def _tell(self, page: Page, what: Request | Literal["arrived", "glances", "left"]) -> None:
+    def _add_event(self, page: Page, what: Request | Literal["arrived", "glances", "left"]) -> None:
+        """Queue an event; all but heartbeats and repeated drive requests end `wait`."""
         self._events.append(Event(page.number, what, self._clock()))
-        again = False  # a repeat of the current press, which can wait for the next tick
+        repeated = False  # of the current press of the pad: such a request can wait for the next tick
         if isinstance(what, Drive):
             if self._overdue is not None:
                 self._overdue.cancel()
-            self._overdue = self._loop.call_later(_OVERDUE_S, self._stir)  # this may be the last message of the press
-            again, page.press = what.press == page.press, what.press
-        if not again and not isinstance(what, Heartbeat):
-            self._stir()
+            self._overdue = self._loop.call_later(_OVERDUE_S, self._end_wait)  # this may be the last message of the press
+            repeated, page.press = what.press == page.press, what.press
+        if not repeated and not isinstance(what, Heartbeat):
+            self._end_wait()

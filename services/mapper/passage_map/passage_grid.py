@@ -1,7 +1,7 @@
-"""Passage map with height, normal and roughness per cell, from the merged cloud.
+"""Passage map: height, normal and roughness per cell of a strip, from the merged cloud.
 
-It has 2.7 x 1.0 m in 1 cm cells by default. See Masri 2016, sections 4.3, 4.4 and 4.7. The centre of cell (i, j) of a strip is
-(i + 1/2) cells along it and (j + 1/2) cells to the left of its right side.
+A column is all voxels of the cloud above one another. The centre of cell (i, j) of a strip is (i + 1/2) cells along it and
+(j + 1/2) cells to the left of its right side. Source: Masri 2016, sections 4.3, 4.4 and 4.7.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,12 @@ from sextant.services.mapper.passage_map.moving_least_squares import smooth
 from sextant.services.mapper.passage_map.voxel_cloud import CloudSnapshot, Strip
 from sextant.shared.geometry import Array
 
-_ONE_SURFACE = 0.02  # [m] points this close below the top of a column belong to its surface
-_CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the adjacent column
-_FEW, _MANY = 0.4, 30.0  # a crack: less than this share of the pixels on both sides, which have at least this many
-_BESIDE = (1, 2, 3)  # columns that form a side
-_STEEP = 0.5  # [1] upward part of a normal, below which a plane does not give the height next to its point
+_SURFACE_DEPTH_M = 0.02  # [m] below the top of a column, within which points belong to the same surface
+_MIN_UPPER_SHARE = 0.3  # [1] minimum share of a column's pixels at its top and above; fewer are an edge of an adjacent column
+_CRACK_SHARE = 0.4  # [1] share of the pixels on either side, below which a column is a crack ...
+_CRACK_SIDE_PIXELS = 30.0  # ... if both sides have at least this many pixels per column
+_CRACK_SIDE = (1, 2, 3)  # [columns] from the crack, which form a side
+_MIN_UPWARD = 0.5  # [1] upward part of a normal, below which the plane is too steep to extrapolate the height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +56,8 @@ def cells_of(strip: Strip, resolution: float) -> tuple[int, int]:
 def cell_centres(strip: Strip, resolution: float) -> Array:
     """Return the centres (nx, ny, 2) [m] {world} of a strip's cells.
 
-    It raises the errors of `cells_of`.
+    Raises:
+        ValueError: Length or width is not a whole number of cells.
     """
     return strip.world(local_centres(strip, resolution))
 
@@ -63,7 +65,7 @@ def cell_centres(strip: Strip, resolution: float) -> Array:
 def local_centres(strip: Strip, resolution: float) -> Array:
     """Return the centres (nx, ny, 2) [m] of a strip's cells in the strip's frame.
 
-    The axes point along the strip and to the left of its middle line.
+    x points along the strip, y to the left of its middle line.
     """
     nx, ny = cells_of(strip, resolution)
     x = (np.arange(nx) + 0.5) * resolution
@@ -76,11 +78,11 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
 
     1. Project points onto their surface by moving least squares, which also gives normals and roughness.
     2. Represent each column by its highest point, because the robot walks on top of objects. Higher points with less than
-       30 % of the column's pixels are ignored, as noise or as the edge of the adjacent column. The normal is the mean over
-       the points of the upper surface. The thesis uses all points of the column, but those on the floor below do not support
+       30 % of the column's pixels are ignored, as noise or as the edge of an adjacent column. The normal is the mean over
+       the points of the upper surface. The thesis uses all points of the column, but points on the floor below do not support
        the foot.
-    3. Mark a column with few pixels between columns with many as unknown. Such pixels are stray ones over a crack, into which
-       a camera that looks along the ground hardly sees.
+    3. Mark a column with few pixels between columns with many as unknown. It is a crack, into which a camera that looks along
+       the ground hardly sees, and its pixels are stray.
     4. Assign each cell the column that contains its centre, and evaluate the plane of the column's point there. A column
        without a point leaves its cell unknown.
 
@@ -111,8 +113,9 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     known = found >= 0
     of, places = found[known], centres[known]
     points, n = surface.points[top][of], normals[of]
-    level = np.where(n[:, 2] > _STEEP, n[:, 2], np.inf)  # the comparison is False for NaN: without a normal the height is kept
-    slope = -np.nan_to_num(n[:, :2]) / level[:, None]
+    # Without a normal (NaN) or with a steep one, the slope is zero: the cell gets the height of its point.
+    upward = np.where(n[:, 2] > _MIN_UPWARD, n[:, 2], np.inf)
+    slope = -np.nan_to_num(n[:, :2]) / upward[:, None]
     elevation = np.full(shape, np.nan, dtype=np.float32)
     elevation[known] = points[:, 2] + ((places - points[:, :2]) * slope).sum(axis=1)
     cell_normals = np.full((*shape, 3), np.nan, dtype=np.float32)
@@ -146,9 +149,9 @@ def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:
 
 
 def _slope(heights: Array, axis: int, resolution: float) -> Array:
-    """Return the mean differences (nx, ny) [1] to the neighbours along an axis.
+    """Return the slope (nx, ny) [m/m] of heights along an axis, as the mean difference to the two neighbours.
 
-    They are one-sided at a border, and zero without a known neighbour.
+    It is one-sided next to a border or an unknown cell, and zero without a known neighbour.
     """
     step = np.diff(heights, axis=axis) / resolution
     pad = [(1, 1) if k == axis else (0, 0) for k in range(2)]
@@ -164,37 +167,41 @@ def _cracks(pixels: Array) -> NDArray[np.bool_]:
     This is tested along both axes and both diagonals.
     """
     nx, ny = pixels.shape
-    far = max(_BESIDE)
+    far = max(_CRACK_SIDE)
     padded, few = np.pad(pixels, far), np.zeros(pixels.shape, dtype=np.bool_)
     for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
         sides = [
-            np.median([padded[far + k * di :, far + k * dj :][:nx, :ny] for k in (sign * n for n in _BESIDE)], axis=0)
+            np.median([padded[far + k * di :, far + k * dj :][:nx, :ny] for k in (sign * n for n in _CRACK_SIDE)], axis=0)
             for sign in (-1, 1)
         ]
         both = np.minimum(*sides)
-        few |= (pixels < _FEW * both) & (both >= _MANY)
+        few |= (pixels < _CRACK_SHARE * both) & (both >= _CRACK_SIDE_PIXELS)
     return few
 
 
 def _tops(
     column: NDArray[np.int64], weight: Array, points: Array, normals: Array, roughness: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Find the top of each column: index (m,), normal (m, 3) and roughness (m,).
+    """Return the index (m,), normal (m, 3) and roughness (m,) [m] of the top point of each column.
 
-    The index refers to the points (n, 3), which are sorted by column (n,) and upward in each. Their weight is their number of
-    pixels (n,).
+    Args:
+        column: (n,) column of each point; points are sorted by column, and upward in each.
+        weight: (n,) number of pixels of each point.
+        points: (n, 3) [m] {world}.
+        normals: (n, 3) unit normals.
+        roughness: (n,) [m], NaN without a normal.
     """
     if not len(column):
         return np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
     first = np.flatnonzero(np.diff(column, prepend=-1))
     of = np.repeat(np.arange(len(first)), np.diff(first, append=len(column)))
     total = np.add.reduceat(weight, first)
-    upward = np.cumsum(weight)
-    above = (upward[first] - weight[first] + total)[of] - upward + weight  # pixels of each point and those above it
-    carries = np.where(above >= _CARRYING * total[of], np.arange(len(column)), -1)
+    below = np.cumsum(weight)
+    above = (below[first] - weight[first] + total)[of] - below + weight  # pixels of each point and those above it
+    carries = np.where(above >= _MIN_UPPER_SHARE * total[of], np.arange(len(column)), -1)
     top = np.maximum.reduceat(carries, first)
-    below = points[top, 2][of] - points[:, 2]
-    counts = (np.abs(below) <= _ONE_SURFACE) & np.isfinite(roughness)
+    depth = points[top, 2][of] - points[:, 2]  # [m] below the top point
+    counts = (np.abs(depth) <= _SURFACE_DEPTH_M) & np.isfinite(roughness)
     sums = np.add.reduceat(np.where(counts[:, None], normals, 0.0), first)
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     n = np.where(length > 0, sums / np.where(length > 0, length, 1.0), np.nan)

@@ -95,7 +95,7 @@ class PassageSurvey:
             passage = mapping.grid(grid.snapshot())
             evaluation = mapping.evaluation(passage, *body_height_and_sigma(pose))
         if hazards is not None:
-            evaluation = without_hazards(evaluation, mapping.of_map(*hazards, 0))
+            evaluation = without_hazards(evaluation, mapping.resample(*hazards, 0))
         unseen = passage.unseen
         T_world_body = np.eye(4) if pose is None else pose.T_world_body
         proposal = self._view_proposal(mapping, passage, T_world_body, None if pose is None else legs)

@@ -179,9 +179,9 @@ class Registration:
             T_prior: (4, 4) expected pose.
         """
         T_expected = T_prior if reason else found.T
-        misfit = self._relocalization_map.misfit(self._frame.points, T_expected)
+        contradiction = self._relocalization_map.contradiction(self._frame.points, T_expected)
         # A single body that moves in front of a camera at rest is no evidence of camera motion.
-        doubted = not self._is_passing_body(misfit) and (bool(reason) or self._is_doubted(misfit))
+        doubted = not self._is_passing_body(contradiction) and (bool(reason) or self._is_doubted(contradiction))
         self._doubt.update(doubted)
         if self._doubt.is_search_due():
             better = self._search(T_expected)
@@ -195,8 +195,8 @@ class Registration:
                 return _Checked(better, "", doubted=False)
             elif reason:  # a passing person is gone at the next search
                 reason = f"{reason}; a better pose waits for a second search"
-        if not reason and doubted and self._contradicts(misfit):
-            reason = f"{misfit.share:.0%} of the image contradicts the map"
+        if not reason and doubted and self._contradicts(contradiction):
+            reason = f"{contradiction.share:.0%} of the image contradicts the map"
         return _Checked(found, reason, doubted)
 
     def _held(self, found: Aligned, T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> Aligned | None:
@@ -232,17 +232,17 @@ class Registration:
         """Return why a match is rejected, or an empty string."""
         return self._fit.rejection_reason(match, self._frame.usual_share)
 
-    def _is_passing_body(self, misfit: MapContradiction) -> bool:
+    def _is_passing_body(self, contradiction: MapContradiction) -> bool:
         """Return whether all contradictions are one body in front of a camera at rest."""
         limits = self._acceptance
         at_rest = self._rest.pose is not None
-        return at_rest and misfit.share > limits.max_misfit and is_within_body(misfit.xy, limits.body_radius)
+        return at_rest and contradiction.share > limits.max_misfit and is_within_body(contradiction.xy, limits.body_radius)
 
-    def _is_doubted(self, misfit: MapContradiction) -> bool:
-        return not self._doubt.is_suspended() and misfit.share > self._acceptance.max_misfit
+    def _is_doubted(self, contradiction: MapContradiction) -> bool:
+        return not self._doubt.is_suspended() and contradiction.share > self._acceptance.max_misfit
 
-    def _contradicts(self, misfit: MapContradiction) -> bool:
-        return self._acceptance.legless and misfit.share > self._acceptance.max_contradiction
+    def _contradicts(self, contradiction: MapContradiction) -> bool:
+        return self._acceptance.legless and contradiction.share > self._acceptance.max_contradiction
 
     def _search(self, T_expected: NDArray[np.float64]) -> "Aligned | _Nowhere":
         """Search the map for a better pose and register the frame there."""

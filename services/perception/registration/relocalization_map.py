@@ -1,13 +1,14 @@
 """Coarse height map of the keyframes, for detecting and correcting wrong poses.
 
-Registration finds the nearest pose that fits. On mostly level ground the floor fits at any pose, so a robot that was carried
-away, or slid further than a gate, still agrees with most of its view. This map tests the remaining points. Each grid cell
-keeps the lowest and the highest point seen in it, and a frame's points are compared with their cells.
+Registration finds the nearest pose that fits. Level floor fits at any pose, so most points of a frame still fit after the robot
+was carried away, or slid further than registration searches. This map tests whether the other points fit, too. Each cell keeps
+the lowest and the highest point seen in it, and a frame's points are compared with their cells.
 
-The view of an edge in a cell depends on the viewpoint, so a cell counts only after all its neighbours were seen. A point
-contradicts the map if it lies below all of these, where it would be seen through the ground. A point above them contradicts
-the map only if an earlier ray has passed higher; other points above may be surfaces that come into view. The search for a
-lost frame tries poses around the expected one, each at the height that fits best.
+How an edge divides between two cells depends on the viewpoint. Therefore a cell is known only after all its neighbours were
+seen, and a point is compared with the height range of its cell and the neighbours. A point below this range contradicts the
+map, because it would be seen through the ground. A point above the range contradicts the map only if an earlier ray has
+passed higher; otherwise it may be a surface that has just come into view. The search for a lost frame tries poses around the
+expected one, each at the height that fits best.
 """
 
 import math
@@ -22,41 +23,42 @@ from sextant.shared.runtime.compiled import compiled
 
 Array = NDArray[Any]
 
-_RESOLUTION = 0.02  # [m] cell edge
+_RESOLUTION_M = 0.02  # [m] cell edge
 _SIDE = 512  # [cells] edge of the grid, a circular buffer
-_GAP = 0.08  # [m] largest distance between neighbouring points of one surface
-_MOST_BETWEEN = 1 + 2 * math.ceil(_GAP / (0.7 * _RESOLUTION))
-_TOLERANCE = 0.015  # [m] allowed outside a cell's height range
-_NOISE = 2.0  # [sigma] of a pixel's depth, added to the tolerance
-_SEARCH_RANGE_M, _TURN = 0.36, math.radians(18.0)  # [m] [rad] search range around the expected pose
-_STEP, _ANGLE = 0.04, math.radians(3.0)  # [m] [rad] steps of the coarse search
-_FINE_STEP, _FINE_ANGLE = 0.01, math.radians(1.0)
-_FINE = np.arange(-3, 4)
-_AGAINST = 18.0  # weight of a point that does not fit, relative to one that fits
-_WAY = 0.4  # worth lost at a distance `_SEARCH_RANGE_M`, a turn `_TURN` or a height `_RISE`
-_RISE = 0.10  # [m] height that costs `_WAY`
-_LEVELS = 12  # heights tried in each direction, `_TOLERANCE` apart
+_MAX_GAP_M = 0.08  # [m] maximum distance between neighbouring points of one surface
+_MAX_SAMPLES = 1 + 2 * math.ceil(_MAX_GAP_M / (0.7 * _RESOLUTION_M))  # of a pixel: its point, and those up to two neighbours
+_TOLERANCE_M = 0.015  # [m] by which a fitting point may be outside its cell's height range
+_NOISE_SIGMAS = 2.0  # [sigma] of a pixel's depth noise, added to the tolerance
+_SEARCH_RANGE_M, _SEARCH_TURN_RAD = 0.36, math.radians(18.0)  # [m] [rad] search range around the expected pose
+_COARSE_STEP_M, _COARSE_STEP_RAD = 0.04, math.radians(3.0)  # [m] [rad] steps of the coarse search
+_FINE_STEP_M, _FINE_STEP_RAD = 0.01, math.radians(1.0)  # [m] [rad] steps of the fine search ...
+_FINE_STEPS = np.arange(-3, 4)  # ... and their numbers
+_MISFIT_WEIGHT = 18.0  # [1] weight of a point that does not fit, relative to one that fits
+_DISTANCE_COST = 0.4  # [1] cost of a place at a distance `_SEARCH_RANGE_M`, a turn `_SEARCH_TURN_RAD`, or a height ...
+_COST_HEIGHT_M = 0.10  # [m] ... of this
+_HEIGHT_STEPS = 12  # heights tried in each direction, `_TOLERANCE_M` apart
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_TRIED, _TRIED_FINELY = 300, 1000  # points looked up per place in the coarse and in the fine search
-_SIGHTS = 4  # every n-th ray is traced
-_REFINED = 6  # best places of the coarse search that are refined
-_REFINED_FEW = 2  # the same around each start pose of `relocalize`
-_STARTS_APART = 0.24  # [m] search range around each start pose
-_MIN_FIT_ANYWHERE = 0.9  # minimum share of fitting points for a pose anywhere in the map
-_MIN_KNOWN = 0.4  # minimum share of points on known cells
-_MIN_FIT = 0.85  # minimum share of those that fit at the pose found
-_BETTER = 0.03  # minimum gain of this share over the expected pose
-_SIGMAS = 3.0  # [sigma] of the counts, added to that gain
-_APART, _TURNED, _RISEN = 0.05, math.radians(4.0), 0.04  # [m] [rad] [m] beyond which two poses differ
+_COARSE_POINTS, _FINE_POINTS = 300, 1000  # points compared per place in the coarse and in the fine search
+_RAY_STRIDE = 4  # only every n-th ray is traced
+_REFINED_PLACES = 6  # places of the coarse search from which the fine search starts in `find` ...
+_REFINED_PER_START = 2  # ... and around each start pose of `relocalize`
+_START_RANGE_M = 0.24  # [m] search range around each start pose of `relocalize`
+_MIN_FIT_ANYWHERE = 0.9  # [1] minimum share of fitting points for a pose of `relocalize`
+_MIN_KNOWN = 0.4  # [1] minimum share of points on known cells
+_MIN_FIT = 0.85  # [1] minimum share of fitting points, of those on known cells, for a pose of `find`
+_MIN_GAIN = 0.03  # [1] minimum gain of this share over the expected pose ...
+_GAIN_SIGMAS = 3.0  # [sigma] ... plus this multiple of its counting error
+_SAME_PLACE_M, _SAME_TURN_RAD = 0.05, math.radians(4.0)  # [m] [rad] beyond which two poses count as different ...
+_SAME_HEIGHT_M = 0.04  # [m] ... or beyond this in height
 
 _CELL = np.dtype(
     [
-        ("tag", np.int64),  # world cell stored here
-        ("low", np.float32),  # [m] lowest and highest point seen; low > high if none
+        ("tag", np.int64),  # number of the world cell stored here, see `_tag`
+        ("low", np.float32),  # [m] {world} lowest and highest point seen; low > high if none
         ("high", np.float32),
         ("low_around", np.float32),  # [m] the same, including the neighbours
         ("high_around", np.float32),
-        ("clear", np.float32),  # [m] largest height at which a ray has passed
+        ("clear", np.float32),  # [m] {world} largest height at which a ray has passed
         ("seen_around", np.int32),  # number of seen cells among it and its eight neighbours
     ]
 )
@@ -70,10 +72,10 @@ def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
 
     Args:
         inverse_depth: (rows, columns) [1/m], 0 for none.
-        x: Ray of each column at unit depth.
-        y: Ray of each row at unit depth.
+        x: (columns,) [1] x of each column's ray at unit depth.
+        y: (rows,) [1] y of each row's ray at unit depth.
     """
-    out = np.empty((_MOST_BETWEEN * inverse_depth.size, 3))
+    out = np.empty((_MAX_SAMPLES * inverse_depth.size, 3))
     return out[: _fill_between(inverse_depth, x, y, out)]
 
 
@@ -81,7 +83,7 @@ def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
 class RelocalizationResult:
     """Pose of a lost frame, or the reason why it was not found."""
 
-    T_world_camera: Pose | None  # (4, 4)
+    T_world_camera: Pose | None  # (4, 4), None if it was not found
     reason: str  # of the failure, empty when found
 
 
@@ -89,7 +91,7 @@ class RelocalizationResult:
 class MapContradiction:
     """Points of a frame that contradict the map."""
 
-    share: float  # of the points on known cells
+    share: float  # [1] of the points on known cells
     xy: NDArray[np.float64]  # (n, 2) [m] {world} of the contradicting points
 
 
@@ -100,9 +102,9 @@ class RelocalizationMap:
         """Create an empty map.
 
         Args:
-            sigma: [1/m] one-sigma depth noise of a pixel, divided by its squared depth.
+            sigma: [1/m] standard deviation of a pixel's depth, divided by its squared depth.
         """
-        self._noise = _NOISE * sigma
+        self._noise = _NOISE_SIGMAS * sigma
         self._cells = np.zeros((_SIDE, _SIDE), dtype=_CELL)
         self.clear()
 
@@ -114,51 +116,52 @@ class RelocalizationMap:
         """Add points (n, 3) [m] {camera} that were seen from a pose (4, 4)."""
         _add(points, T_world_camera, self._cells)
 
-    def misfit(self, points: Array, T_world_camera: Pose) -> MapContradiction:
-        """Find the points (n, 3) [m] {camera} that contradict the map.
+    def contradiction(self, points: Array, T_world_camera: Pose) -> MapContradiction:
+        """Find the points (n, 3) [m] {camera} of a frame at a pose that contradict the map.
 
-        These are on known cells, outside the height range of the cell and its neighbours. A point above counts only where an
-        earlier ray has passed higher. The result is empty if few points are on known cells.
+        The module's docstring states when a point does. The result is empty if few points are on known cells.
         """
-        points = _some(points, _TRIED_FINELY)
+        points = _sample(points, _FINE_POINTS)
         outside = np.zeros(len(points), dtype=np.bool_)
-        known, misfit, _ = _look_up(points, T_world_camera, self._cells, self._noise, outside)
+        known, contradicting, _ = _count_points(points, T_world_camera, self._cells, self._noise, outside)
         if known < _MIN_KNOWN * len(points):
             return MapContradiction(0.0, np.zeros((0, 2)))
-        return MapContradiction(misfit / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
+        return MapContradiction(contradicting / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
 
     def find(self, points: Array, T_world_camera: Pose) -> RelocalizationResult:
         """Search around the expected pose (4, 4) for points (n, 3) [m] {camera}.
 
         Roll and pitch of the expected pose are kept.
         """
-        few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
+        few, points = _sample(points, _COARSE_POINTS), _sample(points, _FINE_POINTS)
         n = len(points)
-        known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise, np.zeros(n, dtype=np.bool_))
+        known, _, fitting = _count_points(points, T_world_camera, self._cells, self._noise, np.zeros(n, dtype=np.bool_))
         # 1. Coarse search over all places.
-        shifts = np.arange(-_SEARCH_RANGE_M, _SEARCH_RANGE_M + _STEP / 2, _STEP)
-        angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
+        shifts = np.arange(-_SEARCH_RANGE_M, _SEARCH_RANGE_M + _COARSE_STEP_M / 2, _COARSE_STEP_M)
+        angles = np.arange(-_SEARCH_TURN_RAD, _SEARCH_TURN_RAD + _COARSE_STEP_RAD / 2, _COARSE_STEP_RAD)
         places = _grid(shifts, angles)
-        fits, worths, heights = self._judge(few, T_world_camera, places)
+        fits, scores, heights = self._score(few, T_world_camera, places)
         if fits.max() < 0.0:
             return RelocalizationResult(None, "lost: no mapped ground within the search range")
-        # 2. Fine search around the best. Among places that look alike the nearest is taken, so that directions that the ground
+        # 2. Fine search around the best places. Among places that fit alike the nearest wins. Directions that the ground
         # does not constrain keep their expected values.
-        around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
-        near = (places[_apart(places, worths - _far(places, heights), _REFINED), None] + around).reshape(-1, 3)
-        fits, worths, heights = self._judge(points, T_world_camera, near)
-        best = int(np.argmax(worths - _far(near, heights)))
+        around = _grid(_FINE_STEPS * _FINE_STEP_M, _FINE_STEPS * _FINE_STEP_RAD)
+        best_places = places[_best_apart(places, scores - _distance_cost(places, heights), _REFINED_PLACES)]
+        near = (best_places[:, None] + around).reshape(-1, 3)
+        fits, scores, heights = self._score(points, T_world_camera, near)
+        best = int(np.argmax(scores - _distance_cost(near, heights)))
         fit = float(fits[best])
-        # 3. The best must fit well, differ from the expected pose, and fit better than it. Points on unknown cells are neutral.
+        # 3. The best place must fit well, differ from the expected pose, and fit better than it. At the expected pose, points
+        # on unknown cells count with the share of the best place.
         if fit < _MIN_FIT:
             return RelocalizationResult(
                 None, f"lost: the best pose within {_SEARCH_RANGE_M:g} m fits {100 * max(fit, 0.0):.0f} % of the visible ground"
             )
-        another = _is_other(near[best], np.zeros(3)) or abs(heights[best]) > _RISEN
+        another = _is_apart(near[best], np.zeros(3)) or abs(heights[best]) > _SAME_HEIGHT_M
         fit_here = (fitting + fit * (n - known)) / n
-        if not another or fit < fit_here + _BETTER + _SIGMAS * math.sqrt(fit * (1.0 - fit) / n):
+        if not another or fit < fit_here + _MIN_GAIN + _GAIN_SIGMAS * math.sqrt(fit * (1.0 - fit) / n):
             return RelocalizationResult(None, "no pose nearby fits better than the expected one")
-        T = _placed(T_world_camera, near[best])
+        T = _moved(T_world_camera, near[best])
         T[2, 3] += heights[best]
         return RelocalizationResult(T, "")
 
@@ -167,22 +170,22 @@ class RelocalizationMap:
 
         Roll and pitch of these poses are kept. A pose is accepted only if no other fits as well.
         """
-        few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
-        shifts = np.arange(-_STARTS_APART, _STARTS_APART + _STEP / 2, _STEP)
-        places = _grid(shifts, np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE))
-        around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
+        few, points = _sample(points, _COARSE_POINTS), _sample(points, _FINE_POINTS)
+        shifts = np.arange(-_START_RANGE_M, _START_RANGE_M + _COARSE_STEP_M / 2, _COARSE_STEP_M)
+        places = _grid(shifts, np.arange(-_SEARCH_TURN_RAD, _SEARCH_TURN_RAD + _COARSE_STEP_RAD / 2, _COARSE_STEP_RAD))
+        around = _grid(_FINE_STEPS * _FINE_STEP_M, _FINE_STEPS * _FINE_STEP_RAD)
         candidates: list[tuple[float, float, Pose]] = []  # worth, fit and pose of the best places around each start
         for T in starts:
-            fits, worths, heights = self._judge(few, T, places)
+            fits, scores, heights = self._score(few, T, places)
             if fits.max() < 0.0:
                 continue
-            for k in _apart(places, worths - _far(places, heights), _REFINED_FEW):
+            for k in _best_apart(places, scores - _distance_cost(places, heights), _REFINED_PER_START):
                 near = places[k] + around
-                fits, worths, heights = self._judge(points, T, near)
-                best = int(np.argmax(worths))
-                pose = _placed(T, near[best])
+                fits, scores, heights = self._score(points, T, near)
+                best = int(np.argmax(scores))
+                pose = _moved(T, near[best])
                 pose[2, 3] += heights[best]
-                candidates.append((float(worths[best]), float(fits[best]), pose))
+                candidates.append((float(scores[best]), float(fits[best]), pose))
         if not candidates:
             return RelocalizationResult(None, "lost: none of the visible ground is in the map")
         candidates.sort(key=lambda candidate: -candidate[0])
@@ -191,27 +194,27 @@ class RelocalizationMap:
             return RelocalizationResult(
                 None, f"lost: the best pose in the map fits {100 * max(fit, 0.0):.0f} % of the visible ground"
             )
-        rivals = [other for _, other, at in candidates[1:] if _differs(at, T)]
-        if rivals and max(rivals) > fit - _BETTER:
+        rivals = [other for _, other, at in candidates[1:] if _are_distinct(at, T)]
+        if rivals and max(rivals) > fit - _MIN_GAIN:
             return RelocalizationResult(None, "lost: several poses in the map fit equally well")
         return RelocalizationResult(T, "")
 
-    def _judge(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:
-        """Score places (k, 3): share of fitting points, worth, and height [m].
+    def _score(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:
+        """Return the share of fitting points (k,), the score (k,) and the height (k,) [m] of places (k, 3).
 
-        The share refers to points on known cells. A point that does not fit is much stronger evidence against a place than a
-        fitting point, for example on level ground, is for it. A point on an unknown cell is no evidence. Share and worth are
-        -1 and minus infinity if too few points are on known cells.
+        The share refers to points on known cells; a point on an unknown cell is no evidence. In the score, a point that does
+        not fit weighs much more against a place than a fitting point weighs for it, because on level ground points fit
+        anywhere. Share and score are -1 and minus infinity if too few points are on known cells.
         """
         out = np.empty((len(places), 3))
         _score_places(points, T, places, self._cells, self._noise, out)
         known, fitting, heights = out.T
         enough = known >= _MIN_KNOWN * len(points)
-        worth = (fitting - _AGAINST * (known - fitting)) / len(points)
-        return np.where(enough, fitting / np.maximum(known, 1.0), -1.0), np.where(enough, worth, -np.inf), heights
+        score = (fitting - _MISFIT_WEIGHT * (known - fitting)) / len(points)
+        return np.where(enough, fitting / np.maximum(known, 1.0), -1.0), np.where(enough, score, -np.inf), heights
 
 
-def _some(points: Array, count: int) -> Array:
+def _sample(points: Array, count: int) -> Array:
     """Return an even sample of points in an irregular order.
 
     A regular stride that divides the image width would read only a few columns.
@@ -226,37 +229,41 @@ def _grid(shifts: Array, angles: Array) -> Array:
     return np.stack(np.meshgrid(shifts, shifts, angles, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _far(places: Array, heights: Array) -> Array:
-    """Return the worth that places lose by their distance from the expected pose."""
-    way = np.hypot(places[:, 0], places[:, 1]) / _SEARCH_RANGE_M + np.abs(places[:, 2]) / _TURN + np.abs(heights) / _RISE
-    return np.asarray(_WAY * way)
+def _distance_cost(places: Array, heights: Array) -> Array:
+    """Return the cost (k,) of places (k, 3) by their distance from the expected pose."""
+    way = (
+        np.hypot(places[:, 0], places[:, 1]) / _SEARCH_RANGE_M
+        + np.abs(places[:, 2]) / _SEARCH_TURN_RAD
+        + np.abs(heights) / _COST_HEIGHT_M
+    )
+    return np.asarray(_DISTANCE_COST * way)
 
 
-def _is_other(places: Array, place: Array) -> NDArray[np.bool_]:
+def _is_apart(places: Array, place: Array) -> NDArray[np.bool_]:
     way = places - place
-    return np.asarray((np.hypot(way[..., 0], way[..., 1]) > _APART) | (np.abs(way[..., 2]) > _TURNED))
+    return np.asarray((np.hypot(way[..., 0], way[..., 1]) > _SAME_PLACE_M) | (np.abs(way[..., 2]) > _SAME_TURN_RAD))
 
 
-def _apart(places: Array, worth: Array, count: int) -> NDArray[np.intp]:
-    """Return the best places that are apart from each other, best first."""
+def _best_apart(places: Array, score: Array, count: int) -> NDArray[np.intp]:
+    """Return the indices of the best places that are apart from each other, best first."""
     chosen: list[int] = []
     left = np.ones(len(places), dtype=bool)
     while len(chosen) < count and left.any():
-        k = int(np.argmax(np.where(left, worth, -np.inf)))
+        k = int(np.argmax(np.where(left, score, -np.inf)))
         chosen.append(k)
-        left &= _is_other(places, places[k])
+        left &= _is_apart(places, places[k])
     return np.array(chosen)
 
 
-def _differs(T: Pose, other: Pose) -> bool:
+def _are_distinct(T: Pose, other: Pose) -> bool:
     """Return whether two poses are too far apart for their fine searches to overlap."""
-    far = np.linalg.norm(T[:2, 3] - other[:2, 3]) > 2.0 * _APART
+    far = np.linalg.norm(T[:2, 3] - other[:2, 3]) > 2.0 * _SAME_PLACE_M
     cosine = (np.trace(T[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
-    return bool(far or cosine < math.cos(2.0 * _TURNED))
+    return bool(far or cosine < math.cos(2.0 * _SAME_TURN_RAD))
 
 
-def _placed(T: Pose, place: Array) -> Pose:
-    """Shift a pose (4, 4) in the plane and turn it about the vertical axis through it."""
+def _moved(T: Pose, place: Array) -> Pose:
+    """Return a pose (4, 4), shifted in the plane and turned about its own vertical axis by a place (3,)."""
     c, s = math.cos(place[2]), math.sin(place[2])
     out = T.copy()
     out[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ T[:3, :3]
@@ -272,6 +279,7 @@ def _tag(i: int, j: int) -> int:
 
 @compiled
 def _fill_between(w: Array, x: Array, y: Array, out: Array) -> int:
+    """Write the points of `surface_points`, and return their number; `w` is the inverse depth."""
     n = 0
     rows, columns = w.shape
     for i in range(rows):
@@ -289,9 +297,9 @@ def _fill_between(w: Array, x: Array, y: Array, out: Array) -> int:
                 z = 1.0 / w[a, b]
                 dx, dy, dz = x[b] * z - out[here, 0], y[a] * z - out[here, 1], z - out[here, 2]
                 gap = math.sqrt(dx * dx + dy * dy + dz * dz)
-                if gap > _GAP:
+                if gap > _MAX_GAP_M:
                     continue
-                steps = math.ceil(gap / (0.7 * _RESOLUTION))
+                steps = math.ceil(gap / (0.7 * _RESOLUTION_M))
                 for k in range(1, steps):
                     s = k / steps
                     out[n, 0], out[n, 1], out[n, 2] = out[here, 0] + s * dx, out[here, 1] + s * dy, out[here, 2] + s * dz
@@ -313,26 +321,27 @@ def _claim(i: int, j: int, cells: Any) -> tuple[int, int]:
 
 @compiled
 def _add(points: Array, T: Array, cells: Any) -> None:
+    """Extend the height ranges of cells by points (n, 3) [m] {camera}, and the free heights along their rays."""
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION
-        v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / _RESOLUTION
+        u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION_M
+        v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / _RESOLUTION_M
         height = np.float32(T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3])
         row, column = math.floor(u), math.floor(v)
         # 1. The cell and its neighbours.
         here = cells[_claim(row, column, cells)]
         if not here.low <= height <= here.high:
-            news = here.low > here.high
+            newly_seen = here.low > here.high
             for i in range(row - 1, row + 2):
                 for j in range(column - 1, column + 2):
                     cell = cells[_claim(i, j, cells)]
-                    cell.seen_around += news
+                    cell.seen_around += newly_seen
                     cell.low_around, cell.high_around = min(cell.low_around, height), max(cell.high_around, height)
             here.low, here.high = min(here.low, height), max(here.high, height)
         # 2. The cells that its ray crosses. A fraction of the rays is dense enough.
-        if n % _SIGHTS:
+        if n % _RAY_STRIDE:
             continue
-        du, dv, dz = T[0, 3] / _RESOLUTION - u, T[1, 3] / _RESOLUTION - v, T[2, 3] - height
+        du, dv, dz = T[0, 3] / _RESOLUTION_M - u, T[1, 3] / _RESOLUTION_M - v, T[2, 3] - height
         way = max(abs(du), abs(dv))
         for step in range(2, int(min(way, 0.5 * _SIDE))):
             s = step / way
@@ -341,33 +350,33 @@ def _add(points: Array, T: Array, cells: Any) -> None:
 
 
 @compiled
-def _look_up(points: Array, T: Array, cells: Any, noise: float, outside: Array) -> tuple[int, int, int]:
-    """Count the points (n, 3) {camera} that are known, contradicting and fitting.
+def _count_points(points: Array, T: Array, cells: Any, noise: float, outside: Array) -> tuple[int, int, int]:
+    """Return how many points (n, 3) [m] {camera} are on known cells, contradict the map, and fit.
 
-    A point contradicts the map if it lies below the range of its cell and the neighbours. It also does above this range if a
-    ray has passed higher. Contradicting points are marked in `outside` (n,).
+    A point fits within the height range of its cell. The module's docstring states when it contradicts the map.
+    Contradicting points are marked in `outside` (n,).
     """
-    known = misfit = fitting = 0
+    known = contradicting = fitting = 0
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i = math.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION)
-        j = math.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / _RESOLUTION)
+        i = math.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION_M)
+        j = math.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / _RESOLUTION_M)
         cell = cells[i & (_SIDE - 1), j & (_SIDE - 1)]
         if cell.tag != _tag(i, j) or cell.seen_around < 9:
             continue
         known += 1
         height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        tolerance = _TOLERANCE + noise * z * z
+        tolerance = _TOLERANCE_M + noise * z * z
         fitting += cell.low - tolerance <= height <= cell.high + tolerance
         through = cell.high_around + tolerance < height < cell.clear - tolerance
         outside[n] = height < cell.low_around - tolerance or through
-        misfit += outside[n]
-    return known, misfit, fitting
+        contradicting += outside[n]
+    return known, contradicting, fitting
 
 
 @compiled
 def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: float, out: Array) -> None:
-    """Score places (k, 3): points on known cells, fitting points, and height [m].
+    """Write for each place (k, 3) the points on known cells, the fitting points, and the height [m], to `out` (k, 3).
 
     The height is the one at which the most points fit.
     """
@@ -376,7 +385,7 @@ def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: flo
     for n in range(m):
         for a in range(3):
             flat[n, a] = T[a, 0] * points[n, 0] + T[a, 1] * points[n, 1] + T[a, 2] * points[n, 2]
-    levels = 2 * _LEVELS + 1
+    levels = 2 * _HEIGHT_STEPS + 1
     begins, ends = np.empty(levels + 1, np.int64), np.empty(levels + 1, np.int64)
     for k in range(len(places)):
         c, s = math.cos(places[k, 2]), math.sin(places[k, 2])
@@ -384,17 +393,17 @@ def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: flo
         begins[:], ends[:] = 0, 0
         known = 0
         for n in range(m):
-            i = math.floor((x0 + c * flat[n, 0] - s * flat[n, 1]) / _RESOLUTION)
-            j = math.floor((y0 + s * flat[n, 0] + c * flat[n, 1]) / _RESOLUTION)
+            i = math.floor((x0 + c * flat[n, 0] - s * flat[n, 1]) / _RESOLUTION_M)
+            j = math.floor((y0 + s * flat[n, 0] + c * flat[n, 1]) / _RESOLUTION_M)
             cell = cells[i & (_SIDE - 1), j & (_SIDE - 1)]
             if cell.tag != _tag(i, j) or cell.seen_around < 9:
                 continue
             known += 1
             # The point fits if it is raised by an amount between these two.
             height = T[2, 3] + flat[n, 2]
-            tolerance = _TOLERANCE + noise * points[n, 2] * points[n, 2]
-            first = math.ceil((cell.low - tolerance - height) / _TOLERANCE) + _LEVELS
-            last = math.floor((cell.high + tolerance - height) / _TOLERANCE) + _LEVELS
+            tolerance = _TOLERANCE_M + noise * points[n, 2] * points[n, 2]
+            first = math.ceil((cell.low - tolerance - height) / _TOLERANCE_M) + _HEIGHT_STEPS
+            last = math.floor((cell.high + tolerance - height) / _TOLERANCE_M) + _HEIGHT_STEPS
             if last < 0 or first >= levels:
                 continue
             begins[max(int(first), 0)] += 1
@@ -403,9 +412,9 @@ def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: flo
         for level in range(levels):
             fitting += begins[level] - ends[level]
             # Among equally good heights, prefer the expected one.
-            worth = fitting - 1e-3 * abs(level - _LEVELS)
-            if worth > most:
-                most, at = worth, level
+            score = fitting - 1e-3 * abs(level - _HEIGHT_STEPS)
+            if score > most:
+                most, at = score, level
         out[k, 0] = known
         out[k, 1] = max(round(most), 0)
-        out[k, 2] = (at - _LEVELS) * _TOLERANCE
+        out[k, 2] = (at - _HEIGHT_STEPS) * _TOLERANCE_M

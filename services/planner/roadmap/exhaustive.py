@@ -2,14 +2,18 @@
 
 **Footholds** are all those that the roadmap may choose (`roadmap_search.candidates`), grouped in tiles. A narrow piece of
 ground has three tiles: around its first and last good place along the strip, and around its middle. Ground that is wide in both
-directions is one tile. In a tile a foot may be anywhere within the reach of its leg from the body, and it may always move. The
-**body** uses the roadmap's lattice and its cone.
+directions is one tile. A foot on a tile may be at any of its places within reach, and may move among them at any time. The
+**body** uses the roadmap's lattice and its cone of motions. A configuration is a lattice place of the body, and a tile for each
+foot.
 
-**Tests** are necessary conditions: reach, foot placement, distance between feet, and support. The centre of mass can lie a
-margin inside the line through two feet only if both feet are that far out in the direction across the line. So each foothold
-has a set of directions, and a stance holds if the sets of every two neighbouring feet intersect. The tests that are left out
-could only refuse more: torque, distances between legs, and trunk, shanks and swings over the ground. The remaining
-configurations are few enough to search all of them. If none of them leads across, there is no path at this discretisation.
+**Tests** are necessary conditions: reach, foot placement, distance between feet, and support. The support polygon has a margin
+around the centre of mass only if every edge has this margin. An edge joins two neighbouring feet, and has it only if both feet
+are at least as far from the centre of mass, in the direction perpendicular to the edge. So each foothold has the set of
+directions in which it is far enough out, and a stance passes if the sets of every two neighbouring feet intersect.
+
+The tests of the roadmap that are left out could only refuse more: torque, distances between legs, and clearance of trunk,
+shanks and swings over the ground. The remaining configurations are few enough to search all of them. If none of them leads
+across, there is no path at this discretisation.
 """
 
 import math
@@ -28,21 +32,21 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.compiled import compiled
 
-_ATTEMPTS = 24  # attempts of the roadmap, each with other samples
-_WORDS = 2  # words of 64 directions
-_AROUND = 0.35  # [m] from the body, within which its feet are
-_WIDE = 0.50  # [m] ground longer and wider than this is one tile
-_NARROW = 0.08  # [m] maximum extent of a piece with three tiles; a longer one is divided into several pieces
-_ROOM = 4_000_000  # maximum number of configurations
-_MOST_TILES, _MOST_SIDES = 255, 63  # limits of the encoding of a configuration
+_ATTEMPTS = 24  # attempts of the roadmap, each with another seed
+_WORDS = 2  # 64-bit words of a set of directions, one bit per direction
+_FOOT_RANGE_M = 0.35  # [m] maximum distance of a foot from the body along each axis
+_WIDE_M = 0.50  # [m] ground longer and wider than this is one tile
+_NARROW_M = 0.08  # [m] maximum extent of a piece with three tiles; a longer one is divided into several pieces
+_MAX_CONFIGURATIONS = 4_000_000  # maximum number of configurations
+_MAX_TILES, _MAX_SIDES = 255, 63  # limits of the encoding of a configuration
 
 
 class Tiles(NamedTuple):
     """Properties of tiles at each lattice place of the body."""
 
-    out: NDArray[np.uint64]  # (6, tiles, nx, ny, 2) directions in which a leg's foot on a tile is far enough out for support
-    near: NDArray[np.int16]  # (6, nx, ny, k) tiles within a leg's reach, -1 for no more
-    apart: NDArray[np.bool_]  # (tiles, tiles) whether two feet may stand on both
+    out: NDArray[np.uint64]  # (6, tiles, nx, ny, 2) directions, as bits, in which a leg's foot on a tile is far enough out
+    near: NDArray[np.int16]  # (6, nx, ny, k) tiles within a leg's reach, then -1
+    apart: NDArray[np.bool_]  # (tiles, tiles) whether one foot may stand on each
     onward: NDArray[np.bool_]  # (tiles, tiles) whether a foot may step from the first to the second
     moves: NDArray[np.int64]  # (m, 2) body motions, in lattice steps
 
@@ -50,12 +54,11 @@ class Tiles(NamedTuple):
 def passable(
     profile: RobotProfile, settings: PassageSettings, field: StripMap, stance: Stance, goal_x: float, attempts: int = _ATTEMPTS
 ) -> bool | None:
-    """Decide whether a path exists; offline, up to a minute.
-
-    True if the roadmap finds one within `attempts`, False if there can be none.
+    """Decide whether a path exists; offline, in up to a minute.
 
     Returns:
-        None if undecided: a test that `has_way` leaves out may exclude a path, or the roadmap has missed it.
+        True if the roadmap finds a path within `attempts`, False if `has_way` finds that there is none. None if undecided: a
+        test that `has_way` leaves out may exclude all paths, or the roadmap may have missed one.
     """
     roadmap = Roadmap(profile, settings)
     for seed in range(attempts):
@@ -68,11 +71,16 @@ def passable(
 
 
 def has_way(
-    profile: RobotProfile, settings: PassageSettings, field: StripMap, stance: Stance, goal_x: float, room: int = _ROOM
+    profile: RobotProfile,
+    settings: PassageSettings,
+    field: StripMap,
+    stance: Stance,
+    goal_x: float,
+    room: int = _MAX_CONFIGURATIONS,
 ) -> bool | None:
-    """Return whether a path exists under the tests of this module.
+    """Return whether a path exists under the necessary conditions of this module.
 
-    If it does not, the roadmap has no path over these footholds either.
+    If there is none, the roadmap has no path over these footholds either.
 
     Args:
         profile: The robot.
@@ -83,17 +91,17 @@ def has_way(
         room: Maximum number of configurations.
 
     Returns:
-        None if there are more configurations.
+        None if there are more configurations than `room`.
 
     Raises:
         ValueError: A foot of the first stance is not on a foothold, or resolution and lattice differ.
     """
     rules = rules_of(profile, settings)
-    tile = _cut(field, settings)
+    tile = _tile_map(field, settings)
     start = np.rint(stance.body[:2] / rules.lattice).astype(np.int64)
     sides = max(math.floor(rules.drift / rules.lattice + 1e-6), abs(int(start[1])))
     size = math.ceil(goal_x / rules.lattice - 1e-6) - int(start[0]) + 1, 2 * sides + 1
-    if tile.max() >= _MOST_TILES or size[1] > _MOST_SIDES:
+    if tile.max() >= _MAX_TILES or size[1] > _MAX_SIDES:
         return None
     cells = np.floor((stance.feet[:, :2] - field.corner) / field.resolution + 0.5).astype(int)
     standing = tile[cells[:, 0], cells[:, 1]]
@@ -106,7 +114,7 @@ def has_way(
     return None if found < 0 else found > 0
 
 
-def _cut(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
+def _tile_map(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
     """Return the tile (nx, ny) of each foothold cell, -1 for other cells.
 
     Wide ground is one tile, a narrow piece has three.
@@ -115,14 +123,14 @@ def _cut(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
     roadmap_search.candidates(field.evaluation, settings.strong_cells, settings.wide_cells, settings.weakest_cells, carries)
     part = np.full(carries.shape, -1, dtype=np.int16)
     tile, tiles = part.copy(), 0
-    for k in range(_label(carries, part)):
+    for k in range(_label_pieces(carries, part)):
         cells = np.argwhere(part == k)
         extent = (np.ptp(cells, axis=0) + 1) * field.resolution
-        if (extent > _WIDE).all():
+        if (extent > _WIDE_M).all():
             tile[tuple(cells.T)] = tiles
             tiles += 1
             continue
-        pieces = np.ceil(extent / _NARROW - 1e-6).astype(int)
+        pieces = np.ceil(extent / _NARROW_M - 1e-6).astype(int)
         which = (cells - cells.min(axis=0)) * pieces // (np.ptp(cells, axis=0) + 1)
         for piece in np.unique(which, axis=0):
             inside = cells[(which == piece).all(axis=1)]
@@ -156,7 +164,7 @@ def _tiles(
     out = np.zeros((6, count, *size, _WORDS), dtype=np.uint64)
     first = np.floor(np.array(field.corner) / rules.lattice + 1e-9).astype(np.int64) - corner
     level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64) + (window.shape[1] - 1)
-    _reach(window, tile, level, first, window.shape[2] // 2, out)
+    _combine_directions(window, tile, level, first, window.shape[2] // 2, out)
     # 2. The tiles within reach come first in each leg's list.
     reached = out.any(axis=-1)  # (6, tiles, nx, ny)
     near = np.argsort(~reached, axis=1, kind="stable")[:, : int(reached.sum(axis=1).max())]
@@ -173,21 +181,21 @@ def _tiles(
 
 
 def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, lowest: float) -> NDArray[np.uint64]:
-    """Return the directions in which a foot is far enough out, for all foot offsets.
+    """Return the directions in which a foot is far enough out, for each leg and each foot offset from the body.
 
-    The shape is (6, levels, n, n, words). There is no direction where the leg does not reach.
+    The shape is (6, levels, n, n, words). An offset out of the leg's reach has no direction.
 
     Args:
         profile: The robot.
         settings: Settings of the roadmap.
-        corner: (2,) [m] a foot place; all foot places have its offset from the body's lattice.
-        lowest: [m] lowest ground relative to the body's floor, below zero; the highest is as far above the floor.
+        corner: (2,) [m] any foot place. The grid of foot places has the same offset from the body's lattice everywhere.
+        lowest: [m] lowest ground relative to the floor under the body, negative; the highest is as far above that floor.
     """
     rules, legs = rules_of(profile, settings), legs_of(profile, settings)
     levels = rules.lattice * np.arange(
         -math.ceil(-lowest / rules.lattice - 1e-6), math.ceil(-lowest / rules.lattice - 1e-6) + 1
     )
-    k = math.ceil(_AROUND / rules.lattice)
+    k = math.ceil(_FOOT_RANGE_M / rules.lattice)
     lattice = rules.lattice * np.stack(np.meshgrid(*[np.arange(-k, k + 1)] * 2, indexing="ij"), axis=-1)
     off = lattice + corner - rules.lattice * np.floor(corner / rules.lattice + 1e-9)
     window = np.zeros((6, len(levels), *off.shape[:2], _WORDS), dtype=np.uint64)
@@ -201,7 +209,7 @@ def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, low
 
 
 def _directions(off: Array, margin: float) -> NDArray[np.uint64]:
-    """Return, as bits, the directions in which places are at least a margin [m] out.
+    """Return the directions in which places are at least a margin [m] from the origin, as bits.
 
     Places are (..., 2) [m], the result is (..., words). Each bit stands for all directions up to half way to its neighbours.
     """
@@ -215,7 +223,7 @@ def _directions(off: Array, margin: float) -> NDArray[np.uint64]:
 
 
 @compiled
-def _label(carries: NDArray[np.bool_], part: NDArray[np.int16]) -> int:
+def _label_pieces(carries: NDArray[np.bool_], part: NDArray[np.int16]) -> int:
     """Number the connected pieces of ground; return how many there are."""
     pieces = 0
     stack = np.empty((carries.size, 2), np.int64)
@@ -239,7 +247,7 @@ def _label(carries: NDArray[np.bool_], part: NDArray[np.int16]) -> int:
 
 
 @compiled
-def _reach(
+def _combine_directions(
     window: NDArray[np.uint64],
     tile: NDArray[np.int16],
     level: NDArray[np.int64],
@@ -247,10 +255,15 @@ def _reach(
     k: int,
     out: NDArray[np.uint64],
 ) -> None:
-    """Combine the directions of cells to those of their tiles.
+    """Add the directions of each cell to those of its tile, for each body place within `k` cells.
 
-    Cell (0, 0) is at lattice place `first` of the body. The window has `k` places to every side. `level` is the height of a
-    cell in the window's levels with the body's floor at its lowest. All possible heights of the floor count.
+    Args:
+        window: Directions by leg, level and offset, see `_window`.
+        tile: (nx, ny) tile of each cell.
+        level: (nx, ny) height of each cell as a level of the window, for the lowest floor under the body.
+        first: (2,) lattice place of cell (0, 0).
+        k: Cells of the window to every side of its middle.
+        out: Directions of the tiles, see `Tiles`; the directions at all possible heights of the floor are united.
     """
     levels = (window.shape[1] + 1) // 2
     for i in range(tile.shape[0]):
@@ -269,8 +282,8 @@ def _reach(
 
 
 @compiled
-def _holds(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int, y: int) -> bool:
-    """Return whether the standing legs can support the body from their tiles."""
+def _is_supported(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int, y: int) -> bool:
+    """Return whether the legs other than `swing` can support the body at a place from their tiles."""
     for a in range(6):
         if a == swing:
             continue
@@ -286,35 +299,35 @@ def _holds(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int
 
 
 @compiled
-def _note(
+def _add_configuration(
     x: int,
     y: int,
     tiles: NDArray[np.int64],
-    known: NDArray[np.uint64],
-    node: NDArray[np.uint64],
-    after: NDArray[np.int32],
-    first: NDArray[np.int32],
-    nodes: int,
+    seen: NDArray[np.uint64],
+    codes: NDArray[np.uint64],
+    next_open: NDArray[np.int32],
+    first_open: NDArray[np.int32],
+    count: int,
 ) -> int:
-    """Add a configuration to the open list unless it is known.
+    """Add a configuration to the open list of its row, unless it was seen before.
 
-    Return the number of configurations, -1 for too many.
+    Return the number of configurations, -1 if there are too many.
     """
     code = np.uint64(x) << np.uint64(6) | np.uint64(y)
     for leg in range(6):
         code = code << np.uint64(8) | np.uint64(tiles[leg])
     code += np.uint64(1)
     h = (code ^ (code >> np.uint64(31))) * np.uint64(0xFF51AFD7ED558CCD)
-    mask = np.uint64(len(known) - 1)
+    mask = np.uint64(len(seen) - 1)
     at = (h ^ (h >> np.uint64(29))) & mask
-    while known[at] != 0:
-        if known[at] == code:
-            return nodes
+    while seen[at] != 0:
+        if seen[at] == code:
+            return count
         at = (at + np.uint64(1)) & mask
-    if nodes >= len(node):
+    if count >= len(codes):
         return -1
-    known[at], node[nodes], after[nodes], first[x] = code, code - np.uint64(1), first[x], nodes
-    return nodes + 1
+    seen[at], codes[count], next_open[count], first_open[x] = code, code - np.uint64(1), first_open[x], count
+    return count + 1
 
 
 @compiled
@@ -322,43 +335,52 @@ def _grow(
     ground: Tiles,
     standing: NDArray[np.int64],
     y: int,
-    known: NDArray[np.uint64],
-    node: NDArray[np.uint64],
-    after: NDArray[np.int32],
-    first: NDArray[np.int32],
+    seen: NDArray[np.uint64],
+    codes: NDArray[np.uint64],
+    next_open: NDArray[np.int32],
+    first_open: NDArray[np.int32],
 ) -> int:
-    """Search all configurations: return 1 if the last row of places is reached, or 0.
+    """Search all configurations: return 1 if the last row of body places is reached, or 0.
 
-    Return -1 if the memory is full. The open lists are per row of body places: `first` of each row and `after` of each node.
-    The furthest row is expanded first.
+    Return -1 if the memory is full. A row is all body places at one distance along the strip. Each row has a linked list of
+    open configurations: `first_open` of the row, then `next_open` of each configuration. The furthest row is expanded first.
+
+    Args:
+        ground: The tiles.
+        standing: (6,) tile of each foot at the start.
+        y: Lattice place of the body across the strip, at the start.
+        seen: Hash table of the configurations' codes, 0 where free.
+        codes: Code of each configuration: body place and six tiles.
+        next_open: Next configuration in the list of its row, -1 at the end.
+        first_open: First configuration of each row's list, -1 if it is empty.
     """
     out, near, apart, onward, moves = ground
     tiles, steps = standing.copy(), standing.copy()
     x = 0
-    nodes = _note(0, y, tiles, known, node, after, first, 0)
+    count = _add_configuration(0, y, tiles, seen, codes, next_open, first_open, 0)
     while x >= 0:
-        if first[x] < 0:
+        if first_open[x] < 0:
             x -= 1
             continue
         if x == out.shape[2] - 1:
             return 1
-        n = first[x]
-        first[x] = after[n]
-        code = node[n]
+        n = first_open[x]
+        first_open[x] = next_open[n]
+        code = codes[n]
         for leg in range(5, -1, -1):
             tiles[leg] = code & np.uint64(255)
             code = code >> np.uint64(8)
         y = code & np.uint64(63)
         at = x
         for leg in range(-1, 6):
-            if leg >= 0 and not _holds(out, tiles, leg, at, y):
+            if leg >= 0 and not _is_supported(out, tiles, leg, at, y):
                 continue
             for m in range(len(moves)):
                 u, v = at + moves[m, 0], y + moves[m, 1]
-                if u >= out.shape[2] or v < 0 or v >= out.shape[3] or not _holds(out, tiles, leg, u, v):
+                if u >= out.shape[2] or v < 0 or v >= out.shape[3] or not _is_supported(out, tiles, leg, u, v):
                     continue
                 if leg < 0:
-                    nodes = _note(u, v, tiles, known, node, after, first, nodes)
+                    count = _add_configuration(u, v, tiles, seen, codes, next_open, first_open, count)
                     x = max(x, u)
                 for k in range(near.shape[3] if leg >= 0 else 0):
                     t = near[leg, u, v, k]
@@ -371,10 +393,10 @@ def _grow(
                         continue
                     steps[:] = tiles
                     steps[leg] = t
-                    nodes = _note(u, v, steps, known, node, after, first, nodes)
+                    count = _add_configuration(u, v, steps, seen, codes, next_open, first_open, count)
                     x = max(x, u)
-                    if nodes < 0:
+                    if count < 0:
                         return -1
-                if nodes < 0:
+                if count < 0:
                     return -1
     return 0

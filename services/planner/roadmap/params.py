@@ -33,9 +33,9 @@ class GapCrossingParams(Params):
     foot_angle_deg: float = ranged(35.0, 1.0, 180.0)  # [deg] angle of the cone of footholds, beta
     drift_m: float = ranged(0.12, 0.0, 1.0)  # [m] maximum sideways motion of the body, Delta y
     lattice_m: float = ranged(0.01, 0.001, 0.1)  # [m] lattice of body places
-    strong_cells: int = ranged(-2, -100, -1)  # [cells] evaluation function, up to which a sample is taken unchanged
-    wide_cells: int = ranged(-4, -100, -1)  # [cells] local minimum, up to which ground is wide
-    weakest_cells: int = ranged(-1, -100, -1)  # [cells] weakest permitted local minimum of a sample
+    strong_cells: int = ranged(-2, -100, -1)  # [cells] evaluation function, up to which a sampled foothold is used unchanged
+    wide_cells: int = ranged(-4, -100, -1)  # [cells] local minimum of the evaluation function, up to which ground is wide
+    weakest_cells: int = ranged(-1, -100, -1)  # [cells] highest local minimum to which a sampled foothold may move
     margin_m: float = ranged(0.03, 0.0, 0.2)  # [m] support margin: 2 cm, plus 1 cm for the error of the feet
     legs_apart_m: float = ranged(0.046, 0.0, 0.2)  # [m] between the centre lines of neighbouring legs
     body_clear_m: float = ranged(0.02, 0.0, 0.2)  # [m] between trunk and ground
@@ -46,14 +46,14 @@ class GapCrossingParams(Params):
     reach_margin_m: float = ranged(0.003, 0.0, 0.1)  # [m] distance kept from both ends of each leg's reach
     max_swing_shift_m: float = ranged(0.08, 0.0, 0.5)  # [m] maximum shift of a swing point into reach
     max_repair_m: float = ranged(0.03, 0.0, 0.2)  # [m] maximum body shift to repair a start stance
-    budget: int = ranged(24_000, 1, 100_000_000)  # expansions for one section
-    patience: int = ranged(1200, 1, 100_000_000)  # expansions of the first tree before another one replaces it
+    budget: int = ranged(24_000, 1, 100_000_000)  # maximum number of expansions for one section
+    patience: int = ranged(1200, 1, 100_000_000)  # expansions of the first tree, after which a new tree replaces it
     nodes: int = ranged(100_000, 1, 10_000_000)  # maximum number of configurations
-    eager: float = ranged(5.0, 0.01, 1000.0)  # [1] weight of the cost to go
-    lag_price: float = ranged(1.0, 0.0, 1000.0)  # [steps] price of a foot that has its whole stroke behind it
-    crowd_price: float = ranged(0.05, 0.0, 1000.0)  # [steps] price of each earlier expansion at the same progress
+    eager: float = ranged(5.0, 0.01, 1000.0)  # [1] weight of the cost to go, as in weighted A*
+    lag_price: float = ranged(1.0, 0.0, 1000.0)  # [steps] cost of a foot at the rear end of its stroke
+    crowd_price: float = ranged(0.05, 0.0, 1000.0)  # [steps] cost per earlier expansion with the same progress of the body
     alike_cells: int = ranged(2, 1, 100)  # [cells] of body and feet, within which configurations count as the same
-    rounds: int = ranged(2, 1, 100)  # of all legs that a configuration may take
+    rounds: int = ranged(2, 1, 100)  # number of times that a configuration tries each leg
 
     checks = (
         *(

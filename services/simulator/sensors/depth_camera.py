@@ -1,6 +1,6 @@
-"""Sensor model of a PrimeSense depth camera.
+"""Sensor model of a PrimeSense depth camera: noise, quantisation, range limits and missing pixels.
 
-It simulates noise, quantisation, range limits and missing pixels. The camera triangulates between a projector and one sensor.
+The camera triangulates between a projector and one sensor.
 It measures the disparity d = fx * baseline / z, in which its noise is Gaussian and its quantisation uniform. Pixels are missing
 where the projector's light does not reach or returns too weakly.
 
@@ -18,11 +18,11 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
-RANDOM_LOSS = 0.05  # share of pixels that are missing at random
-GRAZING = (0.03, 0.12)  # cosines of incidence: below the first no pixel is measured, above the second all are
+RANDOM_LOSS = 0.05  # [1] share of pixels that are missing at random
+GRAZING = (0.03, 0.12)  # [1] cosines of incidence: below the first, all pixels are missing; above the second, none
 _SHADOW_MARGIN = 0.5  # [px] disparity margin, so that rounding does not make a smooth surface shadow itself
-_GAUSS_BITS = 12
-_MAX_RAW = 65535
+_GAUSS_BITS = 12  # random bits of a noise value: logarithm of the table's length
+_MAX_RAW = 65535  # [raw units] largest depth of a frame
 
 
 class DepthCamera:
@@ -40,12 +40,12 @@ class DepthCamera:
         """Create a camera.
 
         Args:
-            intrinsics: Intrinsics of the image; the projector is `sensor.baseline` to the right of the sensor.
+            intrinsics: Intrinsics of the image. The projector is `sensor.baseline` [m] to the right of the sensor.
             sensor: Range limits and noise parameters.
-            rng: Generator of the camera's key; one draw, only here.
+            rng: Generator of the camera's key. It is used once, and only here.
             noise: Whether to add disparity noise and quantisation; without them, depth is only rounded to raw units.
             dropouts: Whether to remove pixels in shadows, at grazing incidence and at random.
-            loss: Share of pixels that are removed at random.
+            loss: [1] share of pixels that are removed at random.
         """
         self.intrinsics, self.sensor = intrinsics, sensor
         self._key = np.uint32(rng.integers(1 << 32))
@@ -54,7 +54,7 @@ class DepthCamera:
         self._loss = loss
         self._bf = intrinsics.fx * sensor.baseline  # [px m]
         quantised = noise and sensor.disparity_step > 0
-        self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 without quantisation
+        self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # [1/px] steps of disparity, 0 without quantisation
         self._sigma = sensor.disparity_sigma if noise else 0.0
         self._gauss = _gaussian_table()
         self._first_count, self._last_count = self._counts_in_range()
@@ -91,12 +91,12 @@ class DepthCamera:
         self._frames += 1
         return raw
 
-    def pass_over(self) -> None:
+    def skip_frame(self) -> None:
         """Skip a frame; later frames are the same as if it had been measured."""
         self._frames += 1
 
     def _counts_in_range(self) -> tuple[int, int]:
-        """Return the lowest and highest count of disparity whose depth is within range."""
+        """Return the lowest and the highest disparity [steps] whose depth is within range; (1, 0) if there is none."""
         if self._counts == 0.0:
             return 1, 0
         sensor = self.sensor
@@ -144,9 +144,22 @@ def _expose(
 ) -> None:
     """Compute a raw frame: add noise to the disparity, quantise it, remove pixels.
 
-    bf [px m], sigma [px], counts per pixel; counted: first and last count within range. A pixel has 32 random bits: the
-    upper bits select its noise, the lower bits its loss. Each step is a separate loop over a row, without branches if possible,
-    so that it is vectorised.
+    A pixel has 32 random bits: the upper bits select its noise, the lower bits its loss. Each step is a separate loop over a
+    row, without branches if possible, so that it is vectorised.
+
+    Args:
+        w: (h, w) [1/m] true inverse depth.
+        raw: (h, w) [raw units] the frame, written.
+        key: Hash of camera and frame number.
+        bf: [px m] focal length times baseline.
+        sigma: [px] standard deviation of the disparity.
+        counts: [1/px] steps of disparity, 0 without quantisation.
+        gauss: Equally likely values of a normal distribution.
+        counted: First and last disparity [steps] within range.
+        limits: Shortest and longest range [m], and raw units per metre.
+        camera: fx, fy, cx, cy [px].
+        dropouts: Whether to remove pixels.
+        loss: [1] share of pixels that are removed at random.
     """
     rows, columns = raw.shape
     nearest, farthest, scale = limits
@@ -241,7 +254,7 @@ def _graze(
 ) -> None:
     """Remove pixels of a row at grazing incidence and at random.
 
-    x and y are [px] from the optical axis.
+    `line`, `above` and `below` are rows of inverse depth [1/m]; x and y are [px] from the optical axis.
     """
     one = np.float32(1.0)
     per_fx, per_fy = one / fx, one / fy

@@ -81,7 +81,7 @@ class RobotCamera:
             self._movers.advance(self._world.time_ns * 1e-9, self._world.T_world_body)
         rendered = self._frames % self._frames_per_picture == 0
         if not rendered:
-            self._depth_camera.pass_over()
+            self._depth_camera.skip_frame()
         return rendered
 
     def depth(self) -> NDArray[np.uint16] | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.services.simulator.servo_bus.servo_bank import bank_of
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
@@ -53,7 +53,7 @@ class BenchEmulator(ServoBusEmulator):
         self.robot = replace(profile, calibration=tuple(entries))  # with the true mounting errors
         ids = list(profile.servo_names)
         q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
-        self._servos = bank_of(profile.servo.model, ids, q)
+        self._servos = make_servo_bank(profile.servo.model, ids, q)
         if fresh:
             self._servos.tables[:, dxl.ID.address] = dxl.ID.default
         else:

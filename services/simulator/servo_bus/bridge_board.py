@@ -8,7 +8,7 @@ from typing import Protocol
 
 from sextant.services.simulator.servo_bus.bridge_firmware import Firmware
 from sextant.services.simulator.servo_bus.bus import BusTiming
-from sextant.services.simulator.servo_bus.host_link import HostLink, Outbox, Outlet, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink, Outbox, Reply
 
 _OUTBOX = 8  # maximum number of frames that wait for a host that does not read; the oldest are dropped
 _START_NS = 300_000_000  # [ns] boot time of the microcontroller
@@ -49,9 +49,9 @@ class Board:
         """Process bytes that the host sends at a time [ns]; return all waiting replies."""
         self._in_free_ns = max(now_ns, self._in_free_ns) + self._link.wire_ns(len(data))
         self._from_host.append(Reply(self._in_free_ns, data))
-        return self.speak(now_ns)
+        return self.unsolicited_replies(now_ns)
 
-    def speak(self, now_ns: int) -> list[Reply]:
+    def unsolicited_replies(self, now_ns: int) -> list[Reply]:
         """Return the unsolicited replies up to a time [ns]."""
         self._run(now_ns)
         said = list(self._outbox)
@@ -64,12 +64,12 @@ class Board:
         ends = (self._from_host[0].due_ns if self._from_host else None, self._from_bus.due_ns)
         return max(min([self.firmware.due_ns, *(end for end in ends if end is not None)]), self._dead_until_ns)
 
-    def outlet(self, now_ns: int) -> Outlet | None:
+    def adapter_port(self, now_ns: int) -> AdapterPort | None:
         """Return the identity of the port.
 
         If the adapter is unplugged, the USB cable of the board is unplugged.
         """
-        return self._bus.outlet(now_ns)
+        return self._bus.adapter_port(now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Run the firmware and apply the writes to the servos up to a time [ns].

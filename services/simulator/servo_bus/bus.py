@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from sextant.services.simulator.servo_bus.host_link import AnswersOnly, HostLink, Outbox, Outlet, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, HostLink, Outbox, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
@@ -115,9 +115,9 @@ class ServoBusEmulator(AnswersOnly):
             replies += self._execute(packet, start + self._timing.wire_ns(packet.end - offset))
         return replies
 
-    def outlet(self, now_ns: int) -> Outlet | None:
+    def adapter_port(self, now_ns: int) -> AdapterPort | None:
         """Return the identity of the port, which never changes here."""
-        return Outlet()
+        return AdapterPort()
 
     def cut_off(self, rows: frozenset[int]) -> None:
         """Disconnect the servos in these rows from the bus, and connect all others."""
@@ -401,7 +401,7 @@ class MemoryPort:
             bus: The emulated bus; the caller must also call its `advance`.
             clock: Simulated time [ns].
             timeout: Maximum wait of a read [s]; None and 0 both mean no wait, because no other event advances virtual time.
-            name: Name of the port, as in `Outlet`; None for any name.
+            name: Name of the port, as in `AdapterPort`; None for any name.
             start_ns: Minimum of virtual time, e.g. the time of a previous port, so that a clock based on both is monotonic.
 
         Raises:
@@ -414,9 +414,9 @@ class MemoryPort:
         self._last_ns = start_ns
         self._outbox = Outbox()
         self._buffer = bytearray()  # bytes that have arrived and are not read
-        self._outlet = bus.outlet(self.now_ns())
-        if self._outlet is None or name not in (None, self._outlet.name):
-            found = "none" if self._outlet is None else f"{self._outlet.name}"
+        self._adapter_port = bus.adapter_port(self.now_ns())
+        if self._adapter_port is None or name not in (None, self._adapter_port.name):
+            found = "none" if self._adapter_port is None else f"{self._adapter_port.name}"
             raise OSError(f"port {'any' if name is None else name} of the simulated bus expected, found {found}")
 
     def now_ns(self) -> int:
@@ -443,7 +443,7 @@ class MemoryPort:
         """
         now = self._check_open()
         deadline = now + round((self.timeout or 0.0) * _SEC)
-        self._outbox.put(self._bus.speak(deadline))
+        self._outbox.put(self._bus.unsolicited_replies(deadline))
         self._collect(now)
         while len(self._buffer) < size and (due_ns := self._outbox.due_ns) is not None and due_ns <= deadline:
             now = max(now, due_ns)
@@ -468,7 +468,7 @@ class MemoryPort:
         now = self.now_ns()
         if not self.is_open:
             raise OSError("the port is closed; open a new one")
-        if self._bus.outlet(now) != self._outlet:
+        if self._bus.adapter_port(now) != self._adapter_port:
             raise OSError("the adapter was unplugged; open the port again")
         return now
 

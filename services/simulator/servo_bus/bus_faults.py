@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
-from sextant.services.simulator.servo_bus.host_link import AnswersOnly, Outlet, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.servo import dynamixel as dxl
@@ -106,7 +106,7 @@ class BusFaults(AnswersOnly):
         self._running: list[_Running] = []
         self._injected = 0
         self._gone: list[_Running] = []  # running faults that remove the port
-        self._outlet = Outlet()  # identity of the port after all faults that have been removed
+        self._adapter_port = AdapterPort()  # identity of the port after all faults that have been removed
         self._suffered: list[tuple[int, bool]] = []  # number and `away` of each fault that the bank applies
         for fault in faults:
             self.inject(fault, 0)
@@ -144,14 +144,14 @@ class BusFaults(AnswersOnly):
         t_ns = self._simulated(now_ns)
         return "; ".join(str(running.fault) for running in self._running if running.on(t_ns))
 
-    def outlet(self, now_ns: int) -> Outlet | None:
+    def adapter_port(self, now_ns: int) -> AdapterPort | None:
         """Return the identity of the port at a time [ns], None while the port is gone."""
         if not self._gone:
-            return self._outlet
+            return self._adapter_port
         t_ns = self._simulated(now_ns)
         if any(running.on(t_ns) for running in self._gone):
             return None
-        return _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
+        return _after(self._adapter_port, [running for running in self._gone if running.end_ns <= t_ns])
 
     def _simulated(self, now_ns: int) -> int:
         return 0 if self.origin_ns is None else now_ns - self.origin_ns
@@ -201,47 +201,47 @@ class BusFaults(AnswersOnly):
         if suffered == self._suffered:
             return
         self._suffered = suffered
-        ailments = ServoFaults.none(len(self._bank))
+        servo_faults = ServoFaults.none(len(self._bank))
         for running in active:
-            self._afflict(ailments, running, running.away(t_ns))
-        self._bank.ail(ailments if active else None)
+            self._add_servo_fault(servo_faults, running, running.away(t_ns))
+        self._bank.set_faults(servo_faults if active else None)
 
-    def _afflict(self, ailments: ServoFaults, running: _Running, away: bool) -> None:
+    def _add_servo_fault(self, servo_faults: ServoFaults, running: _Running, away: bool) -> None:
         """Add one fault to the fault state of servos and supply."""
         fault, row = running.fault, running.row
         match running.cell:
             case "servo", ("silent" | "intermittent"):
-                ailments.unpowered[row] |= fault.cable and away
+                servo_faults.unpowered[row] |= fault.cable and away
             case "servo", "stuck":
-                ailments.frozen[row] = True
+                servo_faults.frozen[row] = True
             case "servo", "jammed":
-                ailments.jammed[row] = True
+                servo_faults.jammed[row] = True
             case "servo", "wrong":
-                ailments.offset[row] += fault.offset_ticks
+                servo_faults.offset[row] += fault.offset_ticks
             case "servo", "overload":
-                ailments.tripped[row] |= int(dxl.ServoError.OVERLOAD)
+                servo_faults.tripped[row] |= int(dxl.ServoError.OVERLOAD)
             case "servo", "heat":
-                ailments.heating[row] += fault.kelvin_per_s
+                servo_faults.heating[row] += fault.kelvin_per_s
             case "servo", "hot":
-                ailments.reads_hot[row] = fault.celsius
+                servo_faults.reads_hot[row] = fault.celsius
             case "supply", "sag":
-                ailments.sag += fault.volts
+                servo_faults.sag += fault.volts
             case "supply", "drain":
                 running.drain = running.drain or self._bank.charge / fault.for_s
-                ailments.drain += running.drain
+                servo_faults.drain += running.drain
 
     def _forget(self, t_ns: int) -> None:
         """Remove faults that are over."""
         if all(running.end_ns > t_ns for running in self._running):
             return
-        self._outlet = _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
+        self._adapter_port = _after(self._adapter_port, [running for running in self._gone if running.end_ns <= t_ns])
         self._gone = [running for running in self._gone if running.end_ns > t_ns]
         self._running = [running for running in self._running if running.end_ns > t_ns]
 
 
-def _after(outlet: Outlet, over: Sequence[_Running]) -> Outlet:
+def _after(adapter_port: AdapterPort, over: Sequence[_Running]) -> AdapterPort:
     """Return the identity of the port after faults that removed it are over."""
-    return Outlet(outlet.name + sum(running.fault.renamed for running in over), outlet.times + len(over))
+    return AdapterPort(adapter_port.name + sum(running.fault.renamed for running in over), adapter_port.times + len(over))
 
 
 def _of(target: FaultTarget, active: Sequence[_Running]) -> list[_Running]:

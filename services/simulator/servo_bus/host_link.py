@@ -16,14 +16,14 @@ class Reply(NamedTuple):
     servo_id: int = -1  # servo that sent the response, -1 for an echo or noise
 
 
-class Outlet(NamedTuple):
-    """Identity of the adapter's port.
+class AdapterPort(NamedTuple):
+    """Identity of the port of a USB adapter.
 
-    An open port works only while the identity does not change.
+    A host can use an open port only while the identity does not change.
     """
 
     name: int = 0  # number of the device name; increases with each return under another name
-    times: int = 0  # number of times the adapter was unplugged
+    times: int = 0  # number of times that the adapter was unplugged
 
 
 class HostLink(Protocol):
@@ -32,14 +32,14 @@ class HostLink(Protocol):
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Process bytes that the host sends at a time [ns], and return the replies."""
 
-    def outlet(self, now_ns: int) -> Outlet | None:
+    def adapter_port(self, now_ns: int) -> AdapterPort | None:
         """Return the identity of the port at a time [ns], None if it is unplugged."""
 
     @property
     def due_ns(self) -> int | None:
         """Time [ns] of the next event of the device; None if it only responds to requests."""
 
-    def speak(self, now_ns: int) -> list[Reply]:
+    def unsolicited_replies(self, now_ns: int) -> list[Reply]:
         """Return the unsolicited replies up to a time [ns]."""
 
 
@@ -51,7 +51,7 @@ class AnswersOnly:
         """None, because the device has no events without a request."""
         return None
 
-    def speak(self, now_ns: int) -> list[Reply]:
+    def unsolicited_replies(self, now_ns: int) -> list[Reply]:
         """Return no unsolicited replies."""
         return []
 

@@ -20,7 +20,7 @@ from sextant.shared.servo.dynamixel import ServoError, ServoModel
 
 Array = NDArray[np.float64]
 
-_EPS = 1e-9  # rounding tolerance of a duty or of a sum of time steps at a limit
+_EPS = 1e-9  # rounding tolerance of a duty, or of a sum of time steps, at a limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,17 +79,17 @@ MOTOR_AND_SUPPLY = {
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
 }
 
-# [ns] limit of the extrapolation of joint motion from a physics step; in lockstep, a cycle reads up to this far ahead of it.
-_FURTHEST_NS = 6_000_000
-_JAM = 5.0  # [1] stiffness and torque limit that hold a jammed joint, relative to its servo
-_BUCKETS = 100  # number of slices of the sliding window of the mean duty
+# [ns] maximum extrapolation of joint motion from a physics step; in lockstep, a cycle reads up to this far ahead of the step.
+_MAX_EXTRAPOLATION_NS = 6_000_000
+_JAM_RATIO = 5.0  # [1] stiffness and torque that hold a jammed joint, as multiples of those of its servo
+_BUCKETS = 100  # number of time slices of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
-# Units are arguments of the compiled loops, because these compile global constants in, and their cache does not detect changes
-# in another file. The error bits above are fixed by the protocol.
+# The compiled functions take units as arguments: a global constant becomes part of the compiled code, whose cache does not
+# detect changes in another file. The error bits above are fixed by the protocol.
 _UNITS = tuple(map(float, (dxl.TICK_CENTRE, dxl.TICK_RAD, dxl.TICK_MAX, dxl.SPEED_RAD_S, dxl.LOAD_UNIT, dxl.DIRECTION_CW)))
-_LIVE_START = dxl.PRESENT_POSITION.address
-_AIM_START, _AIM_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
-_LIVE_END = dxl.MOVING.address + dxl.MOVING.size
+_MEASURED_START = dxl.PRESENT_POSITION.address
+_GOAL_START, _GOAL_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
+_MEASURED_END = dxl.MOVING.address + dxl.MOVING.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +104,19 @@ class ServoCommand:
     torque_limit: Array  # (n,) [N m] 0 with torque off
 
 
-class _Wear(NamedTuple):
-    """Parameters of `Protection` for the compiled loop."""
+class _ProtectionLimits(NamedTuple):
+    """`Protection` for the compiled function, with limits that tolerate rounding."""
 
-    stall_duty: float
+    stall_duty: float  # [1]
     stall_time: float  # [s]
-    most_duty: float  # [s] maximum integral of the duty over the window
+    max_duty_integral: float  # [s] maximum integral of the duty over the sliding window
     ambient: float  # [deg C]
     cooling_time: float  # [s]
-    heating: float  # [K/s]
+    heating: float  # [K/s] at a duty of 1
 
 
 @compiled
-def _age(
+def _update_heat(
     load: Array,
     temperature: Array,
     temperature_limit: Array,
@@ -125,12 +125,20 @@ def _age(
     duty_sum: Array,
     tripped: NDArray[np.uint8],
     dt: float,
-    wear: _Wear,
+    limits: _ProtectionLimits,
 ) -> tuple[float, bool]:
-    """Update heat and overload of n servos by one step, in place.
+    """Update temperature and overload of n servos by one physics step, in place.
 
-    `bucket` [s] is the current slice of the duty window, and `duty_sum` [s] is the sum of all other slices. `tripped` is set to
-    the error bits whose conditions are met.
+    Args:
+        load: (n,) motor torque as a fraction of the stall torque.
+        temperature: (n,) [deg C] of the motors, updated.
+        temperature_limit: (n,) [deg C].
+        stalled_for: (n,) [s] of uninterrupted stall, updated.
+        bucket: (n,) [s] duty integrated over the current slice of the window, updated.
+        duty_sum: (n,) [s] the same over all other slices.
+        tripped: (n,) error bits whose conditions are met, overwritten.
+        dt: [s] duration of the step.
+        limits: Parameters of the protection.
 
     Returns:
         The sum of the duties, and whether any servo trips.
@@ -139,11 +147,11 @@ def _age(
     for i in range(load.size):
         duty = abs(load[i])
         total += duty
-        temperature[i] += dt * ((wear.ambient - temperature[i]) / wear.cooling_time + wear.heating * duty * duty)
-        stalled_for[i] = stalled_for[i] + dt if duty >= wear.stall_duty else 0.0
+        temperature[i] += dt * ((limits.ambient - temperature[i]) / limits.cooling_time + limits.heating * duty * duty)
+        stalled_for[i] = stalled_for[i] + dt if duty >= limits.stall_duty else 0.0
         bucket[i] += dt * duty
         bits = 0
-        if stalled_for[i] >= wear.stall_time or duty_sum[i] + bucket[i] > wear.most_duty:
+        if stalled_for[i] >= limits.stall_time or duty_sum[i] + bucket[i] > limits.max_duty_integral:
             bits |= _OVERLOAD
         if temperature[i] > temperature_limit[i]:
             bits |= _HOT
@@ -175,7 +183,7 @@ def _measure(
 
 
 @compiled
-def _pull(
+def _update_controllers(
     goal: Array,
     reach: Array,
     torque_off: NDArray[np.bool_],
@@ -207,9 +215,9 @@ def _pull(
 
 
 class ServoBank:
-    """Bank of n emulated servos.
+    """Emulation of n servos on one supply.
 
-    Servo coordinates are 0 rad at tick 512, counterclockwise positive.
+    Servo angles are 0 rad at tick 512, counterclockwise positive.
     """
 
     def __init__(
@@ -249,7 +257,7 @@ class ServoBank:
         self.protection = protection or Protection()
         p = self.protection
         stalls, most = (p.stall_duty - _EPS, p.stall_time - _EPS), (p.mean_duty + _EPS) * p.mean_time
-        self._wear = _Wear(*stalls, most, p.ambient, p.cooling_time, p.heating)
+        self._protection_limits = _ProtectionLimits(*stalls, most, p.ambient, p.cooling_time, p.heating)
         self.supply = supply or Supply()
         self.charge = charge  # of the battery, 0 to 1
         self.current = 0.0  # [A] drawn in the last step
@@ -265,7 +273,7 @@ class ServoBank:
         start = self.protection.ambient if temperature is None else temperature
         self.temperature: Array = np.full(n, start)  # (n,) [deg C]
         self.voltage = self._open_circuit()  # [V] at the servos
-        self._faults = np.zeros(n, dtype=np.uint8)  # latched OVERLOAD and OVERHEATING
+        self._latched_errors = np.zeros(n, dtype=np.uint8)  # error bits OVERLOAD and OVERHEATING
         self._tripped = np.zeros(n, dtype=np.uint8)  # error bits whose conditions are met now
         self._stalled_for = np.zeros(n)  # [s]
         self._buckets = np.zeros((_BUCKETS, n))  # [s] duty integrated over each slice of the window
@@ -276,16 +284,17 @@ class ServoBank:
         self._qd, self._load = np.zeros(n), np.zeros(n)  # [rad/s], fraction of stall
         self._setpoint = self._q.copy()  # [rad] current angle of the ramp to the goal, without compliance margin
         self._at_ns: int | None = None  # bus time of the last physics step, None if unknown
-        self._shown_ns = 0  # [ns] time after that step to which the measured values in the tables belong
-        self._measured = False  # whether the tables have the measured values of that step
+        self._measured_after_ns = 0  # [ns] after that step, the time of the measured values in the tables
+        self._measured = False  # whether the tables contain the measured values of that step
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._aims_changed = self._others_changed = True  # whether a goal or speed, or another register, has changed
+        self._goals_changed = True  # whether a goal or a moving speed has changed
+        self._settings_changed = True  # whether another register has changed
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
         self._torque_off = np.ones(n, dtype=np.bool_)
-        self._ailments = ServoFaults.none(n)
-        self._ailing = False
+        self._active_faults = ServoFaults.none(n)
+        self._has_faults = False
         self._jammed_at = np.zeros(n)  # [rad]
 
     def __len__(self) -> int:
@@ -300,10 +309,12 @@ class ServoBank:
         Measured values are those of the last physics step. If its bus time is known, they are extrapolated with the joint
         speeds to the time `at_ns` of the reading, because the registers of real servos change continuously.
         """
-        if address < _LIVE_END and address + size > _LIVE_START:
-            after_ns = 0 if at_ns is None or self._at_ns is None else min(max(at_ns - self._at_ns, -_FURTHEST_NS), _FURTHEST_NS)
-            if not self._measured or after_ns != self._shown_ns:
-                self._refresh(after_ns)
+        if address < _MEASURED_END and address + size > _MEASURED_START:
+            after_ns = 0
+            if at_ns is not None and self._at_ns is not None:
+                after_ns = min(max(at_ns - self._at_ns, -_MAX_EXTRAPOLATION_NS), _MAX_EXTRAPOLATION_NS)
+            if not self._measured or after_ns != self._measured_after_ns:
+                self._write_measured(after_ns)
         start = row * dxl.TABLE_SIZE + address
         return bytes(self._bytes[start : start + size])
 
@@ -323,20 +334,20 @@ class ServoBank:
         if turned_on and not (address <= dxl.GOAL_POSITION.address < end):
             self._goals[row] = self._position_ticks(row)
         if address <= dxl.TORQUE_LIMIT.address < end:
-            self._faults[row] = 0
-        self._aims_changed = True
-        self._others_changed |= not (address >= _AIM_START and end <= _AIM_END)
+            self._latched_errors[row] = 0
+        self._goals_changed = True
+        self._settings_changed |= not (address >= _GOAL_START and end <= _GOAL_END)
 
-    def ail(self, ailments: ServoFaults | None) -> None:
+    def set_faults(self, faults: ServoFaults | None) -> None:
         """Set the active faults, None for no faults, and apply their immediate effects."""
-        before, now = self._ailments, ServoFaults.none(len(self)) if ailments is None else ailments
+        before, now = self._active_faults, ServoFaults.none(len(self)) if faults is None else faults
         if not self._measured:
-            self._refresh(0)  # frozen registers keep the current values
+            self._write_measured(0)  # frozen registers keep the current values
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
             self._power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
-        self._ailments, self._ailing = now, ailments is not None
-        self._measured, self._others_changed = False, True
+        self._active_faults, self._has_faults = now, faults is not None
+        self._measured, self._settings_changed = False, True
 
     def _power_up(self, row: int) -> None:
         """Reset the RAM registers of a servo to factory values.
@@ -346,20 +357,20 @@ class ServoBank:
         start = dxl.TORQUE_ENABLE.address
         self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
         self._torque_limits[row] = self._column(dxl.MAX_TORQUE)[row]
-        self._faults[row] = 0
-        self._aims_changed = self._others_changed = True
+        self._latched_errors[row] = 0
+        self._goals_changed = self._settings_changed = True
 
     @property
     def shutdown(self) -> NDArray[np.bool_]:
         """Servos (n,) that have latched an overload or overheating error."""
-        return np.asarray(self._faults != 0)
+        return np.asarray(self._latched_errors != 0)
 
     def error(self, row: int) -> int:
         """Return the error bits of one servo's state, without those of an instruction."""
         start = row * dxl.TABLE_SIZE
         volts = round(self.voltage / dxl.VOLT_UNIT)
         low, high = self._bytes[start + dxl.MIN_VOLTAGE.address], self._bytes[start + dxl.MAX_VOLTAGE.address]
-        return int(self._faults[row]) | (0 if low <= volts <= high else int(ServoError.INPUT_VOLTAGE))
+        return int(self._latched_errors[row]) | (0 if low <= volts <= high else int(ServoError.INPUT_VOLTAGE))
 
     # ----------------------------------------------------------------------------------- methods for the physics
 
@@ -375,107 +386,106 @@ class ServoBank:
         Returns:
             The position controllers for the next physics step.
         """
-        self.feel(q, qd, torque)
-        if self._ailing:
-            self._suffer(dt)
-        if self._aims_changed:
-            self._aims()
-        if self._others_changed:
-            self._settings()
-        self._drain(self._protect(dt), dt)
-        if self._others_changed:  # by a shutdown
-            self._settings()
+        self.set_joint_state(q, qd, torque)
+        if self._has_faults:
+            self._apply_faults(dt)
+        if self._goals_changed:
+            self._convert_goals()
+        if self._settings_changed:
+            self._convert_settings()
+        self._discharge(self._update_protection(dt), dt)
+        if self._settings_changed:  # by a shutdown
+            self._convert_settings()
         return self._control(dt)
 
-    def feel(self, q: Array, qd: Array, torque: Array, at_ns: int | None = None) -> None:
-        """Set the state of the joints that the servos measure.
+    def set_joint_state(self, q: Array, qd: Array, torque: Array, at_ns: int | None = None) -> None:
+        """Set the joint angles, speeds and torques that the servos measure.
 
-        The arguments are those of `step`; `at_ns` is the bus time of this state, if known.
+        The arguments are those of `step`; `at_ns` [ns] is the bus time of this state, if known.
         """
         self._measured, self._at_ns = False, at_ns
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
 
-    def _suffer(self, dt: float) -> None:
+    def _apply_faults(self, dt: float) -> None:
         """Apply the active faults to heat, charge and load for one step."""
-        ailments = self._ailments
-        self.temperature += ailments.heating * dt
-        self.charge = max(self.charge - ailments.drain * dt, 0.0)
-        if ailments.jammed.any():  # the motor works against the jam, up to its torque limit
+        faults = self._active_faults
+        self.temperature += faults.heating * dt
+        self.charge = max(self.charge - faults.drain * dt, 0.0)
+        if faults.jammed.any():  # the motor works against the jam, up to its torque limit
             pull = np.clip(self._out.stiffness * (self._goal - self._q), -self._limit, self._limit)
-            self._load[:] = np.where(ailments.jammed, pull / self.motor.stall_torque, self._load)
+            self._load[:] = np.where(faults.jammed, pull / self.motor.stall_torque, self._load)
 
-    def _protect(self, dt: float) -> float:
+    def _update_protection(self, dt: float) -> float:
         """Update heat and overload by one step, and shut down tripped servos.
 
         The result is the sum of the duties.
         """
         p = self.protection
-        duty_sum, tripped = _age(
+        duty_sum, tripped = _update_heat(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
-            self._duty_sum, self._tripped, dt, self._wear,
+            self._duty_sum, self._tripped, dt, self._protection_limits,
         )  # fmt: skip
         self._bucket_time += dt
         if self._bucket_time >= p.mean_time / _BUCKETS - _EPS:
             self._bucket, self._bucket_time = (self._bucket + 1) % _BUCKETS, 0.0
             self._buckets[self._bucket] = 0.0
             self._duty_sum = self._buckets.sum(axis=0)
-        if self._ailing:
-            self._tripped |= self._ailments.tripped
+        if self._has_faults:
+            self._tripped |= self._active_faults.tripped
             tripped = bool(self._tripped.any())
         if tripped:
-            self._faults |= self._tripped
+            self._latched_errors |= self._tripped
             down = (self._tripped & self.tables[:, dxl.SHUTDOWN.address] != 0) & (self._torque_limits != 0)
             if down.any():
                 self._torque_limits[down] = 0
-                self._others_changed = True
+                self._settings_changed = True
         return float(duty_sum)
 
-    def _drain(self, duty_sum: float, dt: float) -> None:
+    def _discharge(self, duty_sum: float, dt: float) -> None:
+        """Update current, charge and voltage of the supply by one step."""
         s, m = self.supply, self.motor
         self.current = s.computer_current + len(self) * m.standby_current + m.stall_current * duty_sum
         self.charge = max(self.charge - self.current * dt / (3600.0 * s.capacity_ah), 0.0)
-        self.voltage = self._open_circuit() - s.resistance * self.current - self._ailments.sag
+        self.voltage = self._open_circuit() - s.resistance * self.current - self._active_faults.sag
 
     def _open_circuit(self) -> float:
         return self.supply.empty_voltage + self.charge * (self.supply.full_voltage - self.supply.empty_voltage)
 
     def _control(self, dt: float) -> ServoCommand:
+        """Advance the ramps to the goals by one step, and return the position controllers."""
         out = self._out
-        _pull(
+        _update_controllers(
             self._goal, self._speed * dt, self._torque_off, self._q, self._margin, self._stiffness,
             self._setpoint, out.setpoint, out.stiffness,
         )  # fmt: skip
-        if self._ailing and self._ailments.jammed.any():
+        if self._has_faults and self._active_faults.jammed.any():
             return self._jam(out)
         return out
 
     def _jam(self, out: ServoCommand) -> ServoCommand:
-        """Return the command with jammed joints held in place.
-
-        The hold has more torque than their motors.
-        """
-        jammed, stiffest = self._ailments.jammed, _JAM * self._stiffness.max(axis=0)
+        """Return the controllers, with jammed joints held in place by more torque than that of their motors."""
+        jammed, stiffest = self._active_faults.jammed, _JAM_RATIO * self._stiffness.max(axis=0)
         return ServoCommand(
             np.where(jammed, self._jammed_at, out.setpoint),
             np.where(jammed, stiffest, out.stiffness),
-            np.where(jammed, _JAM * self.motor.stall_torque, out.torque_limit),
+            np.where(jammed, _JAM_RATIO * self.motor.stall_torque, out.torque_limit),
         )
 
-    def _aims(self) -> None:
-        """Convert the registers of goals and speeds, which a host writes in every cycle."""
-        self._aims_changed = False
+    def _convert_goals(self) -> None:
+        """Convert goal positions and moving speeds to physical values; a host writes them in every cycle."""
+        self._goals_changed = False
         self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
         speed = self._column(dxl.MOVING_SPEED)
         self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
 
-    def _settings(self) -> None:
-        """Convert the other registers to physical values; called only after a change."""
-        self._others_changed = False
+    def _convert_settings(self) -> None:
+        """Convert the other registers to physical values, after one of them has changed."""
+        self._settings_changed = False
         self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
 
-        # The AX-12A has seven slopes, all powers of two. At an error of one slope the torque is the full torque.
+        # The AX-12A has seven compliance slopes [ticks], powers of two. It exerts its stall torque at an error of one slope.
         for i, (margin, slope) in enumerate(
             [
                 (dxl.CW_COMPLIANCE_MARGIN, dxl.CW_COMPLIANCE_SLOPE),
@@ -488,7 +498,7 @@ class ServoBank:
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
         limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
-        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._ailments.unpowered
+        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._active_faults.unpowered
         self._limit[:] = np.where(off, 0.0, self.motor.stall_torque * limit)
         self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
@@ -497,41 +507,38 @@ class ServoBank:
         """Return one register of all servos, as a view of the tables."""
         return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
 
-    def _after(self, s: float) -> tuple[Array, Array, Array]:
-        """Return angles [rad], speeds [rad/s] and loads [1] `s` after the last step.
+    def _extrapolated(self, s: float) -> tuple[Array, Array, Array]:
+        """Return angles (n,) [rad], speeds (n,) [rad/s] and loads (n,) [1] at `s` [s] after the last step.
 
-        Each array is (n,), and s is in [s]. The load is that of the motor at the extrapolated angle. If the bus time of the
-        step is unknown, the result is the state passed to the step, whose torques belong to the beginning of the step.
+        The load is that of the motor at the extrapolated angle. If the bus time of the step is unknown, the result is the state
+        that was set last, whose torques are those at the beginning of the step.
         """
         if self._at_ns is None:
             return self._q, self._qd, self._load
         q, out = self._q + s * self._qd, self._out
-        pull = np.clip(out.stiffness * (out.setpoint - q), -out.torque_limit, out.torque_limit)
-        return q, self._qd, pull / self.motor.stall_torque
+        torque = np.clip(out.stiffness * (out.setpoint - q), -out.torque_limit, out.torque_limit)
+        return q, self._qd, torque / self.motor.stall_torque
 
     def _position_ticks(self, row: int) -> int:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
 
-    def _refresh(self, after_ns: int) -> None:
-        """Write the values that all servos measure to their tables, before a read.
-
-        The values are those at `after_ns` after the last physics step.
-        """
-        self._measured, self._shown_ns = True, after_ns
+    def _write_measured(self, after_ns: int) -> None:
+        """Write what all servos measure at `after_ns` [ns] after the last physics step to their tables."""
+        self._measured, self._measured_after_ns = True, after_ns
         words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
-        position, before = words[0], words[0].copy() if self._ailing else None
-        _measure(_UNITS, *self._after(after_ns * 1e-9), *words)
+        position, before = words[0], words[0].copy() if self._has_faults else None
+        _measure(_UNITS, *self._extrapolated(after_ns * 1e-9), *words)
         if before is not None:
-            off = np.clip(position + self._ailments.offset, 0, dxl.TICK_MAX)
-            position[:] = np.where(self._ailments.frozen, before, off)
+            off = np.clip(position + self._active_faults.offset, 0, dxl.TICK_MAX)
+            position[:] = np.where(self._active_faults.frozen, before, off)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         temperature = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
-        reads = self._ailments.reads_hot if before is not None else -1
+        reads = self._active_faults.reads_hot if before is not None else -1
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.where(reads >= 0, reads, temperature)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._torque_off
 
 
-def bank_of(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:
+def make_servo_bank(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:
     """Create servos of a named model, with its motors and its supply.
 
     The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage.

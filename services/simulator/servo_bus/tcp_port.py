@@ -10,25 +10,25 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
-from sextant.services.simulator.servo_bus.host_link import HostLink, Outbox, Outlet, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink, Outbox, Reply
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
 
 log = logging.getLogger(__name__)
 
-_CHUNK = 4096  # [bytes]
-_SEC = 1e9
-_STOP_TIMEOUT = 2.0  # [s]
-_BREATH_NS = 500_000  # [ns] polling period of a device with unsolicited replies
+_CHUNK_BYTES = 4096  # [bytes]
+_NS_PER_S = 1e9
+_STOP_TIMEOUT_S = 2.0  # [s]
+_POLL_NS = 500_000  # [ns] minimum period of polling a device with unsolicited replies
 
 
 class TcpBusServer:
     """Server of an emulated bus for one client at a time.
 
     It runs in a separate thread and sends replies when they are due. The caller must hold `lock` around
-    `ServoBusEmulator.advance` and the bank's step, because both threads use the servos. If the adapter is unplugged, the server
-    closes the connection and its listening socket. If the adapter returns under another name, the server listens on the other
-    port.
+    `ServoBusEmulator.advance` and `ServoBank.step`, because both threads use the servos. If the emulated USB adapter is
+    unplugged, the server closes the connection and its listening socket. If the adapter returns under another device name, the
+    server listens on the other TCP port.
     """
 
     def __init__(
@@ -39,8 +39,8 @@ class TcpBusServer:
         port: int = 0,
         other_port: int = 0,
         clock: Callable[[], int] = now_ns,
-        answering: Callable[[int], bool] = lambda _now_ns: True,
-        turns_away: bool = False,
+        is_current: Callable[[int], bool] = lambda _now_ns: True,
+        rejects_others: bool = False,
     ) -> None:
         """Open the listening socket and start the thread.
 
@@ -50,9 +50,9 @@ class TcpBusServer:
             port: Port to listen on, 0 for a free one.
             other_port: Port to listen on after the adapter returns under another name; the ports alternate.
             clock: Bus time [ns], at which replies become due. It must not run faster than real time.
-            answering: Returns whether the physics is up to date at a bus time [ns]. While it is not, the servos do not respond,
+            is_current: Returns whether the physics is up to date at a bus time [ns]. Otherwise the servos do not respond,
                 because their measured values would be outdated.
-            turns_away: Whether to close further connections while a client is connected; by default they wait.
+            rejects_others: Whether to close other connections while a client is connected; by default they wait.
 
         Raises:
             OSError: The address is not available.
@@ -60,13 +60,13 @@ class TcpBusServer:
         self.lock = threading.Lock()
         self.clients = 0  # number of accepted connections
         self._bus = bus
-        self._speaks = bus.due_ns is not None  # whether the bus has unsolicited replies
+        self._sends_unsolicited = bus.due_ns is not None  # whether the bus has unsolicited replies
         self._clock = clock
-        self._answering = answering
-        self._turns_away = turns_away
+        self._is_current = is_current
+        self._rejects_others = rejects_others
         self._host, self._ports = host, [port, other_port]
-        self._outlet: Outlet | None = Outlet()
-        self._listener: socket.socket | None = self._listen(Outlet())
+        self._adapter_port: AdapterPort | None = AdapterPort()
+        self._listener: socket.socket | None = self._listen(AdapterPort())
         self._wake, self._woken = socket.socketpair()
         self._closing = False
         self._thread = threading.Thread(target=self._serve, name="servo-bus", daemon=True)
@@ -89,13 +89,13 @@ class TcpBusServer:
             return
         self._closing = True
         self._wake.send(b"x")
-        self._thread.join(_STOP_TIMEOUT)
+        self._thread.join(_STOP_TIMEOUT_S)
         for end in (self._listener, self._wake, self._woken):
             if end is not None:
                 end.close()
 
     def replug(self) -> None:
-        """Check whether the adapter was plugged in or out, and close the connection if so."""
+        """Check whether the adapter was plugged in or unplugged, and close the connection if so."""
         self._wake.send(b"x")
 
     def __enter__(self) -> "TcpBusServer":
@@ -106,24 +106,24 @@ class TcpBusServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            self._follow(self._bus.outlet(self._clock()))
+            self._update_listener(self._bus.adapter_port(self._clock()))
             ready, _, _ = select.select([self._woken, *([self._listener] if self._listener else [])], [], [])
             if self._woken in ready:
-                self._woken.recv(_CHUNK)
+                self._woken.recv(_CHUNK_BYTES)
             elif self._listener is not None:
                 self._accept(self._listener)
 
-    def _follow(self, outlet: Outlet | None) -> None:
+    def _update_listener(self, adapter_port: AdapterPort | None) -> None:
         """Listen on the port of the adapter's current name, if it is plugged in."""
-        if outlet == self._outlet:
+        if adapter_port == self._adapter_port:
             return
         if self._listener is not None:
             self._listener.close()
-        self._outlet, self._listener = outlet, None if outlet is None else self._listen(outlet)
-        log.info("servo bus %s", "unplugged" if outlet is None else f"on {self.url}")
+        self._adapter_port, self._listener = adapter_port, None if adapter_port is None else self._listen(adapter_port)
+        log.info("servo bus %s", "unplugged" if adapter_port is None else f"on {self.url}")
 
-    def _listen(self, outlet: Outlet) -> socket.socket:
-        which = outlet.name % len(self._ports)
+    def _listen(self, adapter_port: AdapterPort) -> socket.socket:
+        which = adapter_port.name % len(self._ports)
         listener = socket.create_server((self._host, self._ports[which]), backlog=1)
         host, port = listener.getsockname()[:2]
         self._address, self._ports[which] = (str(host), int(port)), int(port)
@@ -135,60 +135,60 @@ class TcpBusServer:
         log.info("servo bus client %s connected", peer)
         with client:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            reason = self._talk(client)
+            reason = self._serve_client(client)
         hold(SERVO_BUS, None)
         log.info("servo bus client %s left: %s", peer, reason)
 
-    def _talk(self, client: socket.socket) -> str:
+    def _serve_client(self, client: socket.socket) -> str:
         """Serve one client, and return the reason for the end of the connection.
 
         It ends when the client disconnects, the adapter is unplugged or the server closes.
         """
         outbox = Outbox()
-        self._spoken()  # discards the replies from before the connection
+        self._unsolicited_replies()  # discard the replies from before the connection
         try:
             while True:
-                doors = [self._listener] if self._turns_away and self._listener else []
-                ready, _, _ = select.select([client, self._woken, *doors], [], [], self._wait_s(outbox))
+                listeners = [self._listener] if self._rejects_others and self._listener else []
+                ready, _, _ = select.select([client, self._woken, *listeners], [], [], self._wait_s(outbox))
                 if self._closing:
                     return "server closed"
                 if self._woken in ready:
-                    self._woken.recv(_CHUNK)
-                    if self._bus.outlet(self._clock()) != self._outlet:
+                    self._woken.recv(_CHUNK_BYTES)
+                    if self._bus.adapter_port(self._clock()) != self._adapter_port:
                         return "adapter unplugged"
                 if client in ready:
-                    data = client.recv(_CHUNK)
+                    data = client.recv(_CHUNK_BYTES)
                     if not data:
                         return "client disconnected"
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
-                    outbox.put(answers if self._answering(self._clock()) else ())
+                    outbox.put(answers if self._is_current(self._clock()) else ())
                     hold(SERVO_BUS, None if outbox.due_ns is None else outbox.due_ns + REACTION_NS)
-                for door in doors:
-                    if door in ready:  # while the client is still connected
-                        other, peer = door.accept()
+                for listener in listeners:
+                    if listener in ready:  # while the client is still connected
+                        other, peer = listener.accept()
                         other.close()
                         log.info("servo bus client %s rejected: another client is connected", peer)
-                outbox.put(self._spoken())
+                outbox.put(self._unsolicited_replies())
                 due = outbox.take(self._clock())
                 if due:
                     client.sendall(due)
         except OSError as error:  # reset or broken pipe: the client did not close the connection
             return str(error)
 
-    def _spoken(self) -> list[Reply]:
-        """Return the unsolicited replies of the bus."""
-        if not self._speaks:
+    def _unsolicited_replies(self) -> list[Reply]:
+        """Return the replies that the device sends without a request."""
+        if not self._sends_unsolicited:
             return []
         with self.lock:
-            said = self._bus.speak(self._clock())
-        return said if self._answering(self._clock()) else []
+            replies = self._bus.unsolicited_replies(self._clock())
+        return replies if self._is_current(self._clock()) else []
 
     def _wait_s(self, outbox: Outbox) -> float | None:
         """Return the time [s] to the next due reply or poll, None without one."""
         now_ns = self._clock()
         due = [] if outbox.due_ns is None else [outbox.due_ns]
-        if self._speaks:
+        if self._sends_unsolicited:
             with self.lock:
-                due.append(max(self._bus.due_ns or 0, now_ns + _BREATH_NS))
-        return max((min(due) - now_ns) / _SEC, 0.0) if due else None
+                due.append(max(self._bus.due_ns or 0, now_ns + _POLL_NS))
+        return max((min(due) - now_ns) / _NS_PER_S, 0.0) if due else None

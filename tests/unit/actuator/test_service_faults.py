@@ -14,7 +14,7 @@ from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, 
 
 
 def shut_down(rig: Rig, row: int) -> None:
-    rig.bank._faults[row] = int(dxl.ServoError.OVERLOAD)
+    rig.bank._latched_errors[row] = int(dxl.ServoError.OVERLOAD)
 
 
 def test_low_torque_limit_is_reported_and_restored_by_ready_order() -> None:
@@ -217,7 +217,7 @@ def test_fault_during_stand_up_aborts_the_motion() -> None:
     shut_down(rig, 4)
     assert rig.cycle(4).mode is Mode.FAULT
     goals = rig.goals
-    rig.bank._faults[:] = 0  # it recovers, but the actuator has not reset it
+    rig.bank._latched_errors[:] = 0  # it recovers, but the actuator has not reset it
     assert rig.cycle(200).mode is Mode.READY
     np.testing.assert_array_equal(rig.goals, goals)
 
@@ -335,6 +335,6 @@ def test_stand_is_allowed_after_servo_reset_on_a_resting_robot(order: str) -> No
     state = rig.cycle(10)
     assert state.mode is (Mode.FAULT if order == "stand" else Mode.READY)
     state = rig.cycle(60)
-    assert (state.mode, rig.bank._faults.any()) == (Mode.READY, False)
+    assert (state.mode, rig.bank._latched_errors.any()) == (Mode.READY, False)
     rig.command("stand")
     assert rig.cycle(200).mode is Mode.HOLD

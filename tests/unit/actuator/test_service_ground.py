@@ -173,7 +173,7 @@ def test_upside_down_imu_does_not_move_legs() -> None:
 def test_faulty_robot_does_not_level_when_tilted() -> None:
     rig = Rig()
     walk_with_trusted_imu(rig)
-    rig.bank._faults[4] = int(dxl.ServoError.ANGLE_LIMIT)
+    rig.bank._latched_errors[4] = int(dxl.ServoError.ANGLE_LIMIT)
     rig.cycle(20)
     goals = rig.goals
     tip(rig, np.radians(10.0))

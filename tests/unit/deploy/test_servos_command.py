@@ -314,7 +314,7 @@ def test_port_in_use_by_another_program_is_reported(bench: BenchEmulator, capsys
 
     Otherwise the second program would receive nothing and suspect 18 cables.
     """
-    with TcpBusServer(bench, turns_away=True) as server:
+    with TcpBusServer(bench, rejects_others=True) as server:
         for _ in range(3):
             with socket.create_connection(server.address) as first:
                 first.sendall(dxl.ping(1))

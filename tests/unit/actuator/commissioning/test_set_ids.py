@@ -95,7 +95,7 @@ def test_voltage_heat_and_latched_overload_are_named() -> None:
     desk = Desk()
     desk.bench._servos.charge = 0.1
     desk.bench._servos.temperature[desk.row(6)] = 64.0
-    desk.bench._servos._faults[desk.row(17)] = dxl.ServoError.OVERLOAD
+    desk.bench._servos._latched_errors[desk.row(17)] = dxl.ServoError.OVERLOAD
     words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
     assert len(words) == 18
     assert all("V, at least 10.5 V expected: charge the battery" in one for one in words)

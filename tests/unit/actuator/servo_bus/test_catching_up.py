@@ -40,19 +40,19 @@ def test_a_servo_has_caught_up_near_its_goal_or_once_it_no_longer_moves() -> Non
 def test_touch_is_regained_when_all_have_caught_up_or_a_second_after_the_first_answer() -> None:
     servos = CatchingUp()
     servos.leave_all_behind()
-    servos.check_touch(SECOND)
-    assert servos.out_of_touch
+    servos.update_all_behind(SECOND)
+    assert servos.all_behind
     for index in range(17):
         servos.note_reading(index, SECOND, 0.0, 0.0)
-    servos.check_touch(2 * SECOND)
-    assert servos.out_of_touch, "one servo is silent"
-    servos.check_touch(2 * SECOND + 1)
-    assert not servos.out_of_touch
+    servos.update_all_behind(2 * SECOND)
+    assert servos.all_behind, "one servo is silent"
+    servos.update_all_behind(2 * SECOND + 1)
+    assert not servos.all_behind
     servos.leave_all_behind()
     for index in range(18):
         servos.note_reading(index, 3 * SECOND, 0.0, 0.0)
-    servos.check_touch(3 * SECOND)
-    assert not servos.out_of_touch
+    servos.update_all_behind(3 * SECOND)
+    assert not servos.all_behind
 
 
 def test_with_goals_of_the_servos_only_joints_on_their_way_stay_slow() -> None:
@@ -69,10 +69,10 @@ def test_a_servo_that_falls_silent_after_its_port_has_returned_stops_the_others_
     servos.leave_all_behind()
     servos.readopt(np.where(FIRST, np.radians(8.0), 0.0), SECOND)
     assert servos.answering.tolist() == FIRST.tolist(), "its state was read"
-    servos.check_touch(2 * SECOND)
-    assert servos.out_of_touch
-    servos.check_touch(2 * SECOND + 1)
-    assert not servos.out_of_touch
+    servos.update_all_behind(2 * SECOND)
+    assert servos.all_behind
+    servos.update_all_behind(2 * SECOND + 1)
+    assert not servos.all_behind
     assert servos.behind.tolist() == FIRST.tolist(), "it stays slow"
 
 

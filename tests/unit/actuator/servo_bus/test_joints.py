@@ -94,7 +94,7 @@ def test_torque_limit_equal_to_max_torque_register_counts_as_full() -> None:
 
 def test_torque_on_does_not_restore_an_overheated_servo() -> None:
     rig = JointsRig()
-    rig.bank._faults[SERVO] = int(dxl.ServoError.OVERHEATING)
+    rig.bank._latched_errors[SERVO] = int(dxl.ServoError.OVERHEATING)
     rig.put(SERVO, dxl.LED, 0)
     rig.bank.tables[SERVO, dxl.TORQUE_LIMIT.address :][:2] = 0
     rig.start()
@@ -222,7 +222,7 @@ def test_only_returning_servo_moves_slowly_until_it_reaches_its_goal() -> None:
     rig.until(lambda: rig.joints.vitals.missed[SERVO] == 0, write=True)
     speeds = np.array(rig.registers(dxl.MOVING_SPEED))
     np.testing.assert_array_equal(speeds, np.where(np.arange(18) == SERVO, SLOWLY, 0))
-    assert not rig.joints.out_of_touch, "the others were there all the while"
+    assert not rig.joints.all_behind, "the others were there all the while"
     rig.until(lambda: not rig.joints.vitals.behind.any(), write=True)
     rig.cycle(2, write=True)
     assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
@@ -248,14 +248,14 @@ def test_silent_bus_limits_speed_until_all_servos_respond() -> None:
     rig.suffer("bus", "silent", 0.5)
     begin = rig.now_ns
     rig.until(lambda: rig.joints.not_responding, write=True)
-    assert not rig.joints.out_of_touch
-    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    assert not rig.joints.all_behind
+    rig.until(lambda: rig.joints.all_behind, write=True)
     assert rig.now_ns - begin < 0.25e9
     while rig.now_ns - begin < 0.5e9:
         assert rig.said_speeds == [GENTLY] * 18
         rig.cycle(write=True)
-    assert rig.joints.out_of_touch
-    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    assert rig.joints.all_behind
+    rig.until(lambda: not rig.joints.all_behind, write=True)
     assert not rig.joints.not_responding
     assert not rig.joints.vitals.missed.any()
     rig.cycle(2, write=True)
@@ -267,9 +267,9 @@ def test_permanently_silent_servo_delays_recovery_by_less_than_2_s() -> None:
     rig.cycle(8, write=True)
     rig.suffer("bus", "silent", 0.5)
     rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
-    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    rig.until(lambda: rig.joints.all_behind, write=True)
     rig.until(lambda: rig.joints.vitals.newest < 0.05, write=True)
     begin = rig.now_ns
-    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    rig.until(lambda: not rig.joints.all_behind, write=True)
     assert rig.now_ns - begin < 2.0e9
     assert rig.joints.vitals.missed[SERVO] >= SILENT

@@ -34,7 +34,7 @@ def test_lost_port_is_reported_and_reconnects_at_measured_positions() -> None:
     rig.until(lambda: rig.joints.gone == "")
     assert np.abs(rig.joints.load).max() < 0.1
     assert 1.0e9 <= rig.now_ns - begin < 1.5e9
-    assert rig.joints.out_of_touch
+    assert rig.joints.all_behind
     assert rig.joints.torque.all()
     np.testing.assert_allclose(rig.joints.goals, rig.measured, atol=TICK)
     for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
@@ -56,9 +56,9 @@ def test_a_joint_that_was_catching_up_slowly_continues_slowly_when_the_port_is_b
     assert rig.joints.goals[LEG, JOINT] == pytest.approx(goals[LEG, JOINT], abs=TICK)
     rig.joints.write(rig.joints.goals)
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
-    assert rig.joints.out_of_touch
+    assert rig.joints.all_behind
     rig.jammed.clear()
-    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    rig.until(lambda: not rig.joints.all_behind, write=True)
     rig.cycle(2, write=True)
     assert rig.said_speeds == [0] * 18
 
@@ -238,7 +238,7 @@ def overloaded_rig() -> JointsRig:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.put(SERVO, dxl.TORQUE_LIMIT, 0)
-    rig.bank._faults[SERVO] = int(dxl.ServoError.OVERLOAD)
+    rig.bank._latched_errors[SERVO] = int(dxl.ServoError.OVERLOAD)
     rig.q[SERVO] += 0.3
     rig.cycle(16)
     assert rig.joints.vitals.errors[SERVO] & dxl.ServoError.OVERLOAD
@@ -297,7 +297,7 @@ def test_lost_port_of_mcu_bridge_reconnects() -> None:
     rig.suffer("bus", "gone", 0.5)
     rig.until(lambda: rig.joints.gone != "", write=True)
     lost_ns = rig.now_ns
-    rig.until(lambda: rig.joints.trouble == "" and not rig.joints.out_of_touch, write=True)
+    rig.until(lambda: rig.joints.trouble == "" and not rig.joints.all_behind, write=True)
     assert rig.now_ns - lost_ns < 2.0e9
     assert rig.joints.torque.all()
     rig.cycle(20, write=True)

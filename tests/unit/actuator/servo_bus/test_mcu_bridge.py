@@ -385,7 +385,11 @@ def test_other_protocol_version_is_refused_with_its_number(monkeypatch: pytest.M
     rig.port.write(hello)
     rig.pass_time(2)
     assert rig.board.firmware.mode is Mode.WAITING
-    said = [m for r in rig.board.speak(rig.now_ns) for m in bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(r.data)]
+    said = [
+        m
+        for r in rig.board.unsolicited_replies(rig.now_ns)
+        for m in bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(r.data)
+    ]
     assert {m.version for m in said if isinstance(m, bridge_protocol.Welcome)} == {1}, "it says its own"
     rig.plug_in(lambda data: welcome)
     words = "the bridge uses protocol version 2, version 1 expected; flash"

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sextant.services.console.web.frames import NO_HEIGHT, NO_VALUE, framed, map_frame, picture_frame
+from sextant.services.console.web.frames import NO_HEIGHT, NO_VALUE, make_frame, map_frame, picture_frame
 from sextant.shared.wire.messages import UNKNOWN, Preview, TerrainMap
 
 NX, NY = 7, 5
@@ -45,7 +45,7 @@ def read_map(frame: bytes) -> tuple[dict[str, Any], NDArray[np.int16], NDArray[n
 
 @given(st.text(max_size=40), st.integers(0, 9))
 def test_what_is_behind_the_header_is_aligned(text: str, length: int) -> None:
-    frame = framed({"words": text}, np.arange(length, dtype=np.int16))
+    frame = make_frame({"words": text}, np.arange(length, dtype=np.int16))
     header, body = read(frame)
     assert header == {"words": text}
     np.testing.assert_array_equal(np.frombuffer(body, np.int16), np.arange(length))

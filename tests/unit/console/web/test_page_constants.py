@@ -38,12 +38,12 @@ def test_score_table_shows_no_foothold_from_the_limit_of_the_score() -> None:
 
 
 def test_evaluation_table_shows_no_foothold_from_zero() -> None:
-    assert stops("evaluation")["NONE"] == frames.FAR_VALUE
-    assert stops("evaluation")["FAIR"] == frames.FAR_VALUE - 1
+    assert stops("evaluation")["NONE"] == frames.MAX_EVALUATION_CELLS
+    assert stops("evaluation")["FAIR"] == frames.MAX_EVALUATION_CELLS - 1
 
 
 def test_legend_of_variance_names_the_largest_deviation() -> None:
-    assert f'"± {100 * frames.WORST_VARIANCE:.0f} cm"' in constant("colors.js", "LEGENDS")
+    assert f'"± {100 * frames.MAX_SIGMA_M:.0f} cm"' in constant("colors.js", "LEGENDS")
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def test_map_layer_is_resampled_to_rotated_strip() -> None:
     mapping = PassageMapping(PROFILE, strip, known, REACH)
     row, column = np.indices(known.elevation.shape)
     centres = cell_centres(strip, known.resolution)
-    found = mapping.of_map(row * 100 + column, known.origin, -1)
+    found = mapping.resample(row * 100 + column, known.origin, -1)
     wanted = np.rint((centres - known.origin) / known.resolution).astype(int)
     beyond = np.any((wanted < 0) | (wanted >= 64), axis=-1)
     assert 0 < beyond.sum() < beyond.size

@@ -49,7 +49,7 @@ def test_disparity_noise_is_gaussian_with_sensor_sigma() -> None:
 def test_frame_noise_is_unaffected_by_skipped_frames() -> None:
     first, second = camera(dropouts=True), camera(dropouts=True)
     first.measure(wall(1.0))
-    second.pass_over()
+    second.skip_frame()
     np.testing.assert_array_equal(first.measure(wall(2.0)), second.measure(wall(2.0)))
 
 

@@ -60,7 +60,7 @@ class Bench:
         while ns > 0:
             beat = min(ns, CYCLE_NS)
             self.now_ns, ns = self.now_ns + beat, ns - beat
-            said += self._heard(self.board.speak(self.now_ns))
+            said += self._heard(self.board.unsolicited_replies(self.now_ns))
             self.board.advance(self.now_ns)
             self.bank.step(np.zeros(3), np.zeros(3), np.zeros(3), 1e-3)
         return said

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
-from sextant.services.simulator.servo_bus.host_link import Outlet, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl
@@ -79,7 +79,7 @@ def test_bus_without_faults_equals_plain_bus() -> None:
     requests = [dxl.ping(1), dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]), dxl.read(2, 30, 2), b"\xff\xff\x01", b"x"]
     for request in requests:
         assert rig.hear(request) == plain.plain.receive(request, plain.now_ns)
-    assert rig.bus.outlet(0) == Outlet()
+    assert rig.bus.adapter_port(0) == AdapterPort()
     assert rig.bus.words(0) == ""
 
 

@@ -19,7 +19,7 @@ from sextant.services.simulator.servo_bus.servo_bank import (
     ServoBank,
     ServoCommand,
     Supply,
-    bank_of,
+    make_servo_bank,
 )
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.servo import dynamixel as dxl
@@ -151,11 +151,11 @@ def test_battery_current_voltage_and_charge() -> None:
 
 
 def test_battery_life_scales_with_capacity_and_converter_never_drains() -> None:
-    small, large = (bank_of("AX-12A", range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
+    small, large = (make_servo_bank("AX-12A", range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
     for bank in (small, large):
         step(bank, torque=0.0, dt=4.0 * 3600 / 1.9)
     assert (small.charge, large.charge) == (pytest.approx(0.0), pytest.approx(0.5))
-    converter = bank_of("RX-64", range(1, 19), np.zeros(18), 0.1)
+    converter = make_servo_bank("RX-64", range(1, 19), np.zeros(18), 0.1)
     step(converter, torque=0.0, dt=3600.0)
     assert converter.voltage == pytest.approx(14.8, abs=0.1)
 
@@ -235,7 +235,7 @@ def test_profile_matches_servo_model_and_supply(name: str) -> None:
     up.
     """
     profile = load_profile(name)
-    bank = bank_of(profile.servo.model, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
+    bank = make_servo_bank(profile.servo.model, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
     assert bank.motor.stall_torque == pytest.approx(profile.servo.stall_torque)
     write_register(bank, dxl.TORQUE_ENABLE, 1)
     assert step(bank).stiffness[0] == pytest.approx(profile.servo.stiffness, rel=0.01)
@@ -383,7 +383,9 @@ def test_present_registers_are_extrapolated_between_steps() -> None:
     write_register(bank, dxl.GOAL_POSITION, dxl.ticks_from_angle(0.12))
     spring = step(bank).stiffness[0]
     goal = step(bank).setpoint[0]
-    bank.feel(np.zeros(1), np.array([speed]), np.array([spring * goal + 0.1]), at_ns)  # the state at the beginning of the step
+    bank.set_joint_state(
+        np.zeros(1), np.array([speed]), np.array([spring * goal + 0.1]), at_ns
+    )  # the state at the beginning of the step
 
     def measured(after_ms: float) -> tuple[float, float, float]:
         table = bank.read(0, dxl.PRESENT_POSITION.address, 6, at_ns + round(after_ms * 1e6))
@@ -403,7 +405,7 @@ def test_present_registers_are_extrapolated_between_steps() -> None:
 def test_servo_without_torque_shows_no_load_between_steps() -> None:
     bank = ServoBank([1])
     step(bank)
-    bank.feel(np.zeros(1), np.ones(1), np.zeros(1), 0)
+    bank.set_joint_state(np.zeros(1), np.ones(1), np.zeros(1), 0)
     assert bank.read(0, dxl.PRESENT_LOAD.address, 2, 4_000_000) == bytes(2)
 
 
