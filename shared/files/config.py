@@ -270,7 +270,7 @@ def _build_dataclass(
     try:
         return schema(**given) if default is None else dataclasses.replace(cast(Any, default), **given)
     except ValueError as error:
-        problems.append(f"{where or 'top level'}: {error}")
+        problems.append(f"{where}: {error}" if where else str(error))  # at the top level, the error names its key
         return _INVALID
 
 
