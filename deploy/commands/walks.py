@@ -167,7 +167,11 @@ def _offer_film(folder: Path) -> None:
     """Draw the film of a walk if the user, at a terminal, wants it."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         return
-    if not click.confirm("Draw the film of the walk? It takes some minutes", default=False):
+    try:
+        wanted = click.confirm("Draw the film of the walk? It takes some minutes", default=False)
+    except click.Abort:  # Ctrl-C or Ctrl-D: the walk is over, and nothing is lost
+        wanted = False
+    if not wanted:
         return
     from sextant.deploy.commands.video import video
 

@@ -2,6 +2,7 @@
 
 const PROTOCOL = "sextant.1";
 const AGAIN_MS = 1000;
+const STOPPED = 1012; // close code of a console that ends
 
 export class Link {
   /**
@@ -14,6 +15,7 @@ export class Link {
     this.address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     this.address.hash = "";
     this.socket = null;
+    this.stopped = false; // whether the console has ended itself
     this.connect();
   }
 
@@ -21,11 +23,15 @@ export class Link {
     const token = location.hash.slice(1);
     const socket = new WebSocket(this.address, token ? [PROTOCOL, `token.${token}`] : [PROTOCOL]);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.hear.up();
+    socket.onopen = () => {
+      this.stopped = false;
+      this.hear.up();
+    };
     socket.onmessage = (event) => this.take(event.data);
     socket.onclose = (event) => {
       this.socket = null;
-      this.hear.down(event.reason || "the console does not answer");
+      this.stopped ||= event.code === STOPPED;
+      this.hear.down(event.reason || (this.stopped ? "the run is over, or its services were stopped" : "the console does not answer"));
       setTimeout(() => this.connect(), AGAIN_MS);
     };
     this.socket = socket;
