@@ -41,7 +41,7 @@ def ros2(
     import time
 
     try:
-        from sextant.deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, Bridge
+        from sextant.deploy.ros2.bridge import LATCHED, PICTURES, PUBLISHED, SUBSCRIBED, Bridge
     except ImportError as error:
         raise InputError(f"{error}: pip install 'sextant[ros2]'") from None
     from sextant.deploy.ros2.lead import Lead, Walk
@@ -68,7 +68,7 @@ def ros2(
         except ValueError as error:
             raise InputError(str(error)) from None
         bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures)
-        published = (*PUBLISHED, *(PICTURES if pictures else ()))
+        published = (*PUBLISHED, *LATCHED, *(PICTURES if pictures else ()))
         say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C stops it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
         say(f"subscribes to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")

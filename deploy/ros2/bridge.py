@@ -8,13 +8,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from sextant.deploy.ros2 import converted
+from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.clock import TimeOfDay
 from sextant.deploy.ros2.lead import Lead
 from sextant.deploy.ros2.message_types import CdrError, TwistStamped, decode, encode
 from sextant.deploy.ros2.names import Node, attachment, gid
 from sextant.shared.geometry import Array
-from sextant.shared.robot.links import BASE, CAMERA
+from sextant.shared.robot.links import BASE
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.urdf import urdf
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, Odometry, Tick
@@ -34,6 +36,8 @@ PUBLISHED = (
     ("terrain", "grid_map_msgs/msg/GridMap", 1),
     ("terrain_points", "sensor_msgs/msg/PointCloud2", 1),
 )
+# Published once, and kept for later subscribers (transient local).
+LATCHED = (("robot_description", "std_msgs/msg/String", 1), ("/tf_static", "tf2_msgs/msg/TFMessage", 1))
 PICTURES = (
     ("camera/depth_preview/compressed", "sensor_msgs/msg/CompressedImage", 1),
     ("camera/color_preview/compressed", "sensor_msgs/msg/CompressedImage", 1),
@@ -65,8 +69,8 @@ class Wire(Protocol):
         """Declare a liveliness token for the lifetime of the session."""
         ...
 
-    def publisher(self, key: str) -> Publisher:
-        """Declare a publisher."""
+    def publisher(self, key: str, kept: int = 0) -> Publisher:
+        """Declare a publisher; `kept` of its newest payloads are kept for later subscribers."""
         ...
 
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
@@ -77,10 +81,20 @@ class Wire(Protocol):
 class Outlet:
     """One published topic."""
 
-    def __init__(self, wire: Wire, node: Node, entity: int, topic: str, kind: str, depth: int, wall: Callable[[], int]):
-        """Declare the topic, as publisher number `entity`."""
-        token = node.endpoint_token(entity, "MP", topic, kind, depth)
-        self._publisher = wire.publisher(node.key(topic, kind))
+    def __init__(
+        self,
+        wire: Wire,
+        node: Node,
+        entity: int,
+        topic: str,
+        kind: str,
+        depth: int,
+        wall: Callable[[], int],
+        latched: bool = False,
+    ):
+        """Declare the topic, as publisher number `entity`; a latched one keeps its messages for later subscribers."""
+        token = node.endpoint_token(entity, "MP", topic, kind, depth, latched)
+        self._publisher = wire.publisher(node.key(topic, kind), depth if latched else 0)
         self._kind, self._gid, self._wall = kind, gid(token), wall
         self._sent = 0
         wire.announce(token)
@@ -135,7 +149,7 @@ class Bridge:
         self.last_refusal = ""
         if not pictures:
             self.subscribes = tuple(topic for topic in self.subscribes if topic is not topics.PREVIEW)
-        self._camera = profile.camera.T_body_camera
+        self._profile = profile
         self._lead, self._wall, self._tell = lead, wall, say
         self._time = TimeOfDay()
         self._before: Odometry | None = None
@@ -146,7 +160,14 @@ class Bridge:
             topic: Outlet(wire, node, entity, topic, kind, depth, wall)
             for entity, (topic, kind, depth) in enumerate(published, 1)
         }
-        for entity, (topic, kind, depth) in enumerate(SUBSCRIBED, 1 + len(published)):
+        self._latched = [  # a publisher that is dropped keeps nothing
+            Outlet(wire, node, entity, topic, kind, depth, wall, latched=True)
+            for entity, (topic, kind, depth) in enumerate(LATCHED, 1 + len(published))
+        ]
+        messages = ros.String(urdf(profile)), converted.fixed_transforms(profile, wall())
+        for outlet, message in zip(self._latched, messages, strict=True):
+            outlet.publish(message)
+        for entity, (topic, kind, depth) in enumerate(SUBSCRIBED, 1 + len(published) + len(LATCHED)):
             wire.subscribe(node.key(topic, kind), self._receiver(kind))
             wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
 
@@ -185,15 +206,16 @@ class Bridge:
 
     def _pass_state(self, inbox: Inbox) -> None:
         for message in inbox.drain(topics.ACTUATOR_STATE):
-            self._publish("joint_states", converted.joint_state, message, self._at(message))
+            at_ns = self._at(message)
+            self._publish("joint_states", converted.joint_state, message, at_ns)
+            self._publish("/tf", converted.leg_transforms, self._profile, message.q, at_ns)
 
     def _pass_pose(self, inbox: Inbox) -> None:
         for message in inbox.drain(topics.BODY_POSE):
             at_ns = self._at(message)
             correction = (converted.MAP, converted.ODOM, message.T_world_odom)
-            camera = (BASE, CAMERA, self._camera)
             self._publish("pose", converted.pose, message, at_ns)
-            self._publish("/tf", converted.transforms, at_ns, correction, camera)
+            self._publish("/tf", converted.transforms, at_ns, correction)
 
     def _pass_terrain(self, inbox: Inbox) -> None:
         for message in inbox.drain(topics.TERRAIN):

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from sextant.deploy.ros2 import message_types as ros
 from sextant.shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
-from sextant.shared.robot.links import BASE, CAMERA, JOINT_NAMES
+from sextant.shared.robot.links import BASE, CAMERA, JOINT_NAMES, fixed_joints, hinges, posed
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
 
 MAP, ODOM = "map", "odom"
@@ -44,6 +45,17 @@ def transforms(at_ns: int, *found: tuple[str, str, Array]) -> ros.TFMessage:
             for frame, child, T in found
         ]
     )
+
+
+def fixed_transforms(profile: RobotProfile, at_ns: int) -> ros.TFMessage:
+    """Make the tf2_msgs/msg/TFMessage of the robot's fixed frames: its camera, and the centres of its feet."""
+    return transforms(at_ns, *((joint.parent, joint.child, joint.T_parent_child) for joint in fixed_joints(profile)))
+
+
+def leg_transforms(profile: RobotProfile, q: Array, at_ns: int) -> ros.TFMessage:
+    """Make the tf2_msgs/msg/TFMessage of the links of the legs, at joint angles (6, 3) [rad]."""
+    angles = zip(hinges(profile), q.ravel().tolist(), strict=True)
+    return transforms(at_ns, *((joint.parent, joint.child, posed(joint, angle)) for joint, angle in angles))
 
 
 def joint_state(state: ActuatorState, at_ns: int) -> ros.JointState:

@@ -37,6 +37,7 @@ Header = jazzy.std_msgs__msg__Header
 MultiArrayDimension = jazzy.std_msgs__msg__MultiArrayDimension
 MultiArrayLayout = jazzy.std_msgs__msg__MultiArrayLayout
 Float32MultiArray = jazzy.std_msgs__msg__Float32MultiArray
+String = jazzy.std_msgs__msg__String
 Vector3 = jazzy.geometry_msgs__msg__Vector3
 Point = jazzy.geometry_msgs__msg__Point
 Quaternion = jazzy.geometry_msgs__msg__Quaternion

@@ -14,6 +14,7 @@ import xxhash
 from sextant.deploy.ros2.message_types import type_hash
 
 Kind = Literal["MP", "MS"]  # a publisher, a subscription
+_TRANSIENT_LOCAL = "1"  # durability in a token; empty for volatile, which is the default
 _ATTACHMENT = struct.Struct("<qqB16s")  # number, time, length of the gid, gid
 _NAME = r"[A-Za-z_]\w*"
 _NAMESPACE = re.compile(rf"/|(/{_NAME})+", re.ASCII)
@@ -48,10 +49,10 @@ class Node:
         """Return the liveliness token that announces the node."""
         return f"@ros2_lv/{self.domain}/{self.session}/0/0/NN/{self._place()}"
 
-    def endpoint_token(self, entity: int, end: Kind, topic: str, kind: str, depth: int) -> str:
+    def endpoint_token(self, entity: int, end: Kind, topic: str, kind: str, depth: int, transient_local: bool = False) -> str:
         """Return the liveliness token that announces a publisher or subscription.
 
-        Its QoS is reliable, volatile, keep last.
+        Its QoS is reliable, keep last, and volatile or transient local.
 
         Args:
             entity: Its number within the session, from 1 on.
@@ -59,8 +60,10 @@ class Node:
             topic: Its topic.
             kind: Message type, e.g. "sensor_msgs/msg/JointState".
             depth: Messages that it keeps.
+            transient_local: Whether later subscribers get the kept messages.
         """
-        about = f"{_mangled(self.full(topic))}/{dds_name(kind)}/{type_hash(kind)}/::,{depth}:,:,:,,"
+        durability = _TRANSIENT_LOCAL if transient_local else ""
+        about = f"{_mangled(self.full(topic))}/{dds_name(kind)}/{type_hash(kind)}/:{durability}:,{depth}:,:,:,,"
         return f"@ros2_lv/{self.domain}/{self.session}/0/{entity}/{end}/{self._place()}/{about}"
 
     def _place(self) -> str:

@@ -21,6 +21,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 import zenoh
+import zenoh.ext
 
 from sextant.shared.errors import SextantError
 from sextant.shared.wire.access import Keys
@@ -44,6 +45,7 @@ _SEND_BUFFER = 64 * 1024  # [bytes] for bulk over a radio; frames that wait in t
 _LOOK_S = 0.05  # [s] between two reads of the clock by a router
 _KEPT = 256  # frames of an EVERY topic that may wait in a queue
 
+_HEARTBEAT_S = 0.5  # between announcements of the number of the newest kept payload, as rmw_zenoh has it
 _SOURCE = re.compile(r" at /\S+?\.rs:\d+(?::\d+)*[.:]?")  # source location in Zenoh's error texts
 
 _log = logging.getLogger(__name__)
@@ -310,7 +312,7 @@ class ForeignPublisher:
         self._publisher.put(payload, attachment=attachment)
 
     def wanted(self) -> bool:
-        """Return whether the key has subscribers."""
+        """Return whether the key has subscribers; not for a publisher that keeps payloads."""
         return bool(self._publisher.matching_status.matching)
 
 
@@ -339,10 +341,20 @@ class ForeignLink:
         """Declare a liveliness token for the lifetime of the session."""
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def publisher(self, key: str) -> ForeignPublisher:
-        """Declare a publisher on a key."""
+    def publisher(self, key: str, kept: int = 0) -> ForeignPublisher:
+        """Declare a publisher on a key; `kept` of its newest payloads are kept for later subscribers that ask for them."""
         drop = zenoh.CongestionControl.DROP
-        return ForeignPublisher(self._session.declare_publisher(key, congestion_control=drop))
+        if not kept:
+            return ForeignPublisher(self._session.declare_publisher(key, congestion_control=drop))
+        publisher = zenoh.ext.declare_advanced_publisher(
+            self._session,
+            key,
+            congestion_control=drop,
+            cache=zenoh.ext.CacheConfig(kept),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S),
+            publisher_detection=True,
+        )
+        return ForeignPublisher(publisher)
 
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
         """Pass every payload of a key to `receive`, from a thread of this link."""

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from sextant.deploy import cli
 from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import (
+    LATCHED,
     MAX_TWIST_BYTES,
     PICTURES,
     PUBLISHED,
@@ -32,8 +33,12 @@ from sextant.deploy.ros2.lead import Lead, Walk
 from sextant.deploy.ros2.message_types import decode, encode, type_hash
 from sextant.deploy.ros2.names import Node, dds_name, gid
 from sextant.deploy.terminal.arguments import parse
-from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.geometry import apply, from_xyz_rpy, rotation_from_quaternion, transform
+from sextant.shared.robot.kinematics import leg_forward
+from sextant.shared.robot.links import fixed_joints, hinges
+from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.urdf import urdf
 from sextant.shared.runtime.service import AnyTopic, Inbox
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire import codec, topics
@@ -88,6 +93,7 @@ class Played:
     """A publisher that stores sent messages."""
 
     asked: bool = True
+    kept: int = 0
     sent: list[tuple[bytes, bytes]] = field(default_factory=list)
 
     def send(self, payload: bytes, attachment: bytes) -> None:
@@ -110,8 +116,8 @@ class MemoryWire:
     def announce(self, token: str) -> None:
         self.tokens.append(token)
 
-    def publisher(self, key: str) -> Played:
-        return self.publishers.setdefault(key, Played(self.asked))
+    def publisher(self, key: str, kept: int = 0) -> Played:
+        return self.publishers.setdefault(key, Played(self.asked, kept))
 
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
         self.receivers[key] = receive
@@ -158,11 +164,44 @@ def test_published_topics_decode_to_robot_values() -> None:
     assert found["joint_states"][0].position.tolist() == [0.25] * 18
     assert found["pose"][0].header.frame_id == "map"
     frames = {(one.header.frame_id, one.child_frame_id) for message in found["/tf"] for one in message.transforms}
-    assert frames == {("odom", "base_link"), ("map", "odom"), ("base_link", "camera_depth_optical_frame")}
+    legs = {(joint.parent, joint.child) for joint in hinges(PROFILE)}
+    assert frames == {("odom", "base_link"), ("map", "odom"), *legs}
     assert found["terrain"][0].layers == ["elevation", "variance", "score", "evaluation"]
     assert found["terrain_points"][0].width == 24
     assert bytes(found["camera/depth_preview/compressed"][0].data) == b"depth"
     assert found["camera/color_preview/compressed"] == [], "there is no colour camera"
+
+
+def test_description_and_fixed_frames_are_kept_for_later_subscribers() -> None:
+    bench = Bench(asked=False)
+    sent = {topic: bench.sent(topic, kind) for topic, kind, _ in LATCHED}
+    assert [message.data for message in sent["robot_description"]] == [urdf(PROFILE)]
+    (fixed,) = sent["/tf_static"]
+    frames = [(one.header.frame_id, one.child_frame_id) for one in fixed.transforms]
+    assert frames == [(joint.parent, joint.child) for joint in fixed_joints(PROFILE)]
+    for topic, kind, depth in LATCHED:
+        assert bench.wire.publishers[bench.node.key(topic, kind)].kept == depth == 1
+    tokens = [token for token in bench.wire.tokens if token.endswith(":1:,1:,:,:,,")]
+    assert len(tokens) == len(LATCHED)
+
+
+def test_frames_of_legs_lead_to_the_feet() -> None:
+    bench = Bench()
+    bench.hear(*robot_messages(bench.now))
+    bench.beat()
+    poses = {"base_link": np.eye(4)}
+    moving = [one for message in bench.sent("/tf", "tf2_msgs/msg/TFMessage") for one in message.transforms]
+    (fixed,) = bench.sent("/tf_static", "tf2_msgs/msg/TFMessage")
+    for one in (*moving, *fixed.transforms):
+        if one.header.frame_id in poses:
+            p, q = one.transform.translation, one.transform.rotation
+            T = transform(rotation_from_quaternion((q.w, q.x, q.y, q.z)), (p.x, p.y, p.z))
+            poses[one.child_frame_id] = poses[one.header.frame_id] @ T
+    feet = leg_forward(np.full((6, 3), 0.25), PROFILE.links)
+    for leg, T_body_coxa, foot in zip(LEGS, PROFILE.T_body_coxa, feet, strict=True):
+        found = poses[f"{leg.replace(' ', '_')}_foot_link"][:3, 3]
+        np.testing.assert_allclose(found, apply(T_body_coxa, foot), atol=1e-9)
+    np.testing.assert_allclose(poses["camera_depth_optical_frame"], PROFILE.camera.T_body_camera, atol=1e-9)
 
 
 def test_attachments_have_increasing_sequence_and_token_gid() -> None:
@@ -183,7 +222,7 @@ def test_topics_without_subscribers_are_not_published() -> None:
     bench = Bench(asked=False)
     bench.hear(*robot_messages(bench.now))
     assert bench.beat() == []
-    assert all(publisher.sent == [] for publisher in bench.wire.publishers.values())
+    assert all(publisher.sent == [] for publisher in bench.wire.publishers.values() if not publisher.kept)
     assert topics.PREVIEW not in bench.bridge.subscribes, "perception makes pictures for who asks alone"
 
 
@@ -273,6 +312,16 @@ class RosNode:
 
         self.session.declare_subscriber(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", hear)
 
+    def subscribe_late(self, topic: str, kind: str) -> None:
+        """Subscribe as rmw_zenoh does with transient local durability: with what was published before."""
+
+        def hear(sample: zenoh.Sample) -> None:
+            self.heard.setdefault(topic, []).append(decode(kind, sample.payload.to_bytes()))
+
+        key = f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}"
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+        self.late = zenoh.ext.declare_advanced_subscriber(self.session, key, hear, history=history)
+
     def publish(self, topic: str, kind: str, message: Any) -> None:
         self.session.put(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", encode(kind, message))
 
@@ -344,9 +393,13 @@ def test_ros_node_discovers_reads_and_drives_robot_over_zenoh(router: str) -> No
                 stamp = node.heard["odom"][-1].header.stamp
                 assert abs(stamp.sec + stamp.nanosec * 1e-9 - time.time()) < 5.0, "by the time of day"
 
+                node.subscribe_late("robot_description", "std_msgs/msg/String")
+                eventually(lambda: "robot_description" in node.heard, "the description, long after it was published", 20.0)
+                assert node.heard["robot_description"][0].data == urdf(PROFILE)
+
                 tokens = node.graph()
                 assert sum("/NN/%/%/sextant" in token for token in tokens) == 1
-                assert sum("/MP/%/%/sextant/" in token for token in tokens) == len(PUBLISHED)
+                assert sum("/MP/%/%/sextant/" in token for token in tokens) == len(PUBLISHED) + len(LATCHED)
                 assert sum("/MS/%/%/sextant/" in token for token in tokens) == len(SUBSCRIBED)
                 assert all(token.split("/")[2] == wire.id for token in tokens)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sextant.deploy.ros2 import converted
-from sextant.deploy.ros2.bridge import PICTURES, PUBLISHED
-from sextant.deploy.ros2.message_types import encode
+from sextant.deploy.ros2.bridge import LATCHED, PICTURES, PUBLISHED
+from sextant.deploy.ros2.message_types import String, encode
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
@@ -47,6 +47,7 @@ def examples(nx: int = 3, ny: int = 2) -> Iterator[tuple[str, Any]]:
     yield "nav_msgs/msg/Odometry", converted.odometry(newest, before, AT_NS)
     yield "geometry_msgs/msg/PoseWithCovarianceStamped", converted.pose(pose, AT_NS)
     yield "tf2_msgs/msg/TFMessage", converted.transforms(AT_NS, ("map", "odom", T), ("odom", "base_link", np.eye(4)))
+    yield "std_msgs/msg/String", String("<robot/>")
     state = actuator_state(load_profile("phantomx_mk2"), stamp_ns=0, q=q, load_nm=-q)
     yield "sensor_msgs/msg/JointState", converted.joint_state(state, AT_NS)
     yield "grid_map_msgs/msg/GridMap", converted.grid_map(terrain(nx, ny), AT_NS)
@@ -55,7 +56,7 @@ def examples(nx: int = 3, ny: int = 2) -> Iterator[tuple[str, Any]]:
 
 
 def test_every_published_type_has_recorded_bytes() -> None:
-    assert {kind for _, kind, _ in (*PUBLISHED, *PICTURES)} == set(RECORDED) == {kind for kind, _ in examples()}
+    assert {kind for _, kind, _ in (*PUBLISHED, *LATCHED, *PICTURES)} == set(RECORDED) == {kind for kind, _ in examples()}
 
 
 @pytest.mark.parametrize(("kind", "message"), list(examples()), ids=[kind for kind, _ in examples()])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from sextant.deploy.ros2 import message_types as ros
-from sextant.deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, TWIST, TWIST_STAMPED
+from sextant.deploy.ros2.bridge import LATCHED, PICTURES, PUBLISHED, SUBSCRIBED, TWIST, TWIST_STAMPED
 from sextant.deploy.ros2.message_types import CdrError, decode, encode, type_hash
 
 # As rosidl generates them, from published packages of Jazzy and Kilted. Some come from packages that refer to these types and
@@ -30,7 +30,7 @@ PUBLISHED_HASHES = {
     "grid_map_msgs/msg/GridMapInfo": "0a36d6b5bc9af8463d1d5a5008ef9fcac0c1373ba090f80c3594e47cc565b745",
     "grid_map_msgs/msg/GridMap": "343b0e72887541beda6b035cc053f2d6fffaad9d6dcb2773c15a808dfca31fde",
 }
-IN_USE = sorted({kind for _, kind, _ in (*PUBLISHED, *PICTURES, *SUBSCRIBED)})
+IN_USE = sorted({kind for _, kind, _ in (*PUBLISHED, *LATCHED, *PICTURES, *SUBSCRIBED)})
 TWIST_MESSAGE = ros.Twist(ros.Vector3(0.1, -0.2, 0.0), ros.Vector3(0.0, 0.0, 0.3))
 EXAMPLES = {TWIST: TWIST_MESSAGE, TWIST_STAMPED: ros.TwistStamped(ros.Header(ros.Time(1, 2), "base_link"), TWIST_MESSAGE)}
 

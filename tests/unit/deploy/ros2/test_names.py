@@ -25,6 +25,8 @@ def test_tokens_and_keys_match_rmw_zenoh_examples() -> None:
     assert talker.endpoint_token(10, "MP", "/chatter", STRING, 7) == (
         f"@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,"
     )
+    latched = talker.endpoint_token(10, "MP", "/chatter", STRING, 7, transient_local=True)
+    assert latched.endswith("/:1:,7:,:,:,,"), "durability 1 is transient local"
     assert listener.key("chatter", STRING) == f"2/chatter/std_msgs::msg::dds_::String_/{HASH}"
 
 
