@@ -40,7 +40,7 @@ def test_make_reports_unreachable_package_index_in_one_line(tmp_path: Path, pip:
     assert not (tmp_path / ".venv" / ".installed-all").exists()
 
 
-def test_a_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
+def test_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
     """Install a plugin that warns on import, as another package may bring one."""
     (tmp_path / "warning_plugin.py").write_text("import warnings\nwarnings.warn('from a plugin', DeprecationWarning)\n")
     about = tmp_path / "warning_plugin-1.0.dist-info"

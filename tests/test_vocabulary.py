@@ -59,6 +59,6 @@ def test_documentation_uses_standard_terms() -> None:
     assert [f"{path.relative_to(ROOT)}:{i}: {words}" for path, i, line in lines if (words := advice(line))] == []
 
 
-def test_a_banned_word_is_reported_with_its_replacement() -> None:
+def test_banned_word_is_reported_with_replacement() -> None:
     assert advice("Let Go of the legs") == "'Let Go': write turn torque off, or release"
     assert advice("the besides and nobodies of it") == ""

@@ -112,7 +112,7 @@ def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
     return made
 
 
-def test_a_walk_is_stopped_when_the_client_disconnects(robot: Robot) -> None:
+def test_walk_is_stopped_when_client_disconnects(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         me.walk(0.08)
@@ -122,7 +122,7 @@ def test_a_walk_is_stopped_when_the_client_disconnects(robot: Robot) -> None:
     assert robot.state.mode is Mode.HOLD
 
 
-def test_a_refusal_is_raised_with_its_reason_each_time_and_the_command_is_not_repeated(robot: Robot) -> None:
+def test_refusal_is_raised_with_reason_and_command_is_not_repeated(robot: Robot) -> None:
     robot.obey = robot.refuses
     with Client(name="me") as me:
         for _ in range(2):  # the second refusal has the words of the first
@@ -137,7 +137,7 @@ def test_a_refusal_is_raised_with_its_reason_each_time_and_the_command_is_not_re
     assert robot.orders() == ["walk", "walk"], "there is no walk to be stopped"
 
 
-def test_a_command_that_nothing_answers_fails_with_the_state_of_the_robot(robot: Robot) -> None:
+def test_unanswered_command_fails_with_state_of_robot(robot: Robot) -> None:
     robot.obey = lambda _: None
     with (
         Client(name="me") as me,
@@ -146,7 +146,7 @@ def test_a_command_that_nothing_answers_fails_with_the_state_of_the_robot(robot:
         me.sit()
 
 
-def test_a_silent_actuator_has_no_state(robot: Robot) -> None:
+def test_silent_actuator_has_no_state(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         robot.silent = True
@@ -160,7 +160,7 @@ def test_a_silent_actuator_has_no_state(robot: Robot) -> None:
         assert me.state.mode is Mode.HOLD
 
 
-def test_no_actuator_at_an_endpoint_is_an_error(robot: Robot) -> None:
+def test_endpoint_without_actuator_is_an_error(robot: Robot) -> None:
     robot.silent = True
     with pytest.raises(ClientError, match=r"no actuator publishes its state at tcp/127\.0\.0\.1:7447"):
         Client()
@@ -185,7 +185,7 @@ def walks_to(robot: Robot, me: Client, *, arrives_after: int = 10**9, **during: 
     me.goto(1.0, 0.5)
 
 
-def test_goto_ends_with_a_stop_at_the_goal(robot: Robot) -> None:
+def test_goto_ends_with_stop_at_goal(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         walks_to(robot, me, arrives_after=100)
@@ -193,7 +193,7 @@ def test_goto_ends_with_a_stop_at_the_goal(robot: Robot) -> None:
     assert any(isinstance(m, Goal) and m.waypoints.tolist() == [[1.0, 0.5]] for m in robot.sent)
 
 
-def test_goto_does_not_take_the_arrival_at_an_earlier_goal_for_its_own(robot: Robot) -> None:
+def test_goto_ignores_arrival_at_earlier_goal(robot: Robot) -> None:
     robot.planner = replace(robot.planner, state="arrived")
     with Client(name="me") as me, pytest.raises(ClientError, match="not reached within 5 s"):
         me.goto(1.0, 0.5, within_s=5.0)
@@ -201,7 +201,7 @@ def test_goto_does_not_take_the_arrival_at_an_earlier_goal_for_its_own(robot: Ro
 
 
 @pytest.mark.parametrize("mode", [Mode.FAULT, Mode.OFF, Mode.READY])
-def test_goto_ends_when_the_robot_no_longer_walks(robot: Robot, mode: Mode) -> None:
+def test_goto_ends_when_robot_no_longer_walks(robot: Robot, mode: Mode) -> None:
     with Client(name="me") as me:
         me.stand()
         robot.obey = lambda order: robot.obeys(order) if robot.state.mode in (Mode.HOLD, Mode.WALK) else None
@@ -209,7 +209,7 @@ def test_goto_ends_when_the_robot_no_longer_walks(robot: Robot, mode: Mode) -> N
             walks_to(robot, me, mode=mode, reason="a servo is silent")
 
 
-def test_goto_raises_the_first_failure_if_the_stop_fails_too(robot: Robot) -> None:
+def test_goto_raises_first_failure_if_stop_fails_too(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         robot.planner = replace(robot.planner, state="blocked", reason="a gap of 0.3 m")
@@ -220,7 +220,7 @@ def test_goto_raises_the_first_failure_if_the_stop_fails_too(robot: Robot) -> No
     assert failed.value.__notes__[0].startswith("afterwards: `stop` is not done within 20 s")
 
 
-def test_goto_ends_without_a_stop_when_another_client_takes_over(robot: Robot) -> None:
+def test_goto_ends_without_stop_when_other_client_takes_over(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         robot.obey = lambda order: robot.obeys(order) if robot.state.lease != "you" else None
@@ -233,7 +233,7 @@ def test_goto_ends_without_a_stop_when_another_client_takes_over(robot: Robot) -
     assert robot.orders() == ["stand", "walk"]
 
 
-def test_goto_ends_when_there_is_no_way_or_no_word(robot: Robot) -> None:
+def test_goto_fails_without_path_or_planner_status(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         robot.planner = replace(robot.planner, state="blocked", reason="a gap of 0.3 m")
@@ -247,7 +247,7 @@ def test_goto_ends_when_there_is_no_way_or_no_word(robot: Robot) -> None:
             me.goto(1.0, 0.5)
 
 
-def test_a_client_that_does_not_lead_stops_the_robot_once_and_leaves_its_lease(robot: Robot) -> None:
+def test_client_without_lease_stops_robot_once_and_leaves_lease(robot: Robot) -> None:
     robot.set(mode=Mode.WALK, lease="you")
     robot.obey = lambda order: robot.obeys(order) if isinstance(order, StopOrder) else None
     with Client(name="me") as me:
@@ -261,7 +261,7 @@ def test_a_client_that_does_not_lead_stops_the_robot_once_and_leaves_its_lease(r
         assert len(robot.sent) == sent
 
 
-def test_a_certificate_that_may_not_lead_may_stop(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificate_without_walk_permission_may_stop(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     viewer = ROLE_NAMED["viewer"]
     monkeypatch.setattr(client.Keys, "load", lambda _: SimpleNamespace(role=viewer, refusal=viewer.refusal))
     robot.set(mode=Mode.WALK, lease="you")
@@ -277,7 +277,7 @@ def test_a_certificate_that_may_not_lead_may_stop(robot: Robot, monkeypatch: pyt
     assert all(isinstance(message, StopOrder) for message in robot.sent)
 
 
-def test_a_router_that_refuses_a_command_is_its_reason(robot: Robot) -> None:
+def test_router_refusal_is_given_as_reason(robot: Robot) -> None:
     refused = Health(0, f"{ROUTER_OF}viewer", "listening", 0, 0, 0, "", (), NOWHERE, NOWHERE)
     robot.obey = lambda _: None
     robot.then = lambda: robot.heard.append((topics.HEALTH_OF["viewer"], refused))
@@ -285,7 +285,7 @@ def test_a_router_that_refuses_a_command_is_its_reason(robot: Robot) -> None:
         me.stand()
 
 
-def test_a_velocity_is_repeated_while_the_robot_is_to_walk(robot: Robot) -> None:
+def test_velocity_is_repeated_while_walk_is_ordered(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         me.walk(0.08, yaw_rate_rad_s=0.1)
@@ -300,7 +300,7 @@ def test_a_velocity_is_repeated_while_the_robot_is_to_walk(robot: Robot) -> None
         assert not any(isinstance(m, VelocityCommand) for m in robot.sent)
 
 
-def test_a_restarted_robot_clock_voids_the_command(robot: Robot) -> None:
+def test_restarted_robot_clock_cancels_command(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
         me.walk(0.08)

@@ -11,12 +11,12 @@ FOLDERS = sorted({path.parent.relative_to(ROOT) for part in PARTS for path in (R
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
-def test_a_folder_of_the_program_is_a_package_and_says_what_it_is(folder: Path) -> None:
+def test_program_folder_is_package_with_docstring(folder: Path) -> None:
     words = (ROOT / folder / "__init__.py").read_text(encoding="utf-8")
     assert words.startswith('"""')
 
 
-def test_nothing_of_the_program_is_ignored() -> None:
+def test_no_program_file_is_ignored_by_git() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("no checkout of git")
     asked = "\0".join(f"{folder}/any.py" for folder in FOLDERS)

@@ -30,7 +30,7 @@ terrain = [{ kind = "plane" }]
 """
 
 
-def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_walk_through_mcu_bridge_matches_walk_on_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     course = tmp_path / "level.toml"
     course.write_text(COURSE, encoding="utf-8")
     reports = []
@@ -49,7 +49,7 @@ def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: 
     assert bridged["torque_nm"]["rms_worst_joint"] <= 1.1 * direct["torque_nm"]["rms_worst_joint"]
 
 
-def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_or_lunges() -> None:
+def test_mcu_restart_during_walk_causes_no_fall_or_lunge() -> None:
     at_ns, done = 6_050_000_000, []
 
     def restart(run: LockstepRun) -> None:
@@ -76,7 +76,7 @@ def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_
     assert again.stamp_ns - done[0] < 3_000_000_000, "the step goes on where it stood"
 
 
-def test_over_a_socket_as_on_a_serial_line() -> None:
+def test_bridge_reconnects_over_tcp_socket() -> None:
     """Use a live board behind a TCP port that sends by itself.
 
     A pulled cable is a new connection.

@@ -25,7 +25,7 @@ def faulty(kind: str, for_s: float = FOR_S, goal: float = 0.3) -> Walk:
     return walk(flat(goal, faults=(Fault(AT_S, "camera", kind, for_s=for_s),)), 1000, wanted=HEARD)  # type: ignore[arg-type]
 
 
-def assert_right_to_the_end(found: Walk) -> None:
+def assert_goal_reached_with_correct_maps(found: Walk) -> None:
     """Check that the robot reached its goal, and that every map was correct.
 
     No map contains ground where there is none.
@@ -37,7 +37,7 @@ def assert_right_to_the_end(found: Walk) -> None:
 
 
 @pytest.mark.parametrize("kind", ["absent", "frozen", "noise"])
-def test_it_stops_says_why_and_goes_on(kind: str) -> None:
+def test_robot_stops_on_camera_fault_with_reason_and_resumes(kind: str) -> None:
     found = faulty(kind)
     during = found.states(AT_S, AT_S + FOR_S)
     assert during[-1].mode is Mode.HOLD
@@ -49,26 +49,26 @@ def test_it_stops_says_why_and_goes_on(kind: str) -> None:
     bad = [p for p in found.heard.of(topics.BODY_POSE, AT_S + 2.5, AT_S + FOR_S) if p.ok]
     assert not bad, "no pose stands on such pictures"
     assert len(found.heard.of(topics.SCAN, AT_S + 2.5, AT_S + FOR_S)) == 0
-    assert_right_to_the_end(found)
+    assert_goal_reached_with_correct_maps(found)
 
 
-def test_a_blind_camera_is_named_while_it_walks_on_over_what_it_has_seen() -> None:
+def test_blind_camera_is_reported_while_robot_walks_over_mapped_ground() -> None:
     found = faulty("blind", goal=0.5)
     poses = found.heard.of(topics.BODY_POSE, AT_S + 0.2, AT_S + FOR_S)
     assert poses
     assert all(not pose.ok and pose.reason for pose in poses)
-    assert_right_to_the_end(found)
+    assert_goal_reached_with_correct_maps(found)
 
 
-def test_a_gap_of_a_fifth_of_a_second_is_nothing() -> None:
+def test_gap_of_200_ms_in_images_does_not_stop_walk() -> None:
     found = faulty("absent", 0.2)
     assert all(state.mode is Mode.WALK for state in found.states(AT_S, AT_S + 2.0))
     assert all(pose.ok for pose in found.heard.of(topics.BODY_POSE, AT_S))
-    assert_right_to_the_end(found)
+    assert_goal_reached_with_correct_maps(found)
 
 
 @pytest.mark.parametrize("imu", [True, pytest.param(False, marks=pytest.mark.campaign)])
-def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen(imu: bool) -> None:
+def test_robot_walks_by_touch_over_unseen_ground_on_request(imu: bool) -> None:
     blocks = tuple(Box((0.75 + 0.13 * i, y), (0.09, 0.12), 0.02 + 0.01 * (i % 3)) for i in range(2) for y in (-0.2, 0.2))
     course = Scenario(
         "dark",

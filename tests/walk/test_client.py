@@ -43,7 +43,7 @@ class Led:
         return np.array(self.status.pose.T_world_body[:2, 3])
 
 
-def test_it_stands_walks_goes_to_a_place_and_stops() -> None:
+def test_client_stands_walks_reaches_goal_and_stops() -> None:
     led = Led()
     led.run.run(2 * S)
     led.commander.give("stand")
@@ -68,18 +68,18 @@ def test_it_stands_walks_goes_to_a_place_and_stops() -> None:
     led.until(Mode.HOLD, 5.0)
 
 
-def test_nothing_answers_at_a_wrong_endpoint() -> None:
+def test_invalid_endpoint_raises_error() -> None:
     with pytest.raises(ValueError, match="nowhere"):
         Client("nowhere")
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
+def test_package_import_loads_no_heavy_libraries() -> None:
     code = "import sextant, sys; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & {"numpy", "zenoh", "numba", "cv2", "mujoco"}
 
 
-def test_the_public_names_exist() -> None:
+def test_public_names_exist() -> None:
     for name in sextant.__all__:
         assert getattr(sextant, name) is not None
     assert set(sextant.__all__) <= set(dir(sextant))

@@ -78,9 +78,7 @@ def without_timing(folder: Path) -> tuple[str, Frames]:
     return json.dumps(table), frames
 
 
-def test_the_same_seed_gives_the_same_report_and_frames_in_a_process_stopped_at_random(
-    first: tuple[str, Frames], course: Path, tmp_path: Path
-) -> None:
+def test_same_seed_gives_same_report_and_frames_despite_pauses(first: tuple[str, Frames], course: Path, tmp_path: Path) -> None:
     """Stop and continue a run at random times.
 
     A preempted process reads its clocks at any distance from each other; nothing in lockstep may depend on that.
@@ -100,7 +98,7 @@ def test_the_same_seed_gives_the_same_report_and_frames_in_a_process_stopped_at_
     assert without_timing(tmp_path) == (report, frames)
 
 
-def test_another_seed_gives_another_walk(first: tuple[str, Frames], course: Path) -> None:
+def test_different_seed_gives_different_walk(first: tuple[str, Frames], course: Path) -> None:
     scenario, heard = load_scenario(str(course)), Heard((topics.BODY_POSE,))
     assemble(scenario, OTHER_SEED, load_profile(scenario.robot), heard.tap, every_frame=False).run(round(STOOD_UP_S * S))
     others = [frame for _, frame, _ in heard.frames]

@@ -36,7 +36,7 @@ def course(service: str, *kinds: str, for_s: float = FOR_S) -> Scenario:
     return flat(0.4 + 0.25 * (len(kinds) - 1), faults=faults)
 
 
-def assert_carried_on(found: Walk) -> None:
+def assert_stood_safely_and_reached_goal(found: Walk) -> None:
     """Check that the robot stood safely throughout, and reached its goal."""
     report = found.report
     assert report.success, report.reason
@@ -55,7 +55,7 @@ def assert_carried_on(found: Walk) -> None:
 
 
 @pytest.mark.parametrize("service", ["perception", "mapper", "planner"])
-def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str) -> None:
+def test_robot_holds_with_reason_without_a_service_and_resumes(service: str) -> None:
     """Kill the service, then hang it."""
     found = walk(course(service, "kill", "hang"), 1000)
     for at_s in TIMES_S:
@@ -68,7 +68,7 @@ def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str) ->
         )
         said = {state.reason for state in states[first:]} | {status.reason for status in found.statuses(at_s, at_s + FOR_S)}
         assert any(REASONS[service] in reason for reason in said), said
-    assert_carried_on(found)
+    assert_stood_safely_and_reached_goal(found)
 
 
 class Servos:
@@ -93,7 +93,7 @@ class Servos:
 
 
 @pytest.mark.parametrize(("kind", "for_s"), [("kill", FOR_S), ("hang", 4.5)])
-def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes_on(kind: str, for_s: float) -> None:
+def test_servos_keep_goals_and_torque_without_actuator_and_walk_resumes(kind: str, for_s: float) -> None:
     servos = Servos(for_s)
     found = walk(course("actuator", kind, for_s=for_s), 1000, look=servos.look)
     assert not found.states(AT_S, AT_S + for_s), "nothing commands the servos"
@@ -108,4 +108,4 @@ def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes
         assert found.states(AT_S + for_s)[0].reason.startswith("torque was on at the start")
     else:
         assert any(warning.startswith("actuator: no message") for warning in servos.warnings), servos.warnings
-    assert_carried_on(found)
+    assert_stood_safely_and_reached_goal(found)

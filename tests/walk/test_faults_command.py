@@ -14,7 +14,7 @@ from sextant.deploy.commands.common import SUCCESS
 FAULTS = ("planner-hung", "servo-silent", "overload", "sag", "off-bytes-garbage")
 
 
-def test_faults_are_injected_held_to_their_limits_and_not_done_again(
+def test_faults_command_checks_limits_and_skips_completed_injections(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS, (tmp_path / "faults.md").read_text()

@@ -28,7 +28,7 @@ landing = 2.0
 """
 
 
-def test_the_slow_gaits_climb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ripple_gait_climbs_two_stairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     course = tmp_path / "two-steps.toml"
     course.write_text(_TWO_STEPS, encoding="utf-8")
     words = ["run", str(course), "--lockstep", "--seed", "1001", "--gait", "ripple", "--out", str(tmp_path), "--json"]
@@ -39,7 +39,7 @@ def test_the_slow_gaits_climb(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert table["torque_nm"]["rms_worst_joint"] < 0.5
 
 
-def test_a_wave_keeps_five_feet_on_the_ground() -> None:
+def test_wave_gait_is_slower_and_more_stable_than_tripod() -> None:
     scenario = replace(load_scenario("flat"), goal=Goal(0.3))
     tripod = run_lockstep(scenario, 1000)
     wave = run_lockstep(replace(scenario, walk=replace(scenario.walk, gait="wave")), 1000)

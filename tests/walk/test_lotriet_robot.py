@@ -16,7 +16,7 @@ _LOOK_NS = 500_000_000
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name == "lotriet_flat" else pytest.mark.campaign) for name in TESTS]
 )
-def test_it_walks_the_tests_of_the_thesis(name: str) -> None:
+def test_rx64_robot_matches_or_exceeds_thesis_results(name: str) -> None:
     scenario = load_scenario(name)
     run = assemble(scenario, 1000, load_profile(scenario.robot))
     while not run.attendance.over():

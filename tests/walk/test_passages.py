@@ -15,7 +15,7 @@ from tests.support.walks import walk
 WANTED = (topics.PASSAGE_PLAN, topics.PASSAGE_REQUEST, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
 
 
-def test_a_passage_is_crossed_from_one_side_to_the_other() -> None:
+def test_robot_crosses_passage() -> None:
     scenario = load_scenario("passage3")
     found = walk(scenario, 1000, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
@@ -42,7 +42,7 @@ def test_a_passage_is_crossed_from_one_side_to_the_other() -> None:
 
 
 @pytest.mark.campaign
-def test_a_pillar_that_gives_way_is_found_out_by_touch_and_another_way_is_taken() -> None:
+def test_sinking_pillar_is_detected_by_touch_and_passage_is_replanned() -> None:
     found = walk(load_scenario("passage_gives_way"), 1005, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
     assert report.success, report.reason

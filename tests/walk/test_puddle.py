@@ -14,14 +14,14 @@ SHORT = replace(load_scenario("puddle"), goal=Goal(0.85))
 POOL = replace(SHORT, terrain=(Plane(), Puddle((1.1, 0.0), (0.6, 3.0))))
 
 
-def test_with_colour_no_foot_goes_where_without_it_feet_go() -> None:
+def test_color_camera_avoids_water_that_depth_alone_does_not() -> None:
     seeing, blind_to_it = (walk(replace(SHORT, robot=robot), 1001).report for robot in ("phantomx_mk2_rgbd", "phantomx_mk2"))
     assert seeing.success, seeing.reason
     assert seeing.missteps == 0
     assert blind_to_it.missteps > 0
 
 
-def test_before_a_pool_the_robot_stops_and_says_why() -> None:
+def test_robot_stops_before_pool_with_reason() -> None:
     reason, newest = blocked(POOL, 1000)
     assert " water" in reason
     wet = newest.hazard == 1

@@ -61,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
+def test_recorded_folder_is_mapped_reported_missing_and_mapped_again(folder: Path) -> None:
     heard = Heard((topics.DEPTH, topics.CAMERA_STATE, topics.SCAN, topics.TERRAIN, topics.PLANNER_STATUS, topics.HEALTH))
     run: Lockstep | None = None
 
@@ -112,7 +112,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     assert np.abs(after.elevation - terrain.elevation)[both].max() < 0.03
 
 
-def test_what_another_camera_recorded_is_refused_in_words(folder: Path) -> None:
+def test_recording_of_other_camera_is_refused_with_reason(folder: Path) -> None:
     wide = replace(PROFILE, camera=replace(PROFILE.camera, intrinsics=replace(PROFILE.camera.intrinsics, fx=500.0)))
     heard = Heard((topics.DEPTH, topics.CAMERA_STATE))
     run = Lockstep({"camera": lambda: CameraService(wide, CameraSettings(device=str(folder)), None, lambda: 0)}, heard.tap)

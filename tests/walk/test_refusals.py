@@ -45,7 +45,7 @@ top = 0.0
 
 
 @pytest.mark.parametrize("what", ["a wall across", pytest.param("ground that ends", marks=pytest.mark.campaign)])
-def test_the_robot_stops_before_what_carries_no_foot_and_names_the_leg(what: str, tmp_path: Path) -> None:
+def test_robot_stops_before_ground_without_footholds_and_names_leg(what: str, tmp_path: Path) -> None:
     terrain, edge = COURSES[what]
     found = walk(course(tmp_path, HEAD + terrain), 1001)
     report = found.report

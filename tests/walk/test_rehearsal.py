@@ -24,7 +24,7 @@ PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
         pytest.param("puddle", 3.0, marks=pytest.mark.campaign),
     ],
 )
-def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: float) -> None:
+def test_walk_compiles_no_function_after_warm_up(scenario: str, until_s: float) -> None:
     command = [sys.executable, "-m", "tests.support.compiled", scenario, str(until_s)]
     done = subprocess.run(
         command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=PATIENCE_S, check=True

@@ -31,7 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_recorded_walk_reads_back_with_a_true_pose_for_every_picture(recorded: Path) -> None:
+def test_recorded_walk_has_true_pose_for_every_image(recorded: Path) -> None:
     sequence = tum.read_recording(recorded)
     camera = load_profile(STEPS.robot).camera
     assert abs(len(sequence) - WALKED_S * camera.sensor.rate_hz) <= 2
@@ -53,12 +53,12 @@ def test_a_recorded_walk_reads_back_with_a_true_pose_for_every_picture(recorded:
     assert abs(np.median(ground[:, 2])) < 0.005
 
 
-def test_a_folder_that_holds_a_recording_is_not_overwritten(recorded: Path) -> None:
+def test_existing_recording_is_not_overwritten(recorded: Path) -> None:
     with pytest.raises(FileExistsError, match="already contains a recording"):
         record_tum(STEPS, 1000, recorded, 0.1)
 
 
-def test_a_recorded_walk_replays_onto_its_truth(recorded: Path, tmp_path: Path) -> None:
+def test_replayed_trajectory_matches_ground_truth(recorded: Path, tmp_path: Path) -> None:
     table = replay.replay_folder(recorded, tmp_path, Silent())
     assert table["poses"] == table["frames"]
     assert table["pose_error_m"]["rms"] <= 0.015
@@ -66,7 +66,7 @@ def test_a_recorded_walk_replays_onto_its_truth(recorded: Path, tmp_path: Path) 
     assert len(tum.read_trajectory(tmp_path / "trajectory.txt").stamps_ns) == table["poses"]
 
 
-def test_the_command_replays_a_folder_and_prints_json(
+def test_replay_command_writes_files_and_prints_json(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["recording", "replay", str(recorded), "--out", str(tmp_path), "--json"]) == 0

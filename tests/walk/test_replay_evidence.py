@@ -29,7 +29,7 @@ def ahead(n: int, speed: float) -> np.ndarray:
     return np.asarray(camera_pose(speed * n / RATE_HZ, z=0.6))
 
 
-def test_a_room_is_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_room_support_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_folder(tmp_path / "room", [ahead(n, 0.5) for n in range(30)], room())
     status, table, _ = replayed(folder, tmp_path, capsys)
     assert status == 0
@@ -41,7 +41,7 @@ def test_a_room_is_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert 0.5 < table["evidence"]["depth_m"]["median"] < 2.5
 
 
-def test_a_bare_floor_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_bare_floor_do_not_support_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_folder(tmp_path / "bare", [ahead(n, 0.5) for n in range(30)], NOTHING)
     status, table, error = replayed(folder, tmp_path, capsys)
     assert status == 1
@@ -51,7 +51,7 @@ def test_a_bare_floor_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert error.startswith("sextant recording replay: 0 of 29 pictures")
 
 
-def test_a_wrong_scale_is_named_with_one_that_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_depth_scale_is_reported_with_one_that_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_folder(tmp_path / "scale", [ahead(n, 0.5) for n in range(10)], room(), depth_scale=5000.0)
     status, table, error = replayed(folder, tmp_path, capsys)
     assert status == 1
@@ -59,7 +59,7 @@ def test_a_wrong_scale_is_named_with_one_that_fits(tmp_path: Path, capsys: pytes
     assert "depth_scale = 1000 in camera.toml fits" in error
 
 
-def test_near_surfaces_want_a_nearer_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_near_surfaces_require_smaller_min_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Show boxes 0.35 to 0.48 m below a camera that looks down."""
     boxes = [[x, y, 0, x + 0.06, y + 0.06, h] for x, y, h in ((-0.1, -0.1, 0.1), (0.05, 0.0, 0.06), (0.0, 0.12, 0.03))]
     poses = [np.asarray(camera_pose(0.1 * n / RATE_HZ, z=0.48, pitch=np.pi / 2)) for n in range(10)]
@@ -72,7 +72,7 @@ def test_near_surfaces_want_a_nearer_range(tmp_path: Path, capsys: pytest.Captur
     assert table["pose_error_m"]["rms"] < 0.01
 
 
-def test_a_jump_to_a_place_that_looks_alike_is_no_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_jump_to_similar_place_does_not_support_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Repeat the boxes every 0.45 m: after a cut of 3 m each picture registers at a wrong place."""
     corners = np.array([(0.45 * i, 0.4 * j) for i in range(1, 18) for j in range(-3, 4)])
     heights = np.array([0.06 + 0.05 * (i % 3) for i in range(len(corners))])

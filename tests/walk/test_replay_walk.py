@@ -55,7 +55,7 @@ def broken(message: Message) -> bool:
     return BROKEN_S[0] * S <= message.stamp_ns < BROKEN_S[1] * S
 
 
-def test_a_recorded_walk_replays_into_the_same_maps_and_plans(whole: tuple[dict[str, Any], Path]) -> None:
+def test_replayed_walk_gives_same_maps_and_plans(whole: tuple[dict[str, Any], Path]) -> None:
     table, out = whole
     assert table["complete"]
     assert 10 <= table["maps"]["compared"] == table["maps"]["recorded"] < table["maps"]["made"]
@@ -69,7 +69,7 @@ def test_a_recorded_walk_replays_into_the_same_maps_and_plans(whole: tuple[dict[
     assert (out / "layers.png").stat().st_size > 1000
 
 
-def test_scans_that_are_lost_now_and_then_make_the_same_map_a_little_later(recorded: Path, tmp_path: Path) -> None:
+def test_lost_scans_give_same_map_later(recorded: Path, tmp_path: Path) -> None:
     count = 0
 
     def every_third_is_lost(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
@@ -85,9 +85,7 @@ def test_scans_that_are_lost_now_and_then_make_the_same_map_a_little_later(recor
     assert table["plan_error_m"]["touchdown_p50"] < 0.01
 
 
-def test_scans_that_stay_away_stop_the_planner_and_it_says_why(
-    recorded: Path, whole: tuple[dict[str, Any], Path], tmp_path: Path
-) -> None:
+def test_missing_scans_stop_planner_with_reason(recorded: Path, whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
     def no_scans(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
         return () if isinstance(message, Scan) and broken(message) else ((message, at_ns),)
 
@@ -98,7 +96,7 @@ def test_scans_that_stay_away_stop_the_planner_and_it_says_why(
     assert table["plans"]["compared"] >= 4, "before and after it plans"
 
 
-def test_scans_that_come_late_are_mapped_where_they_were_taken(recorded: Path, tmp_path: Path) -> None:
+def test_late_scans_are_mapped_at_pose_of_their_stamp(recorded: Path, tmp_path: Path) -> None:
     def late(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
         is_late = isinstance(message, Scan) and broken(message)
         return ((message, at_ns + (2 * S if is_late else 0)),)
@@ -108,7 +106,7 @@ def test_scans_that_come_late_are_mapped_where_they_were_taken(recorded: Path, t
     assert table["map_error_m"]["coverage"] > 0.98
 
 
-def test_a_pose_that_jumps_is_not_walked_on(recorded: Path, tmp_path: Path) -> None:
+def test_pose_jump_stops_planner(recorded: Path, tmp_path: Path) -> None:
     """Shift a confident pose by half a metre: the map no longer fits these feet."""
     aside = transform(np.eye(3), np.array([0.0, 0.5, 0.15]))
 
@@ -124,7 +122,7 @@ def test_a_pose_that_jumps_is_not_walked_on(recorded: Path, tmp_path: Path) -> N
     assert table["plans"]["compared"] >= 4, "before and after it plans"
 
 
-def test_stamps_that_jump_back_are_refused(recorded: Path, tmp_path: Path) -> None:
+def test_scans_with_earlier_stamps_are_refused(recorded: Path, tmp_path: Path) -> None:
     def older(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
         if isinstance(message, Scan) and broken(message):
             message = replace(message, stamp_ns=message.stamp_ns - S)
@@ -135,7 +133,7 @@ def test_stamps_that_jump_back_are_refused(recorded: Path, tmp_path: Path) -> No
     assert table["said"]["waiting: no fresh terrain map"] > 0
 
 
-def test_only_some_topics_are_fed_where_that_is_asked_for(recorded: Path, tmp_path: Path) -> None:
+def test_only_requested_topics_are_replayed(recorded: Path, tmp_path: Path) -> None:
     def as_it_was(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
         return ((message, at_ns),)
 
@@ -148,7 +146,7 @@ def test_only_some_topics_are_fed_where_that_is_asked_for(recorded: Path, tmp_pa
     assert maps["plans"]["made"] > 0
 
 
-def test_in_a_film_of_it_feet_stand_on_the_ground_and_come_down_where_they_were_drawn_to(recorded: Path) -> None:
+def test_video_timeline_has_feet_on_ground_and_at_planned_footholds(recorded: Path) -> None:
     story, radius = Timeline.read(Recording(recorded)), load_profile(STEPS.robot).foot.radius
     terrain = build_terrain(STEPS, np.random.default_rng([1000, 0]))
     assert story.true

@@ -6,7 +6,7 @@ from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.shared.scenario.scenario import Goal, Link, load_scenario
 
 
-def test_a_goal_on_level_ground_behind_a_late_link_names_the_link() -> None:
+def test_run_over_late_link_reports_link_as_reason() -> None:
     scenario = replace(load_scenario("flat"), goal=Goal(1.0, route=True), link=Link(delay_ms=700.0), time_limit_s=14.0)
     report = run_lockstep(scenario, 1000)
     assert not report.success
@@ -19,7 +19,7 @@ def test_a_goal_on_level_ground_behind_a_late_link_names_the_link() -> None:
     assert pose.late > 0.9
 
 
-def test_a_walk_without_a_link_blames_neither_computer_nor_ground() -> None:
+def test_run_without_link_reports_no_late_inputs() -> None:
     report = run_lockstep(replace(load_scenario("flat"), goal=Goal(0.2)), 1000)
     assert report.success, report.reason
     assert (report.too_slow, report.late_s) == ("", 0.0)

@@ -14,7 +14,7 @@ from tests.support.walks import flat, walk
 BLOCK = Box((1.0, 0.35), (0.2, 0.3), 0.06)
 
 
-def test_the_survey_of_a_walk_shows_the_ground_ahead() -> None:
+def test_passage_survey_during_walk_matches_ground_ahead() -> None:
     plain = flat(0.3)
     scenario = replace(plain, terrain=(*plain.terrain, BLOCK))
     over = walk(scenario, 1000, (topics.PASSAGE, topics.TERRAIN), guests=[Asker()])

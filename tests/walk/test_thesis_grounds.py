@@ -69,7 +69,7 @@ def true_heights(name: str, map_: TerrainMap) -> Array:
     return truth(name).raster(*map_.origin, *map_.elevation.shape, map_.resolution)
 
 
-def test_the_pictures_are_what_the_builder_makes() -> None:
+def test_ground_images_match_their_generator() -> None:
     for name, heights in things.GROUNDS.items():
         path = Path(load_scenario(name).folder) / f"{name}.png"
         np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), things.grey(heights()))
@@ -112,7 +112,7 @@ def chosen(terrain: Terrain, xy: tuple[float, float]) -> Foothold:
 
 @pytest.mark.parametrize("layer", ["score", "evaluation"])
 @pytest.mark.parametrize("name", PICKS)
-def test_the_six_picks(name: str, layer: Layer) -> None:
+def test_chosen_footholds_match_figure_6_8(name: str, layer: Layer) -> None:
     pick = PICKS[name]
     _, maps = ridden("lotriet_scoring")
     terrain = Terrain(maps[-1], layer)
@@ -132,7 +132,7 @@ def test_the_six_picks(name: str, layer: Layer) -> None:
 
 
 @pytest.mark.parametrize("name", PICKS)
-def test_the_nearest_acceptable_cell_is_picked(name: str) -> None:
+def test_nearest_acceptable_cell_is_chosen(name: str) -> None:
     """Find no nearer cell with room around it than the chosen one.
 
     Section 6.3 searches growing squares for it.
@@ -151,7 +151,7 @@ def raster(name: str) -> tuple[Array, NDArray[np.float32]]:
     return xy.reshape(*x.shape, 2), truth(name).height_at(xy).reshape(x.shape).astype(np.float32)
 
 
-def test_slope_and_proximity_each_do_their_part() -> None:
+def test_slope_and_proximity_terms_match_figure_6_6() -> None:
     """Figure 6.6: slope marks slopes and walls; proximity marks walls only.
 
     The proximity term is wider at higher walls, and zero on the ramp.
@@ -169,7 +169,7 @@ def test_slope_and_proximity_each_do_their_part() -> None:
     assert terms.slope[box].max() > 2.0
 
 
-def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
+def test_published_score_grows_with_box_height() -> None:
     """Compute Figure 6.6b by the thesis's own score.
 
     The thesis: "the magnitude of the height differential will increase size and strength".
@@ -185,7 +185,7 @@ def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
     assert strengths[0] < strengths[1] < strengths[2]
 
 
-def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
+def test_published_score_chooses_same_surfaces() -> None:
     """Apply the thesis's score with its two terms alone to the true ground."""
     xy, z = raster("lotriet_scoring")
     w = ScoreParams()
@@ -229,7 +229,7 @@ def known(region: Region, map_: TerrainMap) -> NDArray[np.bool_]:
     return np.isfinite(region.of(map_, map_.elevation))
 
 
-def test_shadows_shrink_objects_persist_and_new_ones_appear() -> None:
+def test_map_fills_shadows_keeps_objects_and_adds_new_ones() -> None:
     _, maps = ridden("lotriet_walk_past")
     start, middle, end = maps[1], maps[len(maps) // 2], maps[-1]
     for region in (PIG, BOX):
@@ -252,7 +252,7 @@ def test_shadows_shrink_objects_persist_and_new_ones_appear() -> None:
         assert (map_.evaluation[unknown] == UNKNOWN).all()
 
 
-def test_objects_stand_where_and_as_high_as_they_are() -> None:
+def test_mapped_objects_have_true_position_and_height() -> None:
     _, maps = ridden("lotriet_walk_past")
     end = maps[-1]
     error = end.elevation - true_heights("lotriet_walk_past", end)
@@ -266,7 +266,7 @@ def test_objects_stand_where_and_as_high_as_they_are() -> None:
     assert np.nanmin(hole.of(end, end.elevation)) == pytest.approx(0.0, abs=0.008)
 
 
-def test_the_floor_shows_no_lines() -> None:
+def test_mapped_floor_has_no_line_artifacts() -> None:
     """Map a floor without lines.
 
     The thesis's poses leave lines on the floor and stripes in the score (Figures 4.6 and 6.9).
@@ -285,7 +285,7 @@ def test_the_floor_shows_no_lines() -> None:
 # ---- the single pillar: Masri 2016, Figures 4.7 and 4.11
 
 
-def test_the_evaluation_function_of_a_pillar_by_the_book() -> None:
+def test_evaluation_function_of_pillar_matches_masri() -> None:
     """Evaluate a pillar of 24 cm in an abyss.
 
     F decreases by one per cell from its border to its middle, and is limited at -5.
@@ -301,7 +301,7 @@ def test_the_evaluation_function_of_a_pillar_by_the_book() -> None:
     assert (made.evaluation[on[0] : on[-1] + 1, 30:50] < 0).all()
 
 
-def test_the_single_pillar() -> None:
+def test_map_and_evaluation_of_single_pillar_match_masri() -> None:
     way, maps = ridden("masri_pillar", length=0.35, frames=24)
     map_ = maps[-1]
     heights = true_heights("masri_pillar", map_)
@@ -333,7 +333,7 @@ def test_the_single_pillar() -> None:
     assert way.T_world_body[-1, 2, 3] == pytest.approx(0.15, abs=0.03)
 
 
-def test_before_the_gap_of_the_pillar_the_robot_stops_and_says_why() -> None:
+def test_robot_stops_before_pillar_gap_with_reason() -> None:
     reason, map_ = blocked(load_scenario("masri_pillar"), 1000)
     assert "no foothold within 6 cm of its nominal place" in reason
     assert "not seen" in reason, "how deep it goes there shows only from nearer than the leg that would have to know"

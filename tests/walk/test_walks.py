@@ -14,7 +14,7 @@ from tests.support.walks import flat
 BODY_HEIGHT = 0.11  # [m] commanded
 
 
-def test_on_flat_ground_the_body_goes_level_and_knows_where_it_is(tmp_path: Path) -> None:
+def test_walk_on_flat_ground_keeps_body_level_and_localized(tmp_path: Path) -> None:
     scenario = load_scenario("flat")
     assert scenario.walk.body_height == BODY_HEIGHT
     report = run_lockstep(scenario, 1000, tmp_path)
@@ -31,13 +31,13 @@ def test_on_flat_ground_the_body_goes_level_and_knows_where_it_is(tmp_path: Path
     assert report.min_stability_margin_m >= 0.03
 
 
-def test_the_reference_arc_walks_too() -> None:
+def test_sixth_order_reference_arc_walks() -> None:
     report = run_lockstep(flat(0.3, walk=Walk(arc="sixth_order")), 1000)
     assert report.success, report.reason
     assert (report.falls, report.shutdowns) == (0, 0)
 
 
-def test_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_walk_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run", "steps", "--lockstep", "--seed", "1002", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
@@ -52,7 +52,7 @@ def test_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFi
     assert sorted(path.name for path in tmp_path.iterdir()) == ["recording.mcap", "report.json", "summary.png", "walk.png"]
 
 
-def test_with_a_scanner_and_kiss_icp_between_pillars() -> None:
+def test_walk_between_pillars_with_scanner_and_kiss_icp() -> None:
     scenario = load_scenario("pillars_scanner")
     assert scenario.variation.registration == "kiss-icp"
     report = run_lockstep(scenario, 1000)
@@ -61,7 +61,7 @@ def test_with_a_scanner_and_kiss_icp_between_pillars() -> None:
     assert report.pose_error_m.final < 0.05
 
 
-def test_trials_of_several_seeds_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trials_command_runs_seeds_in_parallel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     course = tmp_path / "short.toml"
     course.write_text('name = "short"\n[goal]\ndistance = 0.1\n[[terrain]]\nkind = "plane"\n', encoding="utf-8")
     words = ["trials", str(course), "--seeds", "1000:1002", "--jobs", "2", "--out", str(tmp_path / "out"), "--json"]

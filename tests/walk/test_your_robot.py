@@ -25,7 +25,7 @@ def profile(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_robot_of_the_docs_walks(profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_robot_of_documentation_walks(profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "run")
     course = str(write_course(tmp_path, "level", 1.0))
     assert cli.main(["run", course, "--lockstep", "--seed", "1000", "--robot", str(profile), "--json", "--out", out]) == 0
@@ -35,7 +35,7 @@ def test_the_robot_of_the_docs_walks(profile: Path, tmp_path: Path, capsys: pyte
     assert report["tilt_deg"]["p95"] < 1.0
 
 
-def test_it_is_smaller_than_a_phantomx_and_lifts_its_feet(profile: Path) -> None:
+def test_documented_robot_is_smaller_than_phantomx_and_lifts_its_feet(profile: Path) -> None:
     small, phantom = load_profile(str(profile)), load_profile("phantomx_mk2")
     assert small.body.total_mass < phantom.body.total_mass
     assert small.links.tibia < phantom.links.tibia
@@ -44,7 +44,7 @@ def test_it_is_smaller_than_a_phantomx_and_lifts_its_feet(profile: Path) -> None
     assert within_limits(small, body_inverse(small, lifted)).all()
 
 
-def test_mistakes_are_told_as_the_docs_show(
+def test_profile_errors_match_documentation(
     profile: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = profile.read_text(encoding="utf-8")

@@ -132,7 +132,7 @@ def plan(step: int) -> StepPlan:
     return StepPlan(1, 0, step, 0, np.eye(4), swing, touchdown, np.full(6, 0.04), np.eye(4), 0.6, False)
 
 
-def test_a_page_is_told_of_the_robot_and_then_of_its_state(rig: Rig) -> None:
+def test_page_receives_robot_description_and_state(rig: Rig) -> None:
     page = rig.page()
     rig.legs(mode=Mode.WALK, reason="walking", lease="bench", step=4, warnings=("the battery is low",))
     T = np.eye(4)
@@ -160,7 +160,7 @@ def test_a_page_is_told_of_the_robot_and_then_of_its_state(rig: Rig) -> None:
     page.until("log", lambda _: {"actuator: walk: walking", "actuator: the battery is low"} <= set(page.log))
 
 
-def test_a_state_that_is_old_is_told_as_unknown(rig: Rig) -> None:
+def test_stale_state_is_sent_as_unknown(rig: Rig) -> None:
     page = rig.page()
     rig.legs()
     page.until("state", lambda told: told["legs"])
@@ -169,7 +169,7 @@ def test_a_state_that_is_old_is_told_as_unknown(rig: Rig) -> None:
     assert (state["pose"], state["plan"]) == (None, None)
 
 
-def test_the_map_comes_in_the_layer_that_a_page_asks_for(rig: Rig) -> None:
+def test_map_is_sent_in_requested_layer(rig: Rig) -> None:
     page = rig.page()
     map_ = terrain(3)
     rig.hear(map_)
@@ -180,7 +180,7 @@ def test_the_map_comes_in_the_layer_that_a_page_asks_for(rig: Rig) -> None:
     assert header["stamp_ns"] == map_.stamp_ns
 
 
-def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
+def test_images_are_sent_only_on_request(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
     page.ask("watch", layer="score", picture=True)
     page.until("state", lambda _: len(rig.console.status()) > 0)
@@ -196,7 +196,7 @@ def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
     assert "picture" not in other.frames
 
 
-def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
+def test_page_commands_are_published_and_refusals_reported(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
     place = f"{gethostname()}:{rig.console.server.port}"  # unlike that of another machine's console, which also has a page 1
     rig.legs(lease=f"console 1 at {place}")
@@ -234,7 +234,7 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     other.close()
 
 
-def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
+def test_page_reports_certificate_that_only_allows_stopping(rig: Rig) -> None:
     page = rig.page()
     page.until("state", lambda told: len(told["seats"]) == 1)
     rig.legs()
@@ -262,7 +262,7 @@ def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
     page.close()
 
 
-def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
+def test_seats_follow_opened_and_closed_pages(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
     page.until("state", lambda told: len(told["seats"]) == 2)
     other.close()
@@ -270,7 +270,7 @@ def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
     assert rig.console.status().endswith("to 1 pages")
 
 
-def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
+def test_fleet_page_receives_only_summary_and_may_only_stop(rig: Rig) -> None:
     rig.legs(mode=Mode.WALK, reason="walking", lease="bench", voltage=10.84)
     glance = rig.page("?glance")
     rig.hear(Health(rig.now, "mapper", "mapping", 0, 0, 0, "", (), np.zeros(0), np.zeros(0)))
@@ -309,7 +309,7 @@ def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
     glance.close()
 
 
-def test_each_page_is_told_each_line_of_the_log_once(rig: Rig) -> None:
+def test_each_page_receives_every_log_line_once(rig: Rig) -> None:
     rig.hear(CameraState(1, "a camera", False, "the first"))
     rig.beat(300.0)  # logged while there is no page
     page = rig.page()
@@ -324,7 +324,7 @@ def test_each_page_is_told_each_line_of_the_log_once(rig: Rig) -> None:
         assert [line for line in one.log if "camera" in line] == [f"camera: the {n}" for n in ("first", "second", "third")]
 
 
-def test_services_and_passages_are_told_of(rig: Rig) -> None:
+def test_page_receives_service_health_and_passage_plans(rig: Rig) -> None:
     page = rig.page()
     rig.hear(Health(1, "mapper", "mapping", 1, 2, 3, "", ("map",), np.array([1.0]), np.array([2.5])))
     steps, points = np.array([2, 6], dtype=np.uint8), np.ones((2, 3))
@@ -341,7 +341,7 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     page.until("log", lambda _: any("no foothold for the left front leg" in line for line in page.log))
 
 
-def test_a_page_is_told_that_the_robot_s_computer_is_too_slow(rig: Rig) -> None:
+def test_page_reports_slow_robot_computer(rig: Rig) -> None:
     def late(stamp_ns: int) -> Health:
         nothing, late = np.zeros(0), [np.array([figure]) for figure in (1.6, 1.2, 0.8, 0.5)]
         return Health(stamp_ns, "planner", "waiting", 1, 0, 0, "", (), nothing, nothing, 0.0, ("mapper/terrain",), *late)
@@ -356,7 +356,7 @@ def test_a_page_is_told_that_the_robot_s_computer_is_too_slow(rig: Rig) -> None:
     page.until("log", lambda _: any("too slow: maps" in line for line in page.log))
 
 
-def test_a_page_records_and_is_shown_how_it_goes(rig: Rig) -> None:
+def test_page_controls_recorder_and_shows_its_state(rig: Rig) -> None:
     page = rig.page()
     page.until("hello")
     page.ask("record", on=True)

@@ -109,7 +109,7 @@ def site() -> Iterator[Site]:
         yield made
 
 
-def test_each_robot_has_its_page_below_its_name_and_all_have_one_at_the_root(site: Site) -> None:
+def test_robot_pages_are_below_their_names_and_overview_at_root(site: Site) -> None:
     overview, own = site.get("/"), site.get("/alpha/")
     assert b'id="robots"></ul>' in overview[2]
     assert b'id="scene"' in own[2]
@@ -121,13 +121,13 @@ def test_each_robot_has_its_page_below_its_name_and_all_have_one_at_the_root(sit
         assert (status, headers["x-frame-options"], headers["content-type"]) == (200, "DENY", "text/html; charset=utf-8")
 
 
-def test_a_page_knows_which_robots_there_are(site: Site) -> None:
+def test_page_receives_list_of_robots(site: Site) -> None:
     names = ["alpha", "beta", "away"]
     assert json.loads(site.get("/robots.json")[2]) == {"robots": names, "here": ""}
     assert json.loads(site.get("/beta/robots.json")[2]) == {"robots": names, "here": "beta"}
 
 
-def test_what_is_said_at_one_robots_page_reaches_that_robot_alone(site: Site) -> None:
+def test_messages_of_a_robot_page_reach_only_that_robot(site: Site) -> None:
     with site.page("beta") as beta, site.page("alpha", "?glance") as alpha:
         assert site.events("beta", 1) == ["arrived"]
         assert site.events("alpha", 1) == ["glances"]
@@ -141,7 +141,7 @@ def test_what_is_said_at_one_robots_page_reaches_that_robot_alone(site: Site) ->
         assert [event.what for event in site.consoles["alpha"].drain()] in ([], ["left"])
 
 
-def test_much_that_is_said_at_once_arrives_whole(site: Site) -> None:
+def test_large_message_arrives_complete(site: Site) -> None:
     with site.page("alpha", max_size=None) as page:
         site.events("alpha", 1)
         text = "0123456789" * 200_000
@@ -149,7 +149,7 @@ def test_much_that_is_said_at_once_arrives_whole(site: Site) -> None:
         assert page.recv(PATIENCE_S) == text
 
 
-def test_a_console_that_ends_hangs_up_on_its_pages_and_not_on_the_others(site: Site) -> None:
+def test_ended_console_disconnects_only_its_own_pages(site: Site) -> None:
     with site.page("alpha") as alpha, site.page("beta") as beta:
         site.events("alpha", 1)
         site.events("beta", 1)
@@ -160,7 +160,7 @@ def test_a_console_that_ends_hangs_up_on_its_pages_and_not_on_the_others(site: S
         assert beta.recv(PATIENCE_S) == "still here"
 
 
-def test_a_console_that_is_not_there_is_named(site: Site) -> None:
+def test_unreachable_console_is_named(site: Site) -> None:
     status, _, body = site.get("/away/")
     assert status == 502
     assert body == b"the console of away does not answer; is it running?"
@@ -176,13 +176,13 @@ def test_a_console_that_is_not_there_is_named(site: Site) -> None:
         ("/../alpha/", 404, b"no such"),
     ],
 )
-def test_what_is_not_there_is_said_so(site: Site, path: str, status: int, words: bytes) -> None:
+def test_unknown_path_returns_404_with_reason(site: Site, path: str, status: int, words: bytes) -> None:
     found = site.get(path)
     assert found[0] == status
     assert words in found[2]
 
 
-def test_pages_of_other_sites_and_other_names_for_this_address_are_refused(site: Site) -> None:
+def test_foreign_origin_and_foreign_host_are_refused(site: Site) -> None:
     assert site.get("/", Host=f"evil.example:{site.port}")[0] == 403
     assert site.get("/alpha/", Host="evil.example")[0] == 403
     with pytest.raises(InvalidStatus), site.page("alpha", origin="http://evil.example"):
@@ -191,7 +191,7 @@ def test_pages_of_other_sites_and_other_names_for_this_address_are_refused(site:
         assert site.events("alpha", 1) == ["arrived"]
 
 
-def test_the_token_is_asked_for_behind_the_fleet_proxy() -> None:
+def test_console_requires_token_through_fleet_proxy() -> None:
     with Site(TOKEN.replace(" ", "-")) as site:
         with pytest.raises(InvalidStatus), site.page("alpha"):
             pass
@@ -210,11 +210,11 @@ def test_the_token_is_asked_for_behind_the_fleet_proxy() -> None:
         b"GET /alpha/\xff HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
     ],
 )
-def test_what_is_no_request_is_answered_so(site: Site, head: bytes) -> None:
+def test_malformed_request_returns_400(site: Site, head: bytes) -> None:
     assert raw(site, head).startswith(b"HTTP/1.1 400 ")
 
 
-def test_who_speaks_too_long_is_hung_up_on_and_the_others_are_not(site: Site) -> None:
+def test_too_long_request_closes_only_its_connection(site: Site) -> None:
     with contextlib.suppress(ConnectionError):
         assert raw(site, b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * HEAD_BYTES + b"\r\n") == b""
     assert site.get("/")[0] == 200
@@ -232,7 +232,7 @@ def raw(site: Site, data: bytes) -> bytes:
 @pytest.mark.parametrize(
     "robots", [{}, {"a b": 8101}, {"": 8101}, {"-a": 8101}, {"alpha": 0}, {"alpha": 70_000}, {"al/pha": 8101}]
 )
-def test_names_that_are_no_part_of_an_address_and_ports_that_are_none_are_refused(robots: dict[str, int]) -> None:
+def test_invalid_robot_names_and_ports_are_refused(robots: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match="robot"):
         build({"robots": robots}, Settings, "fleet_proxy")
 

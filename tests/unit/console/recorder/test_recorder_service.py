@@ -58,7 +58,7 @@ class Desk:
         return state
 
 
-def test_it_records_from_an_order_to_the_next(tmp_path: Path) -> None:
+def test_recording_lasts_from_one_command_to_the_next(tmp_path: Path) -> None:
     desk = Desk(tmp_path / "recordings")
     resting = desk.beat()
     assert (resting.recording, resting.file, resting.sequence) == (False, "", -1)
@@ -81,7 +81,7 @@ def test_it_records_from_an_order_to_the_next(tmp_path: Path) -> None:
     assert recording.about.items() >= {"robot": "phantomx_mk2", "run": "live", "began": "2026-03-01T12:30:00+00:00"}.items()
 
 
-def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> None:
+def test_repeated_command_is_followed_once(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     with desk.recorder:
         for _ in range(3):
@@ -94,7 +94,7 @@ def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> No
         assert "recorded" in desk.recorder.status()
 
 
-def test_ending_the_process_finishes_the_file(tmp_path: Path) -> None:
+def test_file_is_complete_after_process_ends(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     with desk.recorder:
         file = desk.beat(True, 1).file
@@ -105,7 +105,7 @@ def test_ending_the_process_finishes_the_file(tmp_path: Path) -> None:
     assert recording.complete
 
 
-def test_a_disk_without_room_is_said_at_once(tmp_path: Path) -> None:
+def test_insufficient_disk_space_is_reported_at_once(tmp_path: Path) -> None:
     desk = Desk(tmp_path, reserve_mb=10**9)
     state = desk.beat(True, 1)
     assert not state.recording
@@ -114,12 +114,12 @@ def test_a_disk_without_room_is_said_at_once(tmp_path: Path) -> None:
     assert state.reason == desk.recorder.status() == desk.beat().reason, "until the next order"
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_created_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     assert "cannot record to" in Desk(tmp_path / "file").beat(True, 1).reason
 
 
-def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_ends_recording_with_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -137,12 +137,12 @@ def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path,
 
 
 @pytest.mark.parametrize("wrong", [{"folder": " "}, {"file_s": 0.0}, {"reserve_mb": -1}])
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="expected, found"):
         Settings(**wrong)
 
 
-def test_an_order_from_far_ahead_bars_no_later_one(tmp_path: Path) -> None:
+def test_command_with_far_future_sequence_does_not_block_later_ones(tmp_path: Path) -> None:
     desk = Desk(tmp_path / "recordings")
     with desk.recorder:
         assert not desk.beat(True, (1 << 63) - 1).recording

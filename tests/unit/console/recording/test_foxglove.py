@@ -64,7 +64,7 @@ def unpacked(message: Any) -> np.ndarray:
     return np.frombuffer(message.data, dtype=dtype)
 
 
-def test_a_map_is_told_cell_by_cell() -> None:
+def test_grid_has_layers_of_every_map_cell() -> None:
     told, map_ = ground.grid(terrain(5, (7, 4))), terrain(5, (7, 4))
     cells = unpacked(told).reshape(-1, told.column_count)
     assert cells.shape == (4, 7), "rows along y, columns along x"
@@ -80,7 +80,7 @@ def test_a_map_is_told_cell_by_cell() -> None:
 
 
 @pytest.mark.parametrize("colored", [False, True])
-def test_the_known_cells_of_a_map_are_points_where_they_are(colored: bool) -> None:
+def test_known_map_cells_become_points_at_their_positions(colored: bool) -> None:
     map_ = terrain(6, (9, 5), colored)
     points = unpacked(ground.cells(map_))
     where = np.argwhere(np.isfinite(map_.elevation))
@@ -93,7 +93,7 @@ def test_the_known_cells_of_a_map_are_points_where_they_are(colored: bool) -> No
         assert (points["alpha"] == 255).all()
 
 
-def test_a_scan_is_told_point_by_point() -> None:
+def test_point_cloud_has_every_point_of_scan() -> None:
     seen = scan(7)
     points = unpacked(ground.points(seen))
     assert np.allclose(np.column_stack([points["x"], points["y"], points["z"]]), seen.points, atol=MM)
@@ -101,7 +101,7 @@ def test_a_scan_is_told_point_by_point() -> None:
 
 
 @given(seed=st.integers(0, 1000))
-def test_frames_lead_from_the_world_to_the_camera(seed: int) -> None:
+def test_frame_chain_leads_from_world_to_camera(seed: int) -> None:
     state, T_world_odom = legs(seed), exp_se3(np.random.default_rng(seed).normal(0.0, 0.3, 6))
     camera = PROFILE.camera.T_body_camera
     tree = robot.frames(state, T_world_odom, camera).transforms
@@ -113,7 +113,7 @@ def test_frames_lead_from_the_world_to_the_camera(seed: int) -> None:
     assert np.allclose(T, T_world_odom @ state.T_odom_body @ camera, atol=1e-9)
 
 
-def test_joints_are_told_by_name() -> None:
+def test_joint_states_are_named() -> None:
     state = legs(load_nm=np.arange(18.0).reshape(6, 3) / 10)
     told = {joint.name: joint for joint in robot.joints(state).joints}
     assert len(told) == 18
@@ -122,7 +122,7 @@ def test_joints_are_told_by_name() -> None:
     assert told["left_middle_tibia"].effort == pytest.approx(1.7)
 
 
-def test_the_robot_is_drawn_with_its_feet_where_its_joints_say() -> None:
+def test_robot_is_drawn_with_feet_at_forward_kinematics() -> None:
     state = legs(contact=np.array([False, True, False, True, False, True]))
     (entity,) = robot.drawn(state, PROFILE).entities
     feet = np.array([matrix(ball.pose)[:3, 3] for ball in entity.spheres])
@@ -135,7 +135,7 @@ def test_the_robot_is_drawn_with_its_feet_where_its_joints_say() -> None:
     assert len(polygon.points) == 3, "of the legs that stand"
 
 
-def test_numbers_are_told_as_they_are() -> None:
+def test_walk_numbers_equal_actuator_state() -> None:
     state = legs(stamp_ns=3 * S + 5, voltage=11.5, step=9, mode=Mode.WALK, load_nm=np.full((6, 3), -0.7))
     told: Any = numbers.walk(state, exp_se3(np.array([0.0, 0.0, 0.12, 0.1, 0.0, 0.0])))
     assert (told.timestamp.seconds, told.timestamp.nanos) == (3, 5)
@@ -176,7 +176,7 @@ def told(messages: list[tuple[Message, int]], foxglove: Foxglove | None = None) 
     ]
 
 
-def test_large_things_are_told_more_seldom_than_they_come() -> None:
+def test_large_messages_are_translated_at_lower_rate() -> None:
     found: dict[str, int] = {}
     for name, _ in told([one for k in range(10) for one in a_second(k * S // 10)]):
         found[name] = found.get(name, 0) + 1
@@ -186,7 +186,7 @@ def test_large_things_are_told_more_seldom_than_they_come() -> None:
     assert found["/robot"] < 60
 
 
-def test_the_log_says_each_thing_once_and_what_is_wrong_as_a_warning() -> None:
+def test_log_repeats_no_line_and_marks_problems_as_warnings() -> None:
     follows = Foxglove(PROFILE)
     log = [m for name, m in told(a_second() + a_second(S), follows) if name == "/log"]
     said = [(m.name, m.message) for m in log]
@@ -197,7 +197,7 @@ def test_the_log_says_each_thing_once_and_what_is_wrong_as_a_warning() -> None:
     assert (lost.name, lost.message) == ("perception", "too little overlap")
 
 
-def test_a_frame_that_does_not_decode_is_a_line_in_the_log() -> None:
+def test_undecodable_frame_is_logged() -> None:
     follows = Foxglove(PROFILE)
     ((name, line),) = follows.translate(topics.BODY_POSE, b"nonsense", S)
     assert name == "/log"
@@ -206,7 +206,7 @@ def test_a_frame_that_does_not_decode_is_a_line_in_the_log() -> None:
     assert follows.translate(topics.IMU, b"nonsense", S) == (), "no viewer subscribes to it"
 
 
-def test_a_recording_declares_what_it_holds_so_that_any_reader_can_decode_it(tmp_path: Path) -> None:
+def test_recording_contains_schemas_that_decode_its_messages(tmp_path: Path) -> None:
     with Recorder(tmp_path / "r.mcap", {}, Foxglove(PROFILE)) as recorder:
         for message, at_ns in a_second():
             recorder.write(topics.OF_TYPE[type(message)], codec.encode(message), at_ns)
@@ -227,6 +227,6 @@ def test_a_recording_declares_what_it_holds_so_that_any_reader_can_decode_it(tmp
     assert sorted(seen) == [*(f"foxglove.{name}" for name in named), "sextant.Walk"]
 
 
-def test_points_of_the_way_are_where_they_are_planned() -> None:
+def test_footholds_are_drawn_at_planned_positions() -> None:
     (entity,) = robot.footholds(plan(0)).entities
     assert np.allclose([matrix(ball.pose)[:3, 3] for ball in entity.spheres], np.ones((3, 3)))

@@ -90,7 +90,7 @@ def office() -> Office:
     return made
 
 
-def test_the_pad_walks_while_it_is_held_and_stops_when_it_is_let_go(office: Office) -> None:
+def test_held_pad_commands_walk_and_release_stops(office: Office) -> None:
     out = office.hold(1, press=1, beats=20)
     assert orders(out) == ["walk"]
     sent = velocities(out)
@@ -107,14 +107,14 @@ def test_the_pad_walks_while_it_is_held_and_stops_when_it_is_let_go(office: Offi
     assert velocities([m for _ in range(20) for m in office.beat()]) == []
 
 
-def test_nobody_walks_faster_than_the_robot(office: Office) -> None:
+def test_commanded_speed_is_limited_to_robot_speed(office: Office) -> None:
     sent = velocities(office.hold(1, press=1, beats=4, forward=0.6, left=-0.8))
     for command in sent:
         np.testing.assert_allclose(command.velocity, [0.072, -0.096])
 
 
 @pytest.mark.parametrize("silence_ms", [301, 5000])
-def test_a_page_that_falls_silent_has_let_go_and_its_press_counts_no_more(office: Office, silence_ms: int) -> None:
+def test_silent_page_stops_robot_and_needs_new_press(office: Office, silence_ms: int) -> None:
     office.hold(1, press=1)
     begun, out = office.now, []
     while office.now - begun < silence_ms * MS:
@@ -128,7 +128,7 @@ def test_a_page_that_falls_silent_has_let_go_and_its_press_counts_no_more(office
     assert any(v.velocity.any() for v in velocities(office.hold(1, press=2)))
 
 
-def test_a_late_bunch_of_an_old_press_moves_nothing(office: Office) -> None:
+def test_late_messages_of_lapsed_press_are_ignored(office: Office) -> None:
     office.hold(1, press=1)
     office.now += 2 * DEAD_MAN_NS  # no beat came between: the process was stopped
     for _ in range(10):
@@ -137,7 +137,7 @@ def test_a_late_bunch_of_an_old_press_moves_nothing(office: Office) -> None:
     assert orders(office.out)[-1] == "stop"
 
 
-def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
+def test_closed_page_stops_its_walk(office: Office) -> None:
     office.hold(1, press=1)
     office.arbiter.leave(1, office.now)
     assert orders(office.beat())[-1] == "stop"
@@ -145,7 +145,7 @@ def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
     assert office.arbiter.seats == ()
 
 
-def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> None:
+def test_page_without_lease_may_stop_and_turn_torque_off_only(office: Office) -> None:
     office.arbiter.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.lease == "console 1 at here"
@@ -163,7 +163,7 @@ def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> N
     assert orders(office.beat())[-1] == "off"
 
 
-def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
+def test_takeover_of_lease_causes_no_motion(office: Office) -> None:
     office.arbiter.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.ask(2, TakeOver()) == ""
@@ -175,7 +175,7 @@ def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
     assert any(v.velocity.any() for v in velocities(office.hold(2, press=1)))
 
 
-def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: Office) -> None:
+def test_lease_taken_by_other_client_ends_press(office: Office) -> None:
     office.hold(1, press=1)
     office.lease = "bench"
     office.beat()
@@ -184,7 +184,7 @@ def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: O
     assert "bench has taken over" in " ".join(office.arbiter.drain_words())
 
 
-def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
+def test_same_page_number_of_other_console_is_another_client(office: Office) -> None:
     there = ControlArbiter(max_speed=0.12, place="there")
     there.arrive(1, office.now)
     office.hold(1, press=1)
@@ -194,7 +194,7 @@ def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
     assert not [m for m in there.beat(office.now + 50 * MS, office.state(), office.status()) if isinstance(m, VelocityCommand)]
 
 
-def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> None:
+def test_goal_is_repeated_until_arrival(office: Office) -> None:
     assert office.ask(1, GO) == ""
     out = [m for _ in range(50) for m in (office.ask(1, Heartbeat()), *office.beat()) if m]
     goals = [m for m in out if isinstance(m, Goal)]
@@ -208,7 +208,7 @@ def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> Non
     assert orders(office.out)[-1] == "stop"
 
 
-def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page_falls_silent(office: Office) -> None:
+def test_goal_ends_on_cancel_pad_press_or_silent_page(office: Office) -> None:
     office.ask(1, GO)
     office.beat()
     office.ask(1, CancelGoal())
@@ -228,7 +228,7 @@ def test_a_goal_ends_when_it_is_given_up_when_the_pad_is_taken_and_when_its_page
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.SIT, Mode.FAULT])
-def test_who_cannot_walk_is_told_why(office: Office, mode: Mode) -> None:
+def test_refused_walk_names_mode(office: Office, mode: Mode) -> None:
     office.mode = mode
     office.beat()
     assert f"its mode is {mode}" in office.ask(1, drive(1))
@@ -236,13 +236,13 @@ def test_who_cannot_walk_is_told_why(office: Office, mode: Mode) -> None:
     assert office.ask(1, Command("stand")) == ""
 
 
-def test_without_a_word_from_the_actuator_nobody_leads(office: Office) -> None:
+def test_no_page_leads_without_actuator_state(office: Office) -> None:
     office.arbiter.beat(office.now, None, None)
     assert "no message from the actuator" in office.ask(1, drive(1))
     assert office.ask(1, Command("off")) == "", "but it may be released"
 
 
-def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Office) -> None:
+def test_torque_off_is_repeated_until_torque_is_off(office: Office) -> None:
     office.ask(1, Command("off"))
     sent = of(ModeCommand, [m for _ in range(50) for m in office.beat()])
     assert 10 <= len(sent) <= 11
@@ -257,7 +257,7 @@ def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Off
         assert not of(ModeCommand, heard[5:]), "a restarted stop path would obey it again"
 
 
-def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(office: Office) -> None:
+def test_torque_off_overridden_by_other_client_is_not_repeated(office: Office) -> None:
     """Send an order of torque off only once if another operator overrides it.
 
     An actuator or a stop path that restarts would obey a repeated order, and the robot would fall.
@@ -272,7 +272,7 @@ def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(offi
 
 
 @pytest.mark.parametrize("order", ["stand", "ready", "sit", "stop"])
-def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, order: str) -> None:
+def test_order_given_before_torque_off_is_not_repeated(office: Office, order: str) -> None:
     """Stop repeating an order after torque went off.
 
     An actuator that restarts does not know earlier orders, and would take a repeated one for new.
@@ -287,13 +287,13 @@ def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, 
         assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
 
 
-def test_who_rises_from_torque_off_goes_on_ordering_it_until_it_is_heard(office: Office) -> None:
+def test_stand_from_torque_off_is_repeated_until_followed(office: Office) -> None:
     office.mode = Mode.OFF
     office.ask(1, Command("stand"))
     assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
 
 
-def test_a_stop_of_who_does_not_lead_is_not_repeated_for_long(office: Office) -> None:
+def test_stop_of_page_without_lease_is_repeated_briefly(office: Office) -> None:
     office.lease = "another"
     office.ask(1, Command("stop"))
     assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
@@ -302,7 +302,7 @@ def test_a_stop_of_who_does_not_lead_is_not_repeated_for_long(office: Office) ->
     assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
 
 
-def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Office) -> None:
+def test_sequence_follows_restarted_robot_clock(office: Office) -> None:
     office.ask(1, Command("stand"))
     office.beat()
     office.now = 10 * MS
@@ -312,7 +312,7 @@ def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Offi
     assert sit.sequence <= office.now + 2000 * MS
 
 
-def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
+def test_sequence_increases_over_pages_and_restarts(office: Office) -> None:
     office.arbiter.arrive(2, office.now)
     for k in range(6):
         office.ask(1 + k % 2, Command("stop"))
@@ -321,7 +321,7 @@ def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
     assert sequences[0] >= office.now - 20 * MS, "above those of a console that ran before"
 
 
-def test_there_are_so_many_seats_and_who_has_none_looks_on(office: Office) -> None:
+def test_page_without_free_seat_may_only_view_and_stop(office: Office) -> None:
     for page in range(2, SEATS + 1):
         assert office.arbiter.arrive(page, office.now) == page
     assert office.arbiter.arrive(99, office.now) == 0
@@ -333,7 +333,7 @@ def test_there_are_so_many_seats_and_who_has_none_looks_on(office: Office) -> No
     assert office.arbiter.arrive(100, office.now) == 3, "a seat is taken again: the actuator remembers sixteen holders alone"
 
 
-def test_a_page_has_a_name(office: Office) -> None:
+def test_page_name_is_shown_in_its_seat(office: Office) -> None:
     office.ask(1, Name("Ann"))
     office.hold(1, press=1)
     (seat,) = office.arbiter.seats
@@ -361,17 +361,17 @@ class Anything(RuleBasedStateMachine):
         self.office.beat()
 
     @rule(page=st.sampled_from([1, 2]), press=st.integers(0, 4))
-    def held(self, page: int, press: int) -> None:
+    def pad_held(self, page: int, press: int) -> None:
         if page in self.pages and self.office.ask(page, drive(press)) == "":
             self.heard[page] = self.office.now
 
     @rule(page=st.sampled_from([1, 2]), what=st.sampled_from(ASKED))
-    def asked(self, page: int, what: object) -> None:
+    def request_sent(self, page: int, what: object) -> None:
         if page in self.pages:
             self.office.ask(page, what)
 
     @rule(page=st.sampled_from([1, 2]))
-    def gone_and_back(self, page: int) -> None:
+    def page_reloaded(self, page: int) -> None:
         self.office.arbiter.leave(page, self.office.now)
         self.office.arbiter.arrive(page, self.office.now)
 
@@ -386,7 +386,7 @@ class Anything(RuleBasedStateMachine):
         assert not of(Goal, out) or self.office.arbiter.goal is not None
 
     @invariant()
-    def one_at_most_holds_the_pad(self) -> None:
+    def at_most_one_page_holds_pad(self) -> None:
         assert self.office.arbiter.at_the_pad in (0, 1, 2)
 
 

@@ -44,7 +44,7 @@ def read_map(frame: bytes) -> tuple[dict[str, Any], NDArray[np.int16], NDArray[n
 
 
 @given(st.text(max_size=40), st.integers(0, 9))
-def test_what_is_behind_the_header_is_aligned(text: str, length: int) -> None:
+def test_data_after_header_is_aligned(text: str, length: int) -> None:
     frame = make_frame({"words": text}, np.arange(length, dtype=np.int16))
     header, body = read(frame)
     assert header == {"words": text}
@@ -53,7 +53,7 @@ def test_what_is_behind_the_header_is_aligned(text: str, length: int) -> None:
 
 
 @given(st.integers(0, 1000))
-def test_heights_are_right_to_a_millimetre_and_what_is_unknown_stays_so(seed: int) -> None:
+def test_heights_have_millimetre_resolution_and_unknown_stays_unknown(seed: int) -> None:
     map_ = terrain(seed)
     header, heights, _ = read_map(map_frame(map_, "score"))
     known = np.isfinite(map_.elevation)
@@ -63,12 +63,12 @@ def test_heights_are_right_to_a_millimetre_and_what_is_unknown_stays_so(seed: in
 
 
 @pytest.mark.parametrize(("height", "drawn"), [(100.0, 32767), (-100.0, NO_HEIGHT)])
-def test_heights_that_millimetres_do_not_reach(height: float, drawn: int) -> None:
+def test_heights_outside_range_are_clipped_or_unknown(height: float, drawn: int) -> None:
     map_ = replace(terrain(), elevation=np.full((NX, NY), height, np.float32))
     assert (read_map(map_frame(map_, "score"))[1] == drawn).all()
 
 
-def test_each_layer_says_how_its_bytes_are_read() -> None:
+def test_layer_header_gives_scale_of_its_bytes() -> None:
     map_ = terrain(1)
     known = np.isfinite(map_.elevation)
     for layer, expected in (("score", map_.score), ("variance", np.sqrt(map_.variance))):
@@ -85,7 +85,7 @@ def test_each_layer_says_how_its_bytes_are_read() -> None:
     np.testing.assert_array_equal(values[known] - header["scale"]["zero"], np.clip(map_.evaluation[known], -25, 25))
 
 
-def test_colour_is_sent_where_there_is_some_and_else_the_score() -> None:
+def test_color_layer_is_sent_if_available_otherwise_score() -> None:
     map_ = terrain(2, colored=True)
     header, _, values = read_map(map_frame(map_, "color"))
     assert (header["layer"], "color" in header["layers"]) == ("color", True)
@@ -94,7 +94,7 @@ def test_colour_is_sent_where_there_is_some_and_else_the_score() -> None:
     assert (header["layer"], header["layers"]) == ("score", ["score", "evaluation", "variance"])
 
 
-def test_a_picture_is_what_the_camera_sent() -> None:
+def test_picture_frame_has_unchanged_image_bytes() -> None:
     depth, color = np.arange(9, dtype=np.uint8), np.arange(5, dtype=np.uint8)
     header, body = read(picture_frame(Preview(3, depth, color)))
     assert header == {"type": "picture", "stamp_ns": 3, "depth": 9, "color": 5}

@@ -12,7 +12,7 @@ REFUSAL = "the token is wrong"
 
 
 @given(st.lists(st.integers(0, 24), max_size=60))
-def test_refusals_are_said_at_most_once_a_second_and_each_is_counted(waits: list[int]) -> None:
+def test_refusals_are_logged_once_per_second_and_all_counted(waits: list[int]) -> None:
     log, now = RejectionLog(), 0.0
     said: list[tuple[float, str]] = []
     for wait in [*waits, 8]:

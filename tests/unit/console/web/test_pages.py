@@ -3,7 +3,7 @@
 from sextant.services.console.web.pages import Page
 
 
-def test_of_states_the_newest_is_sent_and_of_the_log_every_line() -> None:
+def test_newest_state_and_every_log_line_are_sent() -> None:
     page = Page(1)
     for k in range(5):
         page.post("state", f"state {k}")
@@ -13,7 +13,7 @@ def test_of_states_the_newest_is_sent_and_of_the_log_every_line() -> None:
     assert page.take() == []
 
 
-def test_the_next_frame_waits_until_the_last_one_is_drawn_and_is_then_the_newest() -> None:
+def test_newest_frame_is_sent_after_page_acknowledges_last() -> None:
     page = Page(1)
     page.show("map", b"1")
     assert page.take() == [b"1"]
@@ -26,7 +26,7 @@ def test_the_next_frame_waits_until_the_last_one_is_drawn_and_is_then_the_newest
     assert page.take() == [b"4"]
 
 
-def test_a_log_that_nobody_takes_does_not_grow() -> None:
+def test_unread_log_is_bounded() -> None:
     page = Page(1)
     for k in range(1000):
         page.post("log", f"{k}")

@@ -38,7 +38,7 @@ class Recorder:
         return [entry.words for entry in self.event_log.entries]
 
 
-def test_an_order_is_repeated_until_it_is_followed_and_no_longer() -> None:
+def test_command_is_repeated_until_followed() -> None:
     recorder = Recorder()
     first = recorder.want(True)
     assert recorder.beat() == [], "a second goes by first"
@@ -51,7 +51,7 @@ def test_an_order_is_repeated_until_it_is_followed_and_no_longer() -> None:
     assert recorder.words == ["recording to /r/0001.mcap", "recorded /r/0001.mcap"]
 
 
-def test_a_recorder_that_died_is_told_again_and_its_silence_is_said() -> None:
+def test_silent_recorder_is_reported_and_commanded_again() -> None:
     recorder = Recorder()
     order = recorder.want(True)
     recorder.follow(order)
@@ -66,7 +66,7 @@ def test_a_recorder_that_died_is_told_again_and_its_silence_is_said() -> None:
     assert recorder.words[-1] == "recording to /r/0001.mcap"
 
 
-def test_a_recorder_that_died_and_is_back_at_once_is_said_too() -> None:
+def test_restarted_recorder_is_reported() -> None:
     recorder = Recorder()
     order = recorder.want(True)
     recorder.follow(order)
@@ -75,7 +75,7 @@ def test_a_recorder_that_died_and_is_back_at_once_is_said_too() -> None:
     assert recorder.words[-1] == "the recorder has restarted; messages in the meantime were not recorded"
 
 
-def test_one_that_cannot_is_not_asked_again_until_an_operator_does() -> None:
+def test_failed_recorder_waits_for_new_command_of_operator() -> None:
     recorder = Recorder()
     order = recorder.want(True)
     recorder.follow(order)
@@ -86,7 +86,7 @@ def test_one_that_cannot_is_not_asked_again_until_an_operator_does() -> None:
     assert recorder.want(True).sequence > order.sequence
 
 
-def test_messages_that_were_lost_are_said_once_for_each_loss() -> None:
+def test_lost_messages_are_reported_once_per_loss() -> None:
     recorder = Recorder()
     recorder.follow(recorder.want(True))
     recorder.beat(dropped=3)
@@ -94,14 +94,14 @@ def test_messages_that_were_lost_are_said_once_for_each_loss() -> None:
     assert [w for w in recorder.words if "not recorded" in w] == ["3 messages were not recorded: the disk is too slow"]
 
 
-def test_without_a_recorder_that_is_said() -> None:
+def test_missing_recorder_is_reported() -> None:
     clerk = RecorderClient(EventLog())
     assert "no recorder is running" in clerk.want(True, 0)
     assert clerk.view() is None
     assert list(clerk.beat(S, None)) == []
 
 
-def test_a_recorder_that_somebody_else_started_is_shown_and_left_alone() -> None:
+def test_recording_of_other_client_is_shown_and_not_changed() -> None:
     recorder = Recorder()
     assert recorder.beat(recording=True, sequence=7, file="/r/1.mcap", duration=61.2, size=2 * 10**6, disk_free=-1) == []
     view = recorder.clerk.view()

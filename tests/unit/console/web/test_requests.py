@@ -45,12 +45,12 @@ GOOD: list[tuple[dict[str, Any], object]] = [
 
 
 @pytest.mark.parametrize(("fields", "request_"), GOOD)
-def test_every_request_is_understood(fields: dict[str, Any], request_: object) -> None:
+def test_every_request_is_parsed(fields: dict[str, Any], request_: object) -> None:
     assert parse(json.dumps(fields)) == request_
 
 
 @pytest.mark.parametrize(("fields", "_"), GOOD)
-def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _: object) -> None:
+def test_missing_or_extra_field_is_named(fields: dict[str, Any], _: object) -> None:
     for key in fields:
         with pytest.raises(RequestError, match=f"{key} is missing|unknown request type"):
             parse(json.dumps({k: v for k, v in fields.items() if k != key}))
@@ -80,18 +80,18 @@ def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _:
         ([1, 2], "a table expected, found a list"),
     ],
 )
-def test_what_is_no_request_is_refused_in_words(fields: Any, words: str) -> None:
+def test_invalid_request_is_refused_with_reason(fields: Any, words: str) -> None:
     with pytest.raises(RequestError, match=words):
         parse(json.dumps(fields))
 
 
 @pytest.mark.parametrize("text", ["", "{", "NaN", '{"type": "drive", "forward": NaN}', "[" * 2000, "\x00", '{"a":1}' * 2])
-def test_what_is_no_json_is_refused(text: str) -> None:
+def test_invalid_json_is_refused(text: str) -> None:
     with pytest.raises(RequestError):
         parse(text)
 
 
-def test_a_request_has_a_size() -> None:
+def test_request_size_is_limited() -> None:
     with pytest.raises(RequestError, match=f"at most {MAX_BYTES}"):
         parse(json.dumps({"type": "name", "name": "a" * MAX_BYTES}))
 
@@ -101,7 +101,7 @@ WILD = st.recursive(VALUES, lambda inner: st.lists(inner) | st.dictionaries(st.t
 
 
 @given(WILD)
-def test_wild_input_is_a_request_or_refused_in_words(value: Any) -> None:
+def test_any_json_is_parsed_or_refused_with_reason(value: Any) -> None:
     for sent in (value, {**DRIVE, "forward": value}, {**GO, "waypoints": value}, {"type": value}):
         with contextlib.suppress(RequestError):
             parse(json.dumps(sent))

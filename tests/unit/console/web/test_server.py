@@ -85,7 +85,7 @@ def events(server: Served, count: int) -> list[object]:
     return found
 
 
-def test_the_page_and_all_that_it_names_are_served_with_their_kinds(server: Served) -> None:
+def test_page_and_its_resources_are_served_with_content_types(server: Served) -> None:
     status, headers, index = get(server, "/")
     assert status == 200
     assert headers["content-type"] == "text/html; charset=utf-8"
@@ -103,7 +103,7 @@ def test_the_page_and_all_that_it_names_are_served_with_their_kinds(server: Serv
         assert headers["x-content-type-options"] == "nosniff"
 
 
-def test_the_page_asks_no_other_host_for_anything() -> None:
+def test_page_loads_nothing_from_other_hosts() -> None:
     for path in PAGE.rglob("*"):
         if path.is_file() and "vendor" not in path.parts:
             text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
@@ -111,16 +111,16 @@ def test_the_page_asks_no_other_host_for_anything() -> None:
 
 
 @pytest.mark.parametrize("path", ["/nothing", "/../service.py", "/js/../../service.py", "/%2e%2e/service.py", "/vendor"])
-def test_what_is_no_file_of_the_page_is_not_served(server: Served, path: str) -> None:
+def test_files_outside_page_folder_are_not_served(server: Served, path: str) -> None:
     assert get(server, path)[0] == 404
 
 
-def test_another_name_for_this_address_is_refused(server: Served) -> None:
+def test_foreign_host_header_is_refused(server: Served) -> None:
     assert get(server, "/", Host=f"evil.example:{server.port}")[0] == 403
     assert get(server, "/", Host=f"localhost:{server.port}")[0] == 200
 
 
-def test_a_page_of_another_site_may_not_connect(server: Served) -> None:
+def test_foreign_origin_may_not_connect(server: Served) -> None:
     for origin in ("http://evil.example", "null", f"http://127.0.0.1:{server.port + 1}"):
         with pytest.raises(InvalidStatus), page(server, origin=origin):
             pass
@@ -128,12 +128,12 @@ def test_a_page_of_another_site_may_not_connect(server: Served) -> None:
         assert events(server, 1) == ["arrived"]
 
 
-def test_who_speaks_another_version_is_refused(server: Served) -> None:
+def test_other_protocol_version_is_refused(server: Served) -> None:
     with pytest.raises(InvalidStatus), page(server, protocols=("sextant.0",)):
         pass
 
 
-def test_requests_arrive_in_order_and_nonsense_is_answered_in_words(server: Served) -> None:
+def test_requests_arrive_in_order_and_invalid_ones_get_reason(server: Served) -> None:
     with page(server) as socket:
         socket.send(json.dumps(DRIVE))
         socket.send("nonsense")
@@ -145,7 +145,7 @@ def test_requests_arrive_in_order_and_nonsense_is_answered_in_words(server: Serv
 
 
 @pytest.mark.parametrize("data", [b"\x00\x01", "x" * 5000])
-def test_who_sends_bytes_or_too_much_is_hung_up_on_and_the_others_are_not(server: Served, data: str | bytes) -> None:
+def test_binary_or_oversized_message_closes_only_its_connection(server: Served, data: str | bytes) -> None:
     with page(server) as good, page(server) as bad:
         assert events(server, 2) == ["arrived", "arrived"]
         bad.send(data)
@@ -156,7 +156,7 @@ def test_who_sends_bytes_or_too_much_is_hung_up_on_and_the_others_are_not(server
         assert good.recv(timeout=PATIENCE_S) == "still here"
 
 
-def test_a_slow_page_gets_the_newest_map_once_it_has_drawn_the_last(server: Served) -> None:
+def test_slow_page_receives_newest_map_after_drawing_last(server: Served) -> None:
     with page(server) as socket:
         found: list[int] = []
         within(lambda: found.extend(e.page for e in server.drain()) or found)
@@ -171,7 +171,7 @@ def test_a_slow_page_gets_the_newest_map_once_it_has_drawn_the_last(server: Serv
         assert first != b"newest"
 
 
-def test_something_urgent_ends_the_wait_and_a_pad_that_falls_silent_does(server: Served) -> None:
+def test_urgent_request_or_lapsed_press_ends_wait(server: Served) -> None:
     with page(server) as socket:
         events(server, 1)
         with server.serving.turn:
@@ -188,7 +188,7 @@ def test_something_urgent_ends_the_wait_and_a_pad_that_falls_silent_does(server:
         assert len(events(server, 4)) == 4
 
 
-def test_who_takes_nothing_holds_nobody_up(server: Served) -> None:
+def test_page_that_reads_nothing_does_not_block_others(server: Served) -> None:
     frame = bytes(400_000)
     with page(server) as deaf, page(server) as good:
         numbers = []
@@ -214,7 +214,7 @@ def test_who_takes_nothing_holds_nobody_up(server: Served) -> None:
         b"GET /socket HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://[[",
     ],
 )
-def test_who_speaks_no_http_is_hung_up_on(server: Served, nonsense: bytes) -> None:
+def test_non_http_connection_is_closed(server: Served, nonsense: bytes) -> None:
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as stranger:
         stranger.sendall(nonsense + b"\r\n\r\n")
         answer = b""
@@ -224,7 +224,7 @@ def test_who_speaks_no_http_is_hung_up_on(server: Served, nonsense: bytes) -> No
     assert get(server, "/")[0] == 200
 
 
-def test_a_token_is_asked_for_where_one_is_set() -> None:
+def test_configured_token_is_required() -> None:
     token = "a-token-that-nobody-guesses"
     with Served(Settings(port=0, token=token), time.monotonic_ns) as server:
         assert server.url.endswith(f"/#{token}")
@@ -235,7 +235,7 @@ def test_a_token_is_asked_for_where_one_is_set() -> None:
             assert events(server, 1) == ["arrived"]
 
 
-def test_a_page_for_everybody_wants_a_token() -> None:
+def test_page_on_all_interfaces_requires_token() -> None:
     with pytest.raises(ValueError, match="ssh -L"):
         Settings(host="0.0.0.0")
     with pytest.raises(ValueError, match="at least 16 characters"):
@@ -243,12 +243,12 @@ def test_a_page_for_everybody_wants_a_token() -> None:
     Settings(host="0.0.0.0", token="a-token-that-nobody-guesses")
 
 
-def test_a_port_that_is_taken_is_said_so(server: Served) -> None:
+def test_taken_port_is_reported(server: Served) -> None:
     with pytest.raises(OSError, match=r"is another console running\? choose another port with --set port=8081"):
         PageServer(Settings(port=server.port), time.monotonic_ns)
 
 
-def test_the_vendored_files_are_those_that_the_maintainers_command_makes() -> None:
+def test_vendored_files_match_checksums() -> None:
     folder = PAGE / "vendor" / "three"
     kept = dict(line.split()[::-1] for line in (folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines())
     found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.name != "SHA256SUMS"}
