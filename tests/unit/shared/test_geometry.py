@@ -46,13 +46,13 @@ def assert_rotation(R: Array) -> None:
 
 
 @given(directions(), directions())
-def test_skew_is_the_cross_product(v: Array, w: Array) -> None:
+def test_skew_matrix_is_cross_product(v: Array, w: Array) -> None:
     np.testing.assert_allclose(g.skew(v) @ w, np.cross(v, w), atol=TIGHT)
     np.testing.assert_array_equal(g.skew(v), -g.skew(v).T)
 
 
 @given(rotation_vectors())
-def test_exp_makes_rotations_and_log_takes_them_back(v: Array) -> None:
+def test_exp_gives_rotations_and_log_inverts_it(v: Array) -> None:
     R = g.exp_so3(v)
     assert_rotation(R)
     back = g.log_so3(R)
@@ -61,19 +61,19 @@ def test_exp_makes_rotations_and_log_takes_them_back(v: Array) -> None:
 
 
 @given(directions())
-def test_log_of_a_half_turn_is_of_length_pi(axis: Array) -> None:
+def test_log_of_half_turn_has_length_pi(axis: Array) -> None:
     back = g.log_so3(g.exp_so3(np.pi * axis))
     assert np.linalg.norm(back) == pytest.approx(np.pi, abs=1e-9)
     assert abs(back @ axis) == pytest.approx(np.pi, abs=1e-7)  # both signs are the same rotation
 
 
 @given(directions(), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
-def test_turns_about_one_axis_add(axis: Array, a: float, b: float) -> None:
+def test_rotations_about_one_axis_add(axis: Array, a: float, b: float) -> None:
     np.testing.assert_allclose(g.exp_so3(a * axis) @ g.exp_so3(b * axis), g.exp_so3((a + b) * axis), atol=1e-10)
 
 
 @given(st.floats(-10.0, 10.0))
-def test_rotation_about_z_agrees_with_the_others(angle: float) -> None:
+def test_rotation_about_z_agrees_with_exp(angle: float) -> None:
     np.testing.assert_allclose(g.rotation_z(angle), g.rotation_from_rpy([0.0, 0.0, angle]), atol=TIGHT)
     np.testing.assert_allclose(g.rotation_z(angle), g.exp_so3([0.0, 0.0, angle]), atol=1e-10)
     T = g.transform(g.rotation_z(angle), np.zeros(3))
@@ -99,20 +99,20 @@ def test_quaternion_round_trip(R: Array) -> None:
 
 
 @pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3)]))
-def test_quaternions_of_half_turns_about_the_axes(axis: Array) -> None:
+def test_quaternions_of_half_turns_about_axes(axis: Array) -> None:
     R = 2.0 * np.outer(axis, axis) - np.eye(3)
     np.testing.assert_allclose(g.rotation_from_quaternion(g.quaternion_from_rotation(R)), R, atol=TIGHT)
 
 
 @given(transforms(), transforms(), transforms())
-def test_transforms_are_a_group(A: Array, B: Array, C: Array) -> None:
+def test_transforms_form_a_group(A: Array, B: Array, C: Array) -> None:
     np.testing.assert_allclose((A @ B) @ C, A @ (B @ C), atol=1e-9)
     np.testing.assert_allclose(g.inverse(A) @ A, np.eye(4), atol=1e-10)
     np.testing.assert_allclose(g.inverse(A @ B), g.inverse(B) @ g.inverse(A), atol=1e-9)
 
 
 @given(transforms(), st.floats(-5.0, 5.0))
-def test_applying_moves_points_as_the_matrix_does(T: Array, x: float) -> None:
+def test_apply_equals_matrix_product(T: Array, x: float) -> None:
     points = np.array([[[x, 1.0, -2.0]], [[0.0, x, 3.0]]])
     by_matrix = (T @ np.concatenate([points, np.ones((2, 1, 1))], axis=-1)[..., None])[..., :3, 0]
     np.testing.assert_allclose(g.apply(T, points), by_matrix, atol=1e-10)
@@ -133,13 +133,13 @@ def test_twist_round_trip(w: Array, v: list[float]) -> None:
     np.testing.assert_allclose(half @ half, g.exp_se3(twist), atol=1e-9)
 
 
-def test_a_twist_without_rotation_is_a_translation() -> None:
+def test_twist_without_rotation_is_translation() -> None:
     np.testing.assert_array_equal(g.exp_se3([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]), g.transform(np.eye(3), [1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(g.log_se3(np.eye(4)), np.zeros(6))
 
 
 @given(transforms(), transforms(), st.floats(0.0, 1.0))
-def test_interpolation_meets_its_ends_and_goes_evenly(A: Array, B: Array, s: float) -> None:
+def test_interpolation_meets_ends_at_constant_rate(A: Array, B: Array, s: float) -> None:
     np.testing.assert_allclose(g.interpolate(A, B, 0.0), A, atol=1e-9)
     np.testing.assert_allclose(g.interpolate(A, B, 1.0), B, atol=1e-6)
     whole = np.linalg.norm(g.log_so3(A[:3, :3].T @ B[:3, :3]))
@@ -148,7 +148,7 @@ def test_interpolation_meets_its_ends_and_goes_evenly(A: Array, B: Array, s: flo
 
 
 @given(transforms(), st.integers(0, 1000))
-def test_orthonormal_undoes_rounding(T: Array, seed: int) -> None:
+def test_orthonormalization_removes_rounding(T: Array, seed: int) -> None:
     drifted = T.copy()
     drifted[:3, :3] += np.random.default_rng(seed).normal(0.0, 1e-6, (3, 3))
     mended = g.orthonormal(drifted)
@@ -158,7 +158,7 @@ def test_orthonormal_undoes_rounding(T: Array, seed: int) -> None:
 
 
 @given(transforms(), st.integers(3, 40), st.integers(0, 1000))
-def test_kabsch_finds_the_motion(T: Array, n: int, seed: int) -> None:
+def test_kabsch_recovers_motion(T: Array, n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     source = rng.normal(0.0, 1.0, (n, 3))
     found = g.align_rigid(source, g.apply(T, source), rng.uniform(0.1, 1.0, n))
@@ -173,7 +173,7 @@ def test_kabsch_never_mirrors() -> None:
     assert_rotation(g.align_rigid(plane, plane)[:3, :3])
 
 
-def test_kabsch_is_the_best_motion() -> None:
+def test_kabsch_minimizes_error() -> None:
     rng = np.random.default_rng(2)
     source = rng.normal(0.0, 1.0, (30, 3))
     target = g.apply(g.from_xyz_rpy([0.1, -0.2, 0.3], [0.1, 0.2, 0.3]), source) + rng.normal(0.0, 0.05, (30, 3))
@@ -188,12 +188,12 @@ def test_kabsch_is_the_best_motion() -> None:
 
 
 @pytest.mark.parametrize(("source", "target"), [((2, 3), (2, 3)), ((5, 3), (4, 3)), ((5, 2), (5, 2)), ((3,), (3,))])
-def test_kabsch_refuses_what_it_cannot_align(source: tuple[int, ...], target: tuple[int, ...]) -> None:
+def test_kabsch_refuses_degenerate_points(source: tuple[int, ...], target: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"n >= 3 expected, found"):
         g.align_rigid(np.zeros(source), np.zeros(target))
 
 
-def test_everything_works_in_batches() -> None:
+def test_functions_accept_batches() -> None:
     v = np.random.default_rng(3).uniform(-1.5, 1.5, (4, 5, 6))
     v[0, 0] = 0.0
     T = g.exp_se3(v)
@@ -207,7 +207,7 @@ def test_everything_works_in_batches() -> None:
         np.testing.assert_allclose(g.rpy_from_rotation(T[..., :3, :3])[i, j], g.rpy_from_rotation(R), atol=TIGHT)
 
 
-def test_names_cancel() -> None:
+def test_inner_frames_of_product_cancel() -> None:
     """Transform a point from {body} to {world} by T_world_body."""
     T_world_body = g.from_xyz_rpy([1.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2])
     np.testing.assert_allclose(g.apply(T_world_body, [[1.0, 0.0, 0.0]]), [[1.0, 1.0, 0.0]], atol=TIGHT)

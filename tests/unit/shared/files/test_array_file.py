@@ -27,14 +27,14 @@ def saved(folder: Path, array: object) -> Path:
 
 @pytest.mark.parametrize("dtype", ["<f8", ">f4", "<f2", "|u1", "<i8", ">u2", "|b1"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_numbers_are_read_as_numpy_wrote_them(tmp_path: Path, dtype: str, order: str) -> None:
+def test_arrays_of_numpy_are_read(tmp_path: Path, dtype: str, order: str) -> None:
     array = np.array([[0, 1, 2], [3, 4, 100]]).astype(dtype, order=order)  # type: ignore[call-overload]
     found = read_numbers(saved(tmp_path, array))
     assert found.dtype == np.float64
     np.testing.assert_array_equal(found, array)
 
 
-def test_a_newer_header_and_unknown_numbers_are_read(tmp_path: Path) -> None:
+def test_newer_header_and_nan_are_read(tmp_path: Path) -> None:
     with (tmp_path / "two.npy").open("wb") as file:
         np.lib.format.write_array(file, np.array([np.nan, 1.0]), version=(2, 0))
     np.testing.assert_array_equal(read_numbers(tmp_path / "two.npy"), [np.nan, 1.0])
@@ -58,7 +58,7 @@ def test_a_newer_header_and_unknown_numbers_are_read(tmp_path: Path) -> None:
         (header("{'descr': '<f8', 'fortran_order': False, 'shape': (" + "1," * 40 + "), }") + bytes(8), "found 1x1x"),
     ],
 )
-def test_something_else_is_refused_without_memory(tmp_path: Path, data: bytes, message: str) -> None:
+def test_invalid_file_is_refused_with_little_memory(tmp_path: Path, data: bytes, message: str) -> None:
     path = tmp_path / "bad.npy"
     path.write_bytes(data)
     tracemalloc.start()
@@ -74,7 +74,9 @@ def test_something_else_is_refused_without_memory(tmp_path: Path, data: bytes, m
 
 @settings(max_examples=200)
 @given(st.integers(0, 200), st.integers(0, 255), st.integers(0, 400))
-def test_any_changed_byte_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, at: int, value: int, cut: int) -> None:
+def test_file_with_any_changed_byte_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, at: int, value: int, cut: int
+) -> None:
     path = saved(tmp_path_factory.mktemp("npy"), np.eye(5))
     data = bytearray(path.read_bytes())[: cut if cut > 8 else None]
     data[at : at + 1] = bytes([value])

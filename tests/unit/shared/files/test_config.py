@@ -79,7 +79,7 @@ def problems(table: dict[str, Any], schema: type[Any] = Settings) -> tuple[str, 
     return caught.value.problems
 
 
-def test_a_table_becomes_the_dataclass() -> None:
+def test_dataclass_is_built_from_table() -> None:
     built = config.build(FULL, Settings)
     assert built == Settings(
         3, "robot", True, 2.0, Inner(0.2, "wave"), (1.0, 2.5), (1, 2, 3), (Round(1.0), Square(2.0)), {"a": 1.0}, 4.0
@@ -88,11 +88,11 @@ def test_a_table_becomes_the_dataclass() -> None:
     assert isinstance(built.pair[0], float)
 
 
-def test_defaults_fill_what_is_left_out() -> None:
+def test_missing_values_take_defaults() -> None:
     assert config.build({"count": 1}, Settings) == Settings(1)
 
 
-def test_as_table_is_what_build_takes() -> None:
+def test_table_of_dataclass_builds_it_again() -> None:
     built = config.build(FULL, Settings)
     assert config.build(config.as_table(built), Settings) == built
     assert "maybe" not in config.as_table(Settings(1))  # TOML has no null
@@ -117,7 +117,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
         maybe=st.none() | st.floats(0, 9),
     )
 )
-def test_round_trip(made: Settings) -> None:
+def test_any_settings_survive_round_trip(made: Settings) -> None:
     assert config.build(config.as_table(made), Settings) == made
 
 
@@ -152,19 +152,19 @@ def test_round_trip(made: Settings) -> None:
         ({"table": []}, "table: "),
     ],
 )
-def test_each_misfit_is_named_with_its_place(change: dict[str, Any], words: str) -> None:
+def test_each_invalid_value_is_named_with_its_key(change: dict[str, Any], words: str) -> None:
     (problem,) = problems(FULL | change)
     assert problem.startswith(words)
 
 
-def test_a_missing_value_is_named() -> None:
+def test_missing_value_is_named() -> None:
     assert problems({}) == ("count: missing; a whole number is needed",)
     wanted = r"(?s)terrain: missing; one table \[\[terrain\]\] or more is needed.*goal: missing; a table \[goal\] is needed"
     with pytest.raises(config.ConfigError, match=wanted):
         config.build({"name": "short"}, Scenario)
 
 
-def test_everything_wrong_is_said_at_once() -> None:
+def test_all_errors_are_reported_together() -> None:
     found = problems({"total": 1, "name": 7, "inner": {"sped": 1, "gait": 2}, "pair": [0]})
     assert sorted(p.partition(":")[0] for p in found) == ["count", "inner.gait", "inner.sped", "name", "pair", "total"]
     error = config.ConfigError("robot.toml", list(found))
@@ -172,16 +172,16 @@ def test_everything_wrong_is_said_at_once() -> None:
     assert all(p in str(error) for p in found)
 
 
-def test_a_misspelt_key_is_not_missing_too() -> None:
+def test_misspelt_key_is_not_reported_as_missing() -> None:
     assert problems({"cuont": 1}) == ("cuont: unknown key; did you mean 'count'?",)
 
 
-def test_unknown_keys_are_told_in_order() -> None:
+def test_unknown_keys_are_reported_in_order() -> None:
     found = problems({"count": 1} | {f"{letter}{letter}{letter}": 1 for letter in "zxwkjyq"})
     assert list(found) == sorted(found)
 
 
-def test_a_long_value_is_cut_short() -> None:
+def test_long_value_is_shortened() -> None:
     (problem,) = problems({"count": "x" * 1000})
     assert len(problem) < 120
 
@@ -204,7 +204,7 @@ names = st.sampled_from(["count", "name", "blind", "ratio", "inner", "pair", "it
 
 @settings(max_examples=70)
 @given(st.dictionaries(names, plain, max_size=8))
-def test_any_table_is_built_or_refused_in_words(table: dict[str, Any]) -> None:
+def test_any_table_is_built_or_refused_with_reason(table: dict[str, Any]) -> None:
     with contextlib.suppress(config.ConfigError):
         assert isinstance(config.build(table, Settings), Settings)
 
@@ -212,13 +212,13 @@ def test_any_table_is_built_or_refused_in_words(table: dict[str, Any]) -> None:
 @pytest.mark.parametrize("schema", [Scenario, RobotProfile])
 @settings(max_examples=50)
 @given(st.dictionaries(st.sampled_from(["name", "terrain", "goal", "walk", "links", "legs", "camera", "servo"]), plain))
-def test_any_table_for_the_real_schemas(schema: type[Any], table: dict[str, Any]) -> None:
+def test_any_table_for_scenario_and_profile_is_built_or_refused(schema: type[Any], table: dict[str, Any]) -> None:
     with contextlib.suppress(config.ConfigError):
         assert isinstance(config.build(table, schema), schema)
 
 
 @pytest.mark.parametrize("text", ["count = ", "count = 1\ncount = 2", "\x00", "[inner", "= 3"])
-def test_what_is_not_toml_says_so(tmp_path: Path, text: str) -> None:
+def test_invalid_toml_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "settings.toml"
     path.write_text(text)
     with pytest.raises(config.ConfigError, match="expected, found") as caught:
@@ -226,7 +226,7 @@ def test_what_is_not_toml_says_so(tmp_path: Path, text: str) -> None:
     assert str(path) in str(caught.value)
 
 
-def test_bytes_that_are_no_text_and_a_missing_file(tmp_path: Path) -> None:
+def test_unreadable_paths_and_non_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(config.ConfigError, match="expected, found"):
@@ -237,13 +237,13 @@ def test_bytes_that_are_no_text_and_a_missing_file(tmp_path: Path) -> None:
         config.load(tmp_path, Settings)
 
 
-def test_a_file_is_read(tmp_path: Path) -> None:
+def test_toml_file_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_text('count = 2\nname = "Ü"\n[inner]\ngait = "wave"\n', encoding="utf-8")
     assert config.load(path, Settings) == Settings(2, "Ü", inner=Inner(gait="wave"))
 
 
-def test_the_real_files_survive_a_round_trip() -> None:
+def test_packaged_profile_and_scenarios_survive_round_trip() -> None:
     profile = load_profile("phantomx_mk2")
     assert config.build(config.as_table(profile), RobotProfile) == profile
     for name in scenario_names():

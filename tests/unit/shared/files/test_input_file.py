@@ -35,7 +35,7 @@ FILE = Path("some.file")
         (b"a = 1\0", "zero bytes"),
     ],
 )
-def test_what_is_no_toml_says_why(data: bytes, message: str) -> None:
+def test_invalid_toml_is_refused_with_reason(data: bytes, message: str) -> None:
     began = time.perf_counter()
     with pytest.raises(FileError, match=message) as caught:
         parse_toml(FILE, data)
@@ -44,7 +44,7 @@ def test_what_is_no_toml_says_why(data: bytes, message: str) -> None:
     assert str(caught.value).startswith("some.file")
 
 
-def test_a_byte_order_mark_is_accepted() -> None:
+def test_byte_order_mark_is_accepted() -> None:
     assert parse_toml(FILE, "\ufeffa = 1".encode()) == {"a": 1}
     assert parse_json(FILE, "\ufeff[1]".encode()) == [1]
 
@@ -62,7 +62,7 @@ def test_a_byte_order_mark_is_accepted() -> None:
         (b"", r"some\.file:1: JSON expected"),
     ],
 )
-def test_what_is_no_json_says_why(data: bytes, message: str) -> None:
+def test_invalid_json_is_refused_with_reason(data: bytes, message: str) -> None:
     with pytest.raises(FileError, match=message):
         parse_json(FILE, data)
     with pytest.raises(FileError, match=r"some\.file:7: "):
@@ -71,13 +71,13 @@ def test_what_is_no_json_says_why(data: bytes, message: str) -> None:
 
 @settings(max_examples=300)
 @given(st.one_of(st.binary(max_size=60), st.text(alphabet="[]{}a.=\"'\n#-0exn,_:TZ ", max_size=60).map(str.encode)))
-def test_only_its_own_error_leaves_a_reader(data: bytes) -> None:
+def test_parsers_raise_only_file_errors(data: bytes) -> None:
     for parse in (parse_toml, parse_json):
         with contextlib.suppress(FileError):
             parse(FILE, data)
 
 
-def test_what_is_no_readable_file_is_refused_at_once(tmp_path: Path) -> None:
+def test_unreadable_paths_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "large").write_bytes(bytes(11))
@@ -96,7 +96,7 @@ def test_what_is_no_readable_file_is_refused_at_once(tmp_path: Path) -> None:
             read_bytes(place, 10)
 
 
-def test_a_file_that_one_may_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> int:
         raise PermissionError(errno.EACCES, "Permission denied")
 
@@ -106,7 +106,7 @@ def test_a_file_that_one_may_not_read(tmp_path: Path, monkeypatch: pytest.Monkey
         read_toml(tmp_path / "secret")
 
 
-def test_files_are_read(tmp_path: Path) -> None:
+def test_toml_text_and_json_files_are_read(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"\xef\xbb\xbfa = 'x'\r\nb = [1, 2.5]\r\n")
     assert read_toml(path) == {"a": "x", "b": [1, 2.5]}

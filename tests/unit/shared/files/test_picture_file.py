@@ -33,14 +33,14 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "picture.png"
 
 
-def test_grey_is_read_as_it_is_stored(path: Path) -> None:
+def test_grey_image_is_read_as_stored(path: Path) -> None:
     path.write_bytes(encoded(GREY))
     np.testing.assert_array_equal(read_grey(path, bits=(16,), size=(4, 3)), GREY)
     path.write_bytes(encoded(GREY.astype(np.uint8)))
     np.testing.assert_array_equal(read_grey(path, bits=(8, 16)), GREY.astype(np.uint8))
 
 
-def test_color_is_read_red_first(path: Path) -> None:
+def test_color_image_is_read_as_rgb(path: Path) -> None:
     picture = np.zeros((3, 4, 3), dtype=np.uint8)
     picture[:, :, 2] = 200  # of OpenCV's blue, green, red
     path.write_bytes(encoded(picture))
@@ -71,19 +71,19 @@ DATA = chunk(b"IDAT", zlib.compress(bytes(1000)))
         (b"\x89PNG\r\n\x1a\n" + chunk(b"IEND", b""), "without its header"),
     ],
 )
-def test_another_picture_is_refused(path: Path, data: bytes, message: str) -> None:
+def test_unexpected_or_damaged_image_is_refused(path: Path, data: bytes, message: str) -> None:
     path.write_bytes(data)
     with pytest.raises(FileError, match=message):
         read_grey(path, bits=(16,), size=(4, 3))
 
 
-def test_a_picture_without_an_expected_size_is_bounded(path: Path) -> None:
+def test_image_size_is_limited_without_expected_size(path: Path) -> None:
     path.write_bytes(png(100_000, 100_000, 8, 0, DATA))
     with pytest.raises(FileError, match="1 to 16777216 pixels expected, found 100000x100000"):
         read_grey(path, bits=(8,))
 
 
-def test_what_is_not_decoded_is_not_unpacked(path: Path) -> None:
+def test_text_chunks_of_png_are_not_unpacked(path: Path) -> None:
     bomb = chunk(b"zTXt", b"Comment\0\0" + zlib.compress(bytes(50 << 20)))
     data = encoded(GREY)
     path.write_bytes(data[:33] + bomb + data[33:])
@@ -91,7 +91,7 @@ def test_what_is_not_decoded_is_not_unpacked(path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_any_broken_picture_is_read_or_refused(path: Path, suffix: str) -> None:
+def test_any_damaged_image_is_read_or_refused(path: Path, suffix: str) -> None:
     rng, good = Random(3), encoded(COLOUR, suffix)
     for _ in range(300):
         data = bytearray(good)

@@ -21,7 +21,7 @@ def names(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("durable", [False, True])
-def test_a_file_is_replaced_when_it_is_whole(tmp_path: Path, durable: bool) -> None:
+def test_file_is_replaced_when_complete(tmp_path: Path, durable: bool) -> None:
     path = tmp_path / "a.txt"
     whole_files.write_text(path, OLD, durable)
     with whole_files.replacing(path, durable) as file:
@@ -31,7 +31,7 @@ def test_a_file_is_replaced_when_it_is_whole(tmp_path: Path, durable: bool) -> N
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_a_block_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_failed_write_leaves_only_old_file(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     whole_files.write_text(path, OLD)
 
@@ -46,7 +46,7 @@ def test_a_block_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path)
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
+def test_concurrent_writers_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     with whole_files.replacing(path) as file:
         file.write(NEW.encode())
@@ -55,7 +55,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
     assert path.read_text() == NEW
 
 
-def test_a_partial_file_that_a_killed_process_left_is_taken_over(tmp_path: Path) -> None:
+def test_partial_file_of_killed_process_is_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     code = (
         "import os, pathlib, sys; from sextant.shared.files import whole_files\n"
@@ -69,7 +69,7 @@ def test_a_partial_file_that_a_killed_process_left_is_taken_over(tmp_path: Path)
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_a_secret_is_never_readable_by_others(tmp_path: Path) -> None:
+def test_secret_file_is_never_readable_by_others(tmp_path: Path) -> None:
     path = tmp_path / "key.pem"
     whole_files.partial(path).touch(0o666)  # as a killed process leaves it
     with whole_files.replacing(path, mode=0o600) as file:
@@ -100,7 +100,7 @@ def limited(code: str, path: Path) -> subprocess.CompletedProcess[str]:
         "whole_files.append_text(path, 'x' * 5000)",
     ],
 )
-def test_a_file_that_does_not_fit_is_said_in_one_sentence_and_leaves_the_old_one(tmp_path: Path, code: str) -> None:
+def test_full_disk_is_reported_and_old_file_kept(tmp_path: Path, code: str) -> None:
     path = tmp_path / "a.txt"
     whole_files.write_text(path, OLD)
     ended = limited(code, path)
@@ -110,7 +110,7 @@ def test_a_file_that_does_not_fit_is_said_in_one_sentence_and_leaves_the_old_one
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_what_is_appended_follows_what_is_there(tmp_path: Path) -> None:
+def test_appended_data_follows_existing_data(tmp_path: Path) -> None:
     path = tmp_path / "lines.txt"
     whole_files.append_text(path, "one\n")
     whole_files.append_text(path, "two\n", durable=True)
@@ -118,7 +118,7 @@ def test_what_is_appended_follows_what_is_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["gone/a.txt", "file/a.txt", "folder"])
-def test_a_place_that_cannot_be_written_is_said_with_what_to_do(tmp_path: Path, name: str) -> None:
+def test_unwritable_path_is_reported_with_advice(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
     with pytest.raises(WriteError, match=r"cannot be written: .*; .*"):
@@ -126,7 +126,7 @@ def test_a_place_that_cannot_be_written_is_said_with_what_to_do(tmp_path: Path, 
     assert sorted(names(tmp_path)) == ["file", "folder"]
 
 
-def test_a_library_that_writes_by_name_keeps_the_suffix(tmp_path: Path) -> None:
+def test_partial_file_keeps_suffix_for_libraries(tmp_path: Path) -> None:
     seen: list[Path] = []
 
     def write(part: Path) -> None:
@@ -139,25 +139,25 @@ def test_a_library_that_writes_by_name_keeps_the_suffix(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.svg"]
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_created_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(WriteError, match="cannot be written"):
         whole_files.make_folder(tmp_path / "file" / "folder")
 
 
 @pytest.mark.parametrize("number", sorted(whole_files.OUT_OF_ROOM))
-def test_each_cause_says_what_to_do(number: int) -> None:
+def test_each_cause_has_advice(number: int) -> None:
     assert "; " in whole_files.cause(OSError(number, os.strerror(number)))
     assert whole_files.cause(OSError(errno.ETXTBSY, "text file busy")) == "text file busy"
 
 
-def test_an_error_comes_back_from_another_process_as_it_was() -> None:
+def test_write_error_survives_pickling_between_processes() -> None:
     error = WriteError(Path("a.txt"), OSError(errno.ENOSPC, "No space left on device"), "its first 2 MB are kept")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
     assert str(error) == "a.txt cannot be written: the disk is full; free some space; its first 2 MB are kept"
 
 
-def test_what_goes_on_without_a_file_warns() -> None:
+def test_optional_write_failure_is_a_warning() -> None:
     told: list[str] = []
     with whole_files.reported(told.append):
         whole_files.write_text(Path("/dev/null/a.txt"), NEW)
@@ -188,7 +188,7 @@ WRITES = re.compile(
 )
 
 
-def test_every_file_is_written_by_one_rule() -> None:
+def test_all_files_are_written_through_whole_files() -> None:
     root = Path(__file__).parents[4]
     found = {
         path.relative_to(root).as_posix()

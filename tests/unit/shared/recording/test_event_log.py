@@ -21,7 +21,7 @@ def health(service: str, refusal: str = "") -> Health:
     return Health(0, service, "at work", 1, 0, 0, refusal, (), np.zeros(0), np.zeros(0))
 
 
-def test_a_mode_is_noted_when_it_changes_and_what_is_wrong_is_marked() -> None:
+def test_mode_change_is_logged_and_problems_are_marked() -> None:
     event_log, state = EventLog(), actuator_state(PROFILE, reason="standing", lease="")
     for k in range(5):
         event_log.legs(k * S, state)
@@ -37,7 +37,7 @@ def test_a_mode_is_noted_when_it_changes_and_what_is_wrong_is_marked() -> None:
     assert [e.bad for e in event_log.entries] == [False, False, True, False, True]
 
 
-def test_an_actuator_that_falls_silent_is_said_so_once_and_not_before_it_was_heard() -> None:
+def test_silent_actuator_is_logged_once_per_silence() -> None:
     event_log = EventLog()
     event_log.legs(0, None)
     assert said(event_log) == ["actuator: no message from the actuator"]
@@ -47,7 +47,7 @@ def test_an_actuator_that_falls_silent_is_said_so_once_and_not_before_it_was_hea
     assert said(event_log).count("actuator: no message from the actuator") == 2
 
 
-def test_a_planner_that_steps_is_noted_once_however_its_words_change() -> None:
+def test_planner_state_is_logged_once_despite_changing_reason() -> None:
     event_log = EventLog()
     for k in range(9):
         event_log.planner(k, PlannerStatus(k, "stepping", f"{k} of 3 footholds moved", k, 0, -1))
@@ -56,7 +56,7 @@ def test_a_planner_that_steps_is_noted_once_however_its_words_change() -> None:
     assert event_log.entries[-1].bad
 
 
-def test_a_camera_and_services_that_go_and_come_back_are_noted() -> None:
+def test_lost_and_returned_camera_and_services_are_logged() -> None:
     event_log = EventLog()
     event_log.camera(0, CameraState(0, "a camera", True, ""))
     event_log.camera(S, CameraState(0, "a camera", False, "it is covered"))
@@ -76,14 +76,14 @@ def test_a_camera_and_services_that_go_and_come_back_are_noted() -> None:
     ]
 
 
-def test_it_keeps_so_many_lines_and_counts_all() -> None:
+def test_log_length_is_bounded_and_all_lines_counted() -> None:
     event_log = EventLog()
     for k in range(2 * KEPT):
         event_log.note(k, "console", str(k))
     assert (len(event_log.entries), event_log.count, event_log.entries[-1].words) == (KEPT, 2 * KEPT, str(2 * KEPT - 1))
 
 
-def test_a_computer_that_is_too_slow_is_noted_once_and_when_it_is_over() -> None:
+def test_slow_computer_is_logged_once_and_at_its_end() -> None:
     event_log = EventLog()
     for age in ("", "maps are 1.6 s old", "maps are 1.7 s old", "", ""):
         event_log.computer(S, f"the robot's computer is too slow: {age}" if age else "")

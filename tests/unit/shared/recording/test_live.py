@@ -27,7 +27,7 @@ def feed(live: LiveRecorder, n: int = 40) -> None:
         live.take(topic, frame, at_ns)
 
 
-def test_all_that_fits_the_queue_is_kept(tmp_path: Path) -> None:
+def test_frames_within_queue_limit_are_recorded(tmp_path: Path) -> None:
     with LiveRecorder(recorder(tmp_path / "r")) as live:
         feed(live)
     assert live.finished
@@ -37,7 +37,7 @@ def test_all_that_fits_the_queue_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("limit", ["_QUEUE_FRAMES", "_QUEUE_BYTES"])
-def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_queue_drops_and_counts_without_blocking(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     messages = frames(some_messages(n=10))
     most = {"_QUEUE_FRAMES": 10, "_QUEUE_BYTES": sum(len(frame) for _, frame, _ in messages[:10])}[limit]
     monkeypatch.setattr(f"sextant.shared.recording.live.{limit}", most)
@@ -58,7 +58,7 @@ class FullDisk(Recorder):
         raise WriteError(self.path, OSError(errno.ENOSPC, "No space left on device"))
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None:
+def test_full_disk_ends_recording_without_blocking_caller(tmp_path: Path) -> None:
     live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
     with live:
         feed(live)
@@ -68,12 +68,12 @@ def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None
     assert live.taken == 80
 
 
-def test_a_device_that_takes_nothing_is_said_where_it_is_opened(tmp_path: Path) -> None:
+def test_full_device_is_reported_on_open(tmp_path: Path) -> None:
     with pytest.raises(WriteError, match=r"/dev/full cannot be written: the disk is full; free some space$"):
         recorder(Path("/dev/full"))
 
 
-def test_a_disk_that_fills_up_leaves_whole_files(tmp_path: Path) -> None:
+def test_filling_disk_leaves_complete_files(tmp_path: Path) -> None:
     free = [10**9]
 
     def make(path: Path) -> Recorder:
@@ -111,7 +111,7 @@ class Link:
         return True
 
 
-def test_everything_but_pictures_is_listened_to_until_the_end(tmp_path: Path) -> None:
+def test_all_topics_except_images_are_subscribed_until_close(tmp_path: Path) -> None:
     link: Any = Link()
     with LiveRecorder(recorder(tmp_path / "r")) as live:
         live.listen(link, lambda: 7)
@@ -122,7 +122,7 @@ def test_everything_but_pictures_is_listened_to_until_the_end(tmp_path: Path) ->
     assert [(t, at) for t, _, at in read(tmp_path / "r")] == [(topic, 7)]
 
 
-def test_what_came_is_handed_to_the_system_while_the_recording_goes_on(tmp_path: Path) -> None:
+def test_frames_are_flushed_during_recording(tmp_path: Path) -> None:
     """Hand frames to the system continuously: a killed process loses at most a second."""
     flushed = threading.Event()
 
@@ -139,7 +139,7 @@ def test_what_came_is_handed_to_the_system_while_the_recording_goes_on(tmp_path:
         assert len(list(read(tmp_path / "r"))) == 1, "it can be read without having been finished"
 
 
-def test_a_recording_that_cannot_begin_says_why_and_takes_nothing(tmp_path: Path) -> None:
+def test_recording_that_cannot_start_reports_reason(tmp_path: Path) -> None:
     error = WriteError(tmp_path / "r.mcap", OSError(errno.EROFS, "Read-only file system"))
     live = LiveRecorder(Unwritable(tmp_path / "r.mcap", error))
     with live:
@@ -147,7 +147,7 @@ def test_a_recording_that_cannot_begin_says_why_and_takes_nothing(tmp_path: Path
     assert "r.mcap cannot be written: the disk is read-only" in live.problem
 
 
-def test_a_disk_that_is_nearly_full_ends_a_recording_with_a_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_reserve_ends_recording_with_complete_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer.RESERVE_BYTES", 1 << 60)
     live = LiveRecorder(recorder(tmp_path / "r.mcap"))
     with live:

@@ -60,7 +60,7 @@ WAYS = [
 
 
 @pytest.mark.parametrize("data", WAYS)
-def test_every_way_to_pack_a_whole_file_is_read(data: bytes) -> None:
+def test_complete_file_of_any_packing_is_read(data: bytes) -> None:
     found, condition = numbers(data)
     assert found == list(range(COUNT))
     assert condition.whole
@@ -68,7 +68,7 @@ def test_every_way_to_pack_a_whole_file_is_read(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("data", WAYS)
-def test_zeros_at_the_end_as_after_a_power_cut_cost_what_was_behind(data: bytes) -> None:
+def test_trailing_zeros_lose_only_records_after_them(data: bytes) -> None:
     cut = data[: len(data) // 2] + bytes(70_000)
     found, condition = numbers(cut)
     assert found == list(range(len(found)))
@@ -83,7 +83,7 @@ def test_zeros_at_the_end_as_after_a_power_cut_cost_what_was_behind(data: bytes)
     [bytes(200), b"\xff" * 200, b"", b"\x05" + struct.pack("<Q", 1 << 40)],
     ids=["zeros", "ones", "cut out", "a length"],
 )
-def test_behind_damage_the_next_whole_record_is_found(data: bytes, damage: bytes) -> None:
+def test_reading_resumes_at_next_record_after_damage(data: bytes, damage: bytes) -> None:
     at = len(data) // 3
     found, condition = numbers(data[:at] + damage + data[at + 200 :])
     assert not condition.whole
@@ -92,7 +92,7 @@ def test_behind_damage_the_next_whole_record_is_found(data: bytes, damage: bytes
     assert len(found) > COUNT // 2
 
 
-def test_declarations_that_were_hit_are_taken_from_the_summary() -> None:
+def test_damaged_declarations_are_taken_from_summary() -> None:
     data = bytearray(foreign())
     at = data.index(struct.pack("<B", Opcode.CHUNK), len(MAGIC) + 40)
     data[at + 60] ^= 0xFF  # in the first chunk, which declares the channel
@@ -108,9 +108,7 @@ def test_declarations_that_were_hit_are_taken_from_the_summary() -> None:
     data=st.sampled_from([way.values[0] for way in WAYS]),
     changes=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=12), st.booleans()), min_size=1, max_size=4),
 )
-def test_whatever_the_bytes_nothing_but_records_leaves_the_reader(
-    data: bytes, changes: list[tuple[float, bytes, bool]]
-) -> None:
+def test_reader_yields_only_records_for_any_bytes(data: bytes, changes: list[tuple[float, bytes, bool]]) -> None:
     for share, run, inserts in changes:
         at = len(MAGIC) + int(share * (len(data) - len(MAGIC)))
         data = data[:at] + run + data[at + (0 if inserts else len(run)) :]
@@ -136,7 +134,7 @@ PACKED = {
 
 @pytest.mark.parametrize("compression", PACKED)
 @pytest.mark.parametrize("claimed", [3 << 30, LARGEST_BYTES, 1000, 0], ids=["3 GB", "the most", "little", "nothing"])
-def test_a_chunk_that_unpacks_to_more_than_the_limit_or_its_claim_takes_no_memory(compression: bytes, claimed: int) -> None:
+def test_oversized_chunk_is_skipped_with_little_memory(compression: bytes, claimed: int) -> None:
     data = MAGIC + record(Opcode.HEADER, bytes(8)) + 20 * chunk(PACKED[compression], compression, claimed)
     tracemalloc.start()
     found, condition = numbers(data)
@@ -151,7 +149,7 @@ def test_a_chunk_that_unpacks_to_more_than_the_limit_or_its_claim_takes_no_memor
     assert most < 3 * LARGEST_BYTES
 
 
-def test_a_record_that_is_larger_than_the_limit_is_passed_over(tmp_path: Path) -> None:
+def test_oversized_record_is_skipped(tmp_path: Path) -> None:
     whole = foreign(count=5)
     with (tmp_path / "large.mcap").open("wb") as file:
         file.write(whole[: len(MAGIC)] + struct.pack("<BQ", Opcode.ATTACHMENT, LARGEST_BYTES + 1))
@@ -163,7 +161,7 @@ def test_a_record_that_is_larger_than_the_limit_is_passed_over(tmp_path: Path) -
     assert "1 records of more than 64 MB" in condition.lost
 
 
-def test_a_message_whose_time_no_clock_tells_is_damaged() -> None:
+def test_message_with_invalid_time_is_damaged() -> None:
     body = struct.pack("<HIQQ", 1, 0, (1 << 64) - 1, 0)
     found, condition = numbers(MAGIC + record(Opcode.MESSAGE, body))
     assert found == []
@@ -171,9 +169,7 @@ def test_a_message_whose_time_no_clock_tells_is_damaged() -> None:
 
 
 @pytest.mark.parametrize("size", range(len(MAGIC) + 1))
-def test_a_file_that_ends_before_its_first_record_is_empty(
-    tmp_path: Path, size: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_without_first_record_is_empty(tmp_path: Path, size: int, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC[:size])
     recording = Recording(path)
@@ -187,7 +183,7 @@ def test_a_file_that_ends_before_its_first_record_is_empty(
     assert [one.name for one in tmp_path.iterdir()] == ["r.mcap"]
 
 
-def test_a_whole_file_without_messages_is_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_complete_file_without_messages_is_complete(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "r.mcap").write_bytes(foreign(count=0))
     assert cli.main(["recording", "recover", str(tmp_path / "r.mcap")]) == 0
     assert "already complete, 0 messages" in capsys.readouterr().out
@@ -196,9 +192,7 @@ def test_a_whole_file_without_messages_is_whole(tmp_path: Path, capsys: pytest.C
     assert "recover" not in said
 
 
-def test_what_another_program_wrote_beside_its_messages_is_kept_or_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_foreign_records_are_kept_or_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = foreign()
     cut = data[: data.index(struct.pack("<B", Opcode.DATA_END) + struct.pack("<Q", 4))]
     (tmp_path / "r.mcap").write_bytes(cut + record(0x91, b"ours alone"))
@@ -212,7 +206,7 @@ def test_what_another_program_wrote_beside_its_messages_is_kept_or_named(
     assert f"{COUNT}" in said
 
 
-def test_a_damaged_file_that_was_made_never_hides_its_source(tmp_path: Path) -> None:
+def test_damaged_recovered_file_does_not_replace_source(tmp_path: Path) -> None:
     source, made = tmp_path / "r.mcap", recovered(tmp_path / "r.mcap")
     source.write_bytes(foreign()[:-60])
     recover(source, made)
@@ -224,13 +218,13 @@ def test_a_damaged_file_that_was_made_never_hides_its_source(tmp_path: Path) -> 
     assert Recording(tmp_path).files == [made]
 
 
-def test_an_index_that_does_not_match_its_checksum_is_damage() -> None:
+def test_index_with_wrong_checksum_is_damaged() -> None:
     data = bytearray(foreign())
     data[-60] ^= 1
     assert not numbers(bytes(data))[1].whole
 
 
-def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_do_not_reach_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with (tmp_path / "r.mcap").open("wb") as file:
         writer = Writer(file, index_types=IndexType.NONE)
         writer.start()
@@ -241,7 +235,7 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path, 
     assert "\x1b" not in capsys.readouterr().out
 
 
-def test_times_that_jump_by_more_than_a_day_are_refused(tmp_path: Path) -> None:
+def test_time_jump_above_one_day_is_refused(tmp_path: Path) -> None:
     (tmp_path / "r.mcap").write_bytes(b"")
     with (tmp_path / "r.mcap").open("wb") as file:
         writer = Writer(file)
@@ -255,7 +249,7 @@ def test_times_that_jump_by_more_than_a_day_are_refused(tmp_path: Path) -> None:
         list(Recording(tmp_path / "r.mcap").frames())
 
 
-def test_the_checksum_of_an_attachment_is_checked() -> None:
+def test_attachment_checksum_is_checked() -> None:
     data = foreign()
     at = data.index(b"mown yesterday")
     assert zlib.crc32(b"") == 0

@@ -37,7 +37,7 @@ EXPECTED = [(topic.key, frame, at_ns) for topic, frame, at_ns in WRITTEN]
 
 @settings(max_examples=30, deadline=None)
 @given(share=st.floats(0.05, 0.99))
-def test_whatever_was_cut_off_becomes_whole_with_all_that_was_there(
+def test_truncated_file_recovers_all_remaining_messages(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float
 ) -> None:
     folder, data = tmp_path_factory.mktemp("cut"), whole.read_bytes()
@@ -64,7 +64,7 @@ def test_whatever_was_cut_off_becomes_whole_with_all_that_was_there(
 
 @settings(max_examples=30, deadline=None)
 @given(share=st.floats(0.05, 0.95), flips=st.integers(1, 255))
-def test_damage_in_the_middle_costs_what_it_hit(
+def test_damage_loses_only_affected_messages(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float, flips: int
 ) -> None:
     folder, data = tmp_path_factory.mktemp("damaged"), bytearray(whole.read_bytes())
@@ -81,14 +81,14 @@ def test_damage_in_the_middle_costs_what_it_hit(
     assert all(any(one == old for old in of_old) for one in after), "in their order, and none that was not there"
 
 
-def test_a_whole_file_is_known_as_such(whole: Path, tmp_path: Path) -> None:
+def test_complete_file_is_recognized(whole: Path, tmp_path: Path) -> None:
     found = recover(whole, tmp_path / "new.mcap")
     assert found.was_whole
     assert (found.lost, found.messages) == ([], 400)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_leaves_the_old_file_and_says_what_was_lost(
+def test_recover_command_keeps_source_and_reports_losses(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = whole.read_bytes()
@@ -111,7 +111,7 @@ def test_the_command_leaves_the_old_file_and_says_what_was_lost(
     assert "recording-0002.recovered.mcap: already recovered" in capsys.readouterr().out
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_non_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.mcap").write_text("hello, this is text")
     assert cli.main(["recording", "recover", str(tmp_path / "text.mcap")]) == 2
     assert cli.main(["recording", "info", str(tmp_path / "nowhere.mcap")]) == 2
@@ -120,7 +120,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureF
     assert "No such file" in said
 
 
-def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_command_lists_content(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["recording", "info", str(whole)]) == 0
     said = capsys.readouterr().out
     assert "1 file" in said
@@ -143,7 +143,7 @@ def recover_within(folder: Path, most_bytes: int) -> subprocess.CompletedProcess
     )
 
 
-def test_a_recovery_that_does_not_fit_leaves_the_source_as_what_is_read(whole: Path, tmp_path: Path) -> None:
+def test_recovery_without_space_leaves_source_in_use(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
     ended = recover_within(tmp_path, 4000)
     assert ended.returncode == 1
@@ -155,7 +155,7 @@ def test_a_recovery_that_does_not_fit_leaves_the_source_as_what_is_read(whole: P
     assert read(tmp_path) == EXPECTED
 
 
-def test_a_recovery_that_was_killed_is_done_again(whole: Path, tmp_path: Path) -> None:
+def test_killed_recovery_is_repeated(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
     partial(tmp_path / "r.recovered.mcap").write_bytes(whole.read_bytes()[:500])  # as a killed process leaves it
     assert [path.name for path in Recording(tmp_path).files] == ["r.mcap"]
@@ -164,7 +164,7 @@ def test_a_recovery_that_was_killed_is_done_again(whole: Path, tmp_path: Path) -
     assert read(tmp_path) == EXPECTED
 
 
-def test_one_file_of_a_folder_that_cannot_be_recovered_does_not_keep_the_others(
+def test_unrecoverable_file_does_not_block_others_of_folder(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.mcap").write_text("no recording")

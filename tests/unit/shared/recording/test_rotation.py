@@ -23,7 +23,7 @@ def rotate(folder: Path, n: int, file_ns: int) -> Rotation:
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(n=st.integers(1, 40), file_s=st.integers(1, 50))
-def test_files_follow_each_other_and_nothing_is_lost(tmp_path_factory: pytest.TempPathFactory, n: int, file_s: int) -> None:
+def test_rotation_loses_no_message(tmp_path_factory: pytest.TempPathFactory, n: int, file_s: int) -> None:
     folder = tmp_path_factory.mktemp("rotated")
     rotation = rotate(folder, n, file_s * S)
     recording = Recording(folder)
@@ -34,7 +34,7 @@ def test_files_follow_each_other_and_nothing_is_lost(tmp_path_factory: pytest.Te
     assert rotation.size == sum(path.stat().st_size for path in recording.files)
 
 
-def test_each_file_is_whole_in_itself(tmp_path: Path) -> None:
+def test_each_rotated_file_is_complete(tmp_path: Path) -> None:
     rotate(tmp_path, 30, 10 * S)
     for path in Recording(tmp_path).files:
         found = contents(path)
@@ -42,7 +42,7 @@ def test_each_file_is_whole_in_itself(tmp_path: Path) -> None:
         assert {track.messages for track in found.tracks.values()} == {10}
 
 
-def test_a_file_is_a_minute_long(tmp_path: Path) -> None:
+def test_rotated_file_lasts_one_minute(tmp_path: Path) -> None:
     rotate(tmp_path, 150, FILE_NS)
     spans = [contents(path) for path in Recording(tmp_path).files]
     assert [round((c.ended_ns - c.began_ns) / S) for c in spans] == [59, 59, 29]

@@ -30,7 +30,7 @@ def same(a: Message, b: Message) -> bool:
     return codec.encode(a) == codec.encode(b)
 
 
-def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
+def test_messages_are_read_back_in_order(tmp_path: Path) -> None:
     written = some_messages()
     write(tmp_path / "r.mcap", written)
     found = list(read(tmp_path / "r.mcap"))
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
     assert [t for t, _, _ in read(tmp_path / "r.mcap", [topics.MODE])] == [topics.MODE] * 40
 
 
-def test_a_recording_of_before_keys_had_roles_is_read_as_the_robots(tmp_path: Path) -> None:
+def test_recording_without_role_keys_is_read_as_robot(tmp_path: Path) -> None:
     nothing = np.zeros(0)
     message = Health(1, "actuator", "holding", 0, 0, 0, "", (), nothing, nothing)
     write(tmp_path / "r.mcap", [(replace(topics.HEALTH, key="health"), message, 1)])
@@ -48,7 +48,7 @@ def test_a_recording_of_before_keys_had_roles_is_read_as_the_robots(tmp_path: Pa
     assert same(found, message)
 
 
-def test_the_same_run_makes_the_same_bytes(tmp_path: Path) -> None:
+def test_same_messages_give_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write(tmp_path / name, some_messages())
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
@@ -56,7 +56,7 @@ def test_the_same_run_makes_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() != (tmp_path / "c").read_bytes()
 
 
-def test_pictures_are_left_out_and_maps_thinned_unless_asked_for(tmp_path: Path) -> None:
+def test_images_are_omitted_and_maps_thinned_by_default(tmp_path: Path) -> None:
     written: list[tuple[AnyTopic, Message, int]] = []
     for i in range(30):
         at_ns = i * S // 10
@@ -70,7 +70,7 @@ def test_pictures_are_left_out_and_maps_thinned_unless_asked_for(tmp_path: Path)
     assert Recording(tmp_path / "all").counts() == {"camera/depth": 30, "mapper/terrain": 30}
 
 
-def test_it_is_plain_mcap_that_says_what_it_is(tmp_path: Path) -> None:
+def test_recording_is_standard_mcap_with_metadata(tmp_path: Path) -> None:
     write(tmp_path / "r.mcap", some_messages())
     with (tmp_path / "r.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -95,14 +95,14 @@ def test_it_is_plain_mcap_that_says_what_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda t: t.key)
-def test_every_field_is_described(topic: AnyTopic) -> None:
+def test_schema_describes_every_field(topic: AnyTopic) -> None:
     described = json.loads(describe(topic.type))
     assert described["schema"] == codec.schema_id(topic.type)
     assert [f["name"] for f in described["fields"]] == list(topic.type.__dataclass_fields__)
     assert all(f["type"] for f in described["fields"])
 
 
-def test_a_description_gives_shapes_types_and_words() -> None:
+def test_schema_gives_shapes_types_and_meaning() -> None:
     fields = {f["name"]: f for f in json.loads(describe(Scan))["fields"]}
     assert fields["points_mm"] == {
         "name": "points_mm",
@@ -120,9 +120,7 @@ def test_a_description_gives_shapes_types_and_words() -> None:
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.75, 0.999])
-def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
-    tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_truncated_file_is_read_up_to_cut(tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)
     write(tmp_path / "whole", written)
@@ -136,7 +134,7 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
     assert len(found) > 0.5 * share * len(written) - 100
 
 
-def test_a_recording_that_was_never_closed_is_read_up_to_half_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unclosed_recording_is_read_up_to_last_half_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)  # two frames per second
     recorder = Recorder(tmp_path / "r", ABOUT)
@@ -151,7 +149,7 @@ def test_a_recording_that_was_never_closed_is_read_up_to_half_a_second(tmp_path:
     recorder.close()
 
 
-def test_messages_of_a_channel_that_is_not_declared_are_passed_over(tmp_path: Path) -> None:
+def test_messages_of_undeclared_channel_are_skipped(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     with path.open("wb") as file:
         writer = Writer(file, use_chunking=False)
@@ -164,7 +162,7 @@ def test_messages_of_a_channel_that_is_not_declared_are_passed_over(tmp_path: Pa
     assert not recording.complete
 
 
-def test_behind_a_damaged_chunk_the_reading_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_continues_after_damaged_chunk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer._CHUNK_BYTES", 2000)
     write(tmp_path / "r", some_messages(n=400))
     with (tmp_path / "r").open("r+b") as file:
@@ -180,14 +178,14 @@ def test_behind_a_damaged_chunk_the_reading_goes_on(tmp_path: Path, monkeypatch:
     assert not recording.complete
 
 
-def test_what_is_no_recording_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_non_recording_is_refused_with_advice(tmp_path: Path) -> None:
     (tmp_path / "text").write_text("hello, this is text")
     for name in ("text", "missing", "."):
         with pytest.raises(RecordingError, match=r"recording\.mcap"):
             Recording(tmp_path / name)
 
 
-def test_frames_of_another_version_are_refused(tmp_path: Path) -> None:
+def test_frames_of_other_version_are_refused(tmp_path: Path) -> None:
     with Recorder(tmp_path / "r", ABOUT) as recorder:
         recorder.write(topics.VELOCITY, of_another_version(velocity(0, np.random.default_rng(0))), 0)
     with pytest.raises(RecordingError, match="different versions"):

@@ -23,7 +23,7 @@ def test_raw_bounds_are_the_first_and_last_value_within_range(nearest: float, sp
 
 
 @pytest.mark.parametrize("bad", [np.zeros((48, 64)), np.zeros((64, 48), np.uint16), np.zeros((48, 64, 1), np.uint16)])
-def test_raw_images_of_another_shape_or_type_are_refused(bad: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_raw_images_of_wrong_shape_or_type_are_refused(bad: np.ndarray) -> None:  # type: ignore[type-arg]
     with pytest.raises(ValueError, match=r"uint16 depth image \(48, 64\) expected, found"):
         SMALL.check_raw(bad)
     SMALL.check_raw(np.zeros((48, 64), np.uint16))

@@ -65,7 +65,7 @@ def wrapped(angle: Array) -> Array:
 
 
 @given(reachable())
-def test_forward_of_inverse_is_the_point(case: tuple[LegLinks, Array]) -> None:
+def test_forward_of_inverse_returns_point(case: tuple[LegLinks, Array]) -> None:
     links, p = case
     d_l = np.hypot(np.hypot(p[0], p[1]) - links.coxa, p[2])
     if not abs(links.femur - links.tibia) + 1e-12 < d_l < links.femur + links.tibia - 1e-12:
@@ -76,14 +76,14 @@ def test_forward_of_inverse_is_the_point(case: tuple[LegLinks, Array]) -> None:
 
 
 @given(knee_up())
-def test_inverse_of_forward_is_the_posture(case: tuple[LegLinks, Array]) -> None:
+def test_inverse_of_forward_returns_joint_angles(case: tuple[LegLinks, Array]) -> None:
     links, q = case
     back = kinematics.leg_inverse(kinematics.leg_forward(q, links), links)
     np.testing.assert_allclose(wrapped(back - q), 0.0, atol=1e-7)
 
 
 @given(all_links)
-def test_all_zero_is_the_leg_straight_out(links: LegLinks) -> None:
+def test_zero_angles_give_straight_leg(links: LegLinks) -> None:
     straight = np.array([links.coxa + links.femur + links.tibia, 0.0, 0.0])
     np.testing.assert_allclose(kinematics.leg_forward(np.zeros(3), links), straight, atol=1e-15)
 
@@ -91,14 +91,14 @@ def test_all_zero_is_the_leg_straight_out(links: LegLinks) -> None:
 @pytest.mark.parametrize(
     ("joint", "rises"), [(0, [0, 1, 0]), (1, [0, 0, 1]), (2, [0, 0, 1])], ids=["coxa left", "femur up", "tibia up"]
 )
-def test_each_angle_grows_the_way_the_profile_says(joint: int, rises: list[int]) -> None:
+def test_positive_angles_move_foot_as_documented(joint: int, rises: list[int]) -> None:
     q = np.zeros(3)
     q[joint] = 0.01
     moved = kinematics.leg_forward(q, LINKS) - kinematics.leg_forward(np.zeros(3), LINKS)
     assert moved @ rises > 5e-4
 
 
-def test_the_knee_is_above_the_line_from_hip_to_foot() -> None:
+def test_knee_is_above_line_from_hip_to_foot() -> None:
     q = kinematics.leg_inverse(np.array([0.144, 0.0, -0.09]), LINKS)
     knee = np.array([LINKS.coxa + LINKS.femur * np.cos(q[1]), LINKS.femur * np.sin(q[1])])
     along = (knee[0] - LINKS.coxa) / (0.144 - LINKS.coxa)
@@ -108,7 +108,7 @@ def test_the_knee_is_above_the_line_from_hip_to_foot() -> None:
 
 
 @given(st.floats(0.0, 2.0), angles, angles)
-def test_out_of_reach_is_nan_and_within_reach_is_not(d_l: float, elevation: float, coxa: float) -> None:
+def test_only_unreachable_points_give_nan(d_l: float, elevation: float, coxa: float) -> None:
     reach = LINKS.coxa + d_l * np.cos(elevation)
     if reach <= 0.0:
         return
@@ -122,12 +122,12 @@ def test_out_of_reach_is_nan_and_within_reach_is_not(d_l: float, elevation: floa
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=3, max_size=3))
-def test_any_input_gives_a_whole_row_of_angles_or_of_nan(p: list[float]) -> None:
+def test_any_input_gives_all_finite_or_all_nan_angles(p: list[float]) -> None:
     q = kinematics.leg_inverse(np.array(p), LINKS)  # warnings are errors
     assert np.isfinite(q).all() or np.isnan(q).all()
 
 
-def test_one_unreachable_row_leaves_the_others_alone() -> None:
+def test_unreachable_row_does_not_affect_others() -> None:
     p = np.array([[0.144, 0.0, -0.09], [1.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.1, 0.05, -0.12]])
     q = kinematics.leg_inverse(p, LINKS)
     assert np.isnan(q).all(axis=1).tolist() == [False, True, True, False]
@@ -135,7 +135,7 @@ def test_one_unreachable_row_leaves_the_others_alone() -> None:
 
 
 @given(knee_up())
-def test_jacobian_is_the_derivative(case: tuple[LegLinks, Array]) -> None:
+def test_jacobian_is_derivative_of_forward_kinematics(case: tuple[LegLinks, Array]) -> None:
     links, q = case
     h = 1e-6
     differences = np.stack(
@@ -146,7 +146,7 @@ def test_jacobian_is_the_derivative(case: tuple[LegLinks, Array]) -> None:
 
 
 @given(knee_up(), st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
-def test_rates_solve_the_jacobian(case: tuple[LegLinks, Array], velocity: list[float]) -> None:
+def test_joint_rates_solve_jacobian(case: tuple[LegLinks, Array], velocity: list[float]) -> None:
     links, q = case
     v = np.array(velocity)
     rates = kinematics.joint_rates(q, v, links)
@@ -154,7 +154,7 @@ def test_rates_solve_the_jacobian(case: tuple[LegLinks, Array], velocity: list[f
     np.testing.assert_allclose(kinematics.leg_jacobian(q, links) @ rates, v, rtol=0, atol=1e-12 * scale)
 
 
-def test_rates_are_the_derivative_of_the_inverse() -> None:
+def test_joint_rates_are_derivative_of_inverse_kinematics() -> None:
     q = random_stances(200)
     p = kinematics.leg_forward(q, LINKS)
     near = np.hypot(p[..., 0], p[..., 1]) > 0.02
@@ -167,7 +167,7 @@ def test_rates_are_the_derivative_of_the_inverse() -> None:
     assert len(q) > 300
 
 
-def test_singular_postures_have_no_rates_and_raise_nothing() -> None:
+def test_singular_postures_give_nan_rates() -> None:
     on_axis = kinematics.leg_inverse(np.array([0.0, 0.0, -0.1]), LINKS)
     q = np.array([[0.2, 0.3, 0.0], [0.2, 0.3, -np.pi], on_axis, [np.nan, 0.0, -1.0], [np.inf, 0.0, -1.0], [0.0, 0.6, -1.8]])
     rates = kinematics.joint_rates(q, np.full(3, 0.1), LINKS)
@@ -190,7 +190,7 @@ def test_singular_postures_have_no_rates_and_raise_nothing() -> None:
         lambda: kinematics.leg_points(PROFILE, np.zeros((6, 2))),
     ],
 )
-def test_a_wrong_shape_is_named(call: object) -> None:
+def test_wrong_shape_is_named(call: object) -> None:
     assert callable(call)
     with pytest.raises(ValueError, match=r"of shape \(\.\.\., .*\) expected, found \("):
         call()
@@ -199,7 +199,7 @@ def test_a_wrong_shape_is_named(call: object) -> None:
 # ------------------------------------------------------------------------------------------------------ six legs
 
 
-def test_round_trip_of_all_six_legs() -> None:
+def test_all_six_legs_survive_round_trip() -> None:
     q = random_stances(300)
     feet = kinematics.body_forward(PROFILE, q)
     again = kinematics.body_forward(PROFILE, kinematics.body_inverse(PROFILE, feet))
@@ -208,7 +208,7 @@ def test_round_trip_of_all_six_legs() -> None:
     assert reached.mean() > 0.9  # the others have their foot behind the coxa axis
 
 
-def test_batches_are_rows_one_by_one() -> None:
+def test_batch_equals_single_rows() -> None:
     q = random_stances(12).reshape(3, 4, 6, 3)
     feet = kinematics.body_forward(PROFILE, q)
     np.testing.assert_array_equal(kinematics.body_forward(PROFILE, q[1, 2]), feet[1, 2])
@@ -218,7 +218,7 @@ def test_batches_are_rows_one_by_one() -> None:
     assert kinematics.within_limits(PROFILE, q).all()
 
 
-def test_nothing_is_written_into_the_arguments() -> None:
+def test_arguments_are_not_modified() -> None:
     q, f = random_stances(1)[0], np.ones((6, 3))
     q.flags.writeable = f.flags.writeable = False
     kinematics.body_inverse(PROFILE, kinematics.body_forward(PROFILE, q))
@@ -227,7 +227,7 @@ def test_nothing_is_written_into_the_arguments() -> None:
     kinematics.leg_points(PROFILE, q)
 
 
-def test_points_of_a_leg_are_joined_by_its_links() -> None:
+def test_leg_points_are_separated_by_link_lengths() -> None:
     q = random_stances(100)
     points = kinematics.leg_points(PROFILE, q)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
@@ -239,13 +239,13 @@ def test_points_of_a_leg_are_joined_by_its_links() -> None:
 
 
 @pytest.mark.parametrize("height", [*PROFILE.stance.body_height_range, 0.1, 0.12])
-def test_the_resting_stance_is_within_limits(height: float) -> None:
+def test_rest_stance_is_within_joint_limits(height: float) -> None:
     q = kinematics.body_inverse(PROFILE, PROFILE.rest_feet(height))
     assert kinematics.within_limits(PROFILE, q).all()
     np.testing.assert_allclose(q[:, 0], 0.0, atol=1e-12)  # each leg in its neutral direction
 
 
-def test_the_robot_is_symmetric() -> None:
+def test_kinematics_are_mirror_symmetric() -> None:
     mirror_leg = [1, 0, 5, 4, 3, 2]
     assert [LEGS[i].replace("left", "?").replace("right", "left").replace("?", "right") for i in range(6)] == [
         LEGS[i] for i in mirror_leg
@@ -258,7 +258,7 @@ def test_the_robot_is_symmetric() -> None:
     np.testing.assert_allclose(-limits[mirror_leg, 0, ::-1], limits[:, 0], atol=1e-12)  # the coxas' limits too
 
 
-def test_torques_do_the_work_that_the_ground_does() -> None:
+def test_joint_torques_satisfy_virtual_work() -> None:
     """Check the principle of virtual work.
 
     Motors and ground together do no work on any small motion.
@@ -271,7 +271,7 @@ def test_torques_do_the_work_that_the_ground_does() -> None:
     np.testing.assert_allclose(work, 0.0, atol=1e-14)
 
 
-def test_standing_loads_the_femurs_downwards() -> None:
+def test_standing_torques_load_femurs_only() -> None:
     q = kinematics.body_inverse(PROFILE, PROFILE.rest_feet())
     lift = np.zeros((6, 3))
     lift[:, 2] = 2.5 * 9.81 / 6.0
@@ -327,7 +327,7 @@ def feet_around_rest(n: int) -> Array:
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_servo_map_is_table_3_1(row: str) -> None:
+def test_servo_map_equals_table_3_1(row: str) -> None:
     leg = IN_THE_TABLE[row]
     for feet in feet_around_rest(50):
         ours = 150.0 + np.degrees(PROFILE.servo_angles(kinematics.body_inverse(PROFILE, feet)))[leg]
@@ -337,7 +337,7 @@ def test_servo_map_is_table_3_1(row: str) -> None:
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_joint_limits_are_table_3_2(row: str) -> None:
+def test_joint_limits_equal_table_3_2(row: str) -> None:
     leg = IN_THE_TABLE[row]
     corners = np.sort(np.degrees(PROFILE.servo_angles(np.moveaxis(PROFILE.joint_limits, -1, 0))), axis=0)[:, leg]
     np.testing.assert_allclose(corners.T, TABLE_3_2[row], atol=1e-9)
@@ -395,14 +395,14 @@ def acute_feet(n: int) -> Array:
     return p[fits][:n]
 
 
-def test_lotriet_5_2_with_its_corrections_is_ours() -> None:
+def test_corrected_lotriet_5_2_equals_inverse_kinematics() -> None:
     p = acute_feet(200)
     theta, _ = lotriet_inverse(p, LINKS)
     np.testing.assert_allclose(kinematics.leg_inverse(p, LINKS), theta * [1.0, -1.0, -1.0], atol=1e-9)
     assert len(p) == 200
 
 
-def test_lotriet_angles_as_printed_in_ours() -> None:
+def test_printed_lotriet_angles_convert_to_profile_angles() -> None:
     """Use the thesis's mounting angles, and its coxa angle.
 
     (5.2) prints the coxa angle as measured from y.
@@ -443,7 +443,7 @@ def test_lotriet_5_8_needs_cosines() -> None:
     assert as_printed == pytest.approx(LINKS.coxa)  # a straight leg would end at its own femur axis
 
 
-def test_lotriet_rates_5_9_with_their_corrections_are_ours() -> None:
+def test_corrected_lotriet_5_9_equals_joint_rates() -> None:
     p = acute_feet(200)
     v = np.random.default_rng(6).normal(0.0, 0.1, p.shape)
     _, terms = lotriet_inverse(p, LINKS)
@@ -466,7 +466,7 @@ def test_lotriet_rates_5_9_with_their_corrections_are_ours() -> None:
     assert np.abs(printed - rates[:, 1]).max() > 0.1
 
 
-def test_a_profile_with_other_links_keeps_the_laws() -> None:
+def test_other_link_lengths_survive_round_trip() -> None:
     other = replace(PROFILE, links=LegLinks(0.1, 0.1, 0.1))
     q = random_stances(50)
     feet = kinematics.body_forward(other, q)
@@ -476,7 +476,7 @@ def test_a_profile_with_other_links_keeps_the_laws() -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_the_nearest_reachable_foot_is_reachable_and_stays_where_it_was_if_it_was(seed: int) -> None:
+def test_nearest_reachable_foot_is_reachable_and_keeps_reachable_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rest = PROFILE.rest_feet()
     feet = rest + rng.normal(0.0, 0.08, (6, 3))

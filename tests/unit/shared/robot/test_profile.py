@@ -24,7 +24,7 @@ PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)
 
 
-def test_legs_go_once_around_the_body_so_that_every_second_makes_a_tripod() -> None:
+def test_legs_are_in_clockwise_order_and_alternate_in_tripods() -> None:
     assert tuple(leg.name for leg in PROFILE.legs) == LEGS
     mounts = np.array([leg.mount_xyz[:2] for leg in PROFILE.legs])
     headings = np.unwrap(np.arctan2(mounts[:, 1], mounts[:, 0]))
@@ -36,7 +36,7 @@ def test_legs_go_once_around_the_body_so_that_every_second_makes_a_tripod() -> N
         assert all(turn < 0 for turn in around)  # the body's centre lies on the inner side of each edge
 
 
-def test_names_say_where_the_legs_are() -> None:
+def test_leg_names_match_mount_positions() -> None:
     for leg in PROFILE.legs:
         side, place = leg.name.split()
         assert (leg.mount_xyz[1] > 0) == (side == "left")
@@ -45,7 +45,7 @@ def test_names_say_where_the_legs_are() -> None:
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_profiles_that_come_along_reach_their_stride(name: str) -> None:
+def test_packaged_profiles_reach_their_stride(name: str) -> None:
     """Reach the resting place, half a stride ahead and behind, and 2 cm above."""
     profile = load_profile(name)
     assert profile.name == name
@@ -57,7 +57,7 @@ def test_profiles_that_come_along_reach_their_stride(name: str) -> None:
     assert profile.servo.stiffness == pytest.approx(stiffest, rel=0.01)
 
 
-def test_coxa_frames_look_along_the_neutral_legs() -> None:
+def test_coxa_frames_point_along_neutral_legs() -> None:
     for T, T_back, leg in zip(PROFILE.T_body_coxa, PROFILE.T_coxa_body, PROFILE.legs, strict=True):
         yaw = np.radians(leg.neutral_yaw_deg)
         np.testing.assert_allclose(T[:3, 0], [np.cos(yaw), np.sin(yaw), 0.0], atol=1e-15)
@@ -72,12 +72,12 @@ def test_servo_angles_round_trip(values: list[float]) -> None:
     np.testing.assert_allclose(PROFILE.joint_angles(PROFILE.servo_angles(q)), q, atol=1e-12)
 
 
-def test_servo_angles_are_batched() -> None:
+def test_servo_angles_accept_batches() -> None:
     q = np.random.default_rng(1).normal(size=(4, 6, 3))
     np.testing.assert_array_equal(PROFILE.servo_angles(q)[2], PROFILE.servo_angles(q[2]))
 
 
-def test_limits_rise_and_hold_the_leg_straight_out() -> None:
+def test_limits_are_ordered_and_contain_straight_leg() -> None:
     limits = PROFILE.joint_limits
     assert limits.shape == (6, 3, 2)
     assert (limits[..., 0] < 0.0).all()
@@ -86,7 +86,7 @@ def test_limits_rise_and_hold_the_leg_straight_out() -> None:
 
 
 @pytest.mark.parametrize("height", [None, 0.08, 0.13])
-def test_resting_feet_touch_the_ground(height: float | None) -> None:
+def test_rest_feet_touch_ground(height: float | None) -> None:
     feet = PROFILE.rest_feet(height)
     ground = -(PROFILE.stance.body_height if height is None else height)
     np.testing.assert_allclose(feet[:, 2] - PROFILE.foot.radius, ground)
@@ -98,7 +98,7 @@ def test_resting_feet_touch_the_ground(height: float | None) -> None:
     assert outward.all()
 
 
-def test_the_camera_looks_ahead_and_down() -> None:
+def test_camera_points_ahead_and_down() -> None:
     T = PROFILE.camera.T_body_camera
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-15)
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
@@ -108,19 +108,19 @@ def test_the_camera_looks_ahead_and_down() -> None:
     assert T[2, 1] < 0.0  # its lower edge is lower
 
 
-def test_mass_and_damping_follow_from_the_parts() -> None:
+def test_mass_and_damping_follow_from_parts() -> None:
     assert 2.2 <= PROFILE.body.total_mass <= 2.6
     servo = PROFILE.servo
     assert servo.stall_torque - servo.damping * servo.no_load_speed == pytest.approx(0.0)
 
 
-def test_depth_noise_grows_with_the_square_of_depth() -> None:
+def test_depth_noise_grows_with_squared_depth() -> None:
     sensor, fx = PROFILE.camera.sensor, PROFILE.camera.intrinsics.fx
     near, far = sensor.sigma(np.array([1.0, 2.0]), fx)
     assert far == pytest.approx(4.0 * near)
 
 
-def test_points_project_back_to_their_pixels() -> None:
+def test_points_project_to_their_pixels() -> None:
     k = Intrinsics(8, 6, 10.0, 11.0, 3.5, 2.5)
     depth = np.random.default_rng(2).uniform(0.5, 2.0, (6, 8))
     points = k.points(depth)
@@ -166,12 +166,12 @@ LEG = PROFILE.legs[0]
         (lambda: DepthSensor(baseline=0.0), "baseline: more than 0 and at most 10 m"),
     ],
 )
-def test_nonsense_is_refused(make: Any, words: str) -> None:
+def test_invalid_values_are_refused(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         make()
 
 
-def test_a_profile_is_found_by_name_and_by_path(tmp_path: Path) -> None:
+def test_profile_is_found_by_name_and_path(tmp_path: Path) -> None:
     with pytest.raises(config.ConfigError, match=r"no profile 'phantom'; .*phantomx_mk2.*; or give a path"):
         load_profile("phantom")
     with pytest.raises(config.ConfigError, match="no such file"):
@@ -189,7 +189,7 @@ def test_a_profile_is_found_by_name_and_by_path(tmp_path: Path) -> None:
         ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera.pitch_down_deg: an angle from -45"),
     ],
 )
-def test_a_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
     text = Path(__file__).parents[4].joinpath("shared/robot/profiles/phantomx_mk2.toml").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "my.toml"
@@ -238,7 +238,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
 
 
 @given(st.sets(st.sampled_from(sorted(MISTAKES)), min_size=1))
-def test_as_many_mistakes_as_are_made_are_told_each_with_its_place(made: set[str]) -> None:
+def test_all_errors_are_reported_with_their_keys(made: set[str]) -> None:
     table = copy.deepcopy(TABLE)
     for path in made:
         holder, key = _at(table, path)
@@ -255,13 +255,13 @@ def test_as_many_mistakes_as_are_made_are_told_each_with_its_place(made: set[str
         assert sum(problem.startswith(MISTAKES[path][1]) for problem in told) == 1, (path, told)
 
 
-def test_a_horn_offset_that_is_no_number_is_told_alone(tmp_path: Path) -> None:
+def test_invalid_horn_offset_causes_one_error_only(tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text('extends = "phantomx_mk2"\nhorn_offsets_deg = [0.0, "", 0.0]\n')
     with pytest.raises(config.ConfigError, match=r"horn_offsets_deg\[1\]: a number expected, found ''"):
         load_profile(str(tmp_path / "my.toml"))
 
 
-def test_a_stance_out_of_reach_is_told_beside_other_mistakes(tmp_path: Path) -> None:
+def test_unreachable_stance_is_reported_among_other_errors(tmp_path: Path) -> None:
     text = Path(__file__).parents[4].joinpath("shared/robot/profiles/phantomx_mk2.toml").read_text(encoding="utf-8")
     for old, new in (
         ("foot_radius_from_coxa = [0.110", "foot_radius_from_coxa = [0.610"),
@@ -277,7 +277,7 @@ def test_a_stance_out_of_reach_is_told_beside_other_mistakes(tmp_path: Path) -> 
     assert sorted(places) == ["camera.pitch_down_deg", "legs[1].servo_ids", "stance"]
 
 
-def test_a_profile_with_five_legs_is_refused_in_words() -> None:
+def test_profile_with_five_legs_is_refused_with_reason() -> None:
     with pytest.raises(config.ConfigError, match="legs: a list of 6 values expected, found 5"):
         config.build(TABLE | {"legs": TABLE["legs"][:5]}, RobotProfile)
     with pytest.raises(config.ConfigError, match=r"legs\[2\].servo_signs: a list of 3"):
@@ -286,7 +286,7 @@ def test_a_profile_with_five_legs_is_refused_in_words() -> None:
         )
 
 
-def test_a_leg_is_a_value() -> None:
+def test_leg_is_hashable_value() -> None:
     assert replace(LEG) == LEG
     assert hash(replace(LEG)) == hash(LEG)
     assert isinstance(LEG, Leg)
@@ -298,7 +298,7 @@ trims = st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3)
 
 
 @given(st.sets(st.sampled_from(LEGS)), st.data())
-def test_trims_turn_the_servo_and_leave_the_joint_where_it_is(legs: set[str], data: st.DataObject) -> None:
+def test_trim_changes_servo_angle_at_same_joint_angle(legs: set[str], data: st.DataObject) -> None:
     entries = [Calibration(leg, date(2026, 7, 30), tuple(data.draw(trims))) for leg in sorted(legs)]
     robot = replace(PROFILE, calibration=tuple(entries))
     q = np.random.default_rng(len(legs)).normal(size=(6, 3))
@@ -309,7 +309,7 @@ def test_trims_turn_the_servo_and_leave_the_joint_where_it_is(legs: set[str], da
     np.testing.assert_allclose(robot.joint_limits, PROFILE.joint_limits, atol=1e-12)  # the brackets have not moved
 
 
-def test_a_trim_cannot_turn_a_servo_beyond_its_range() -> None:
+def test_trim_beyond_servo_range_is_refused() -> None:
     legs = tuple(replace(leg, servo_limits_deg=((-150.0, 150.0),) * 3) for leg in PROFILE.legs)
     robot = replace(PROFILE, legs=legs, calibration=(Calibration("left rear", date(2026, 7, 30), (10.0, -10.0, 5.0)),))
     ends = np.stack([robot.servo_angles(robot.joint_limits[..., k]) for k in (0, 1)])
@@ -329,7 +329,7 @@ trims_deg = [1, -2.0, 3.0]
 """
 
 
-def test_a_profile_may_extend_another_and_give_only_what_differs(tmp_path: Path) -> None:
+def test_profile_may_extend_another(tmp_path: Path) -> None:
     own = tmp_path / "mine.toml"
     own.write_text(OWN)
     robot = load_profile(str(own))
@@ -357,13 +357,13 @@ def test_a_profile_may_extend_another_and_give_only_what_differs(tmp_path: Path)
         (OWN + OWN[OWN.index("[[") :], "calibration[1].leg: each leg once expected, found 'right rear'"),
     ],
 )
-def test_what_is_wrong_in_a_robot_of_its_own_is_told(text: str, words: str, tmp_path: Path) -> None:
+def test_errors_of_extended_profile_are_reported(text: str, words: str, tmp_path: Path) -> None:
     own = tmp_path / "own.toml"
     own.write_text(text)
     with pytest.raises(config.ConfigError, match=re.escape(words)):
         load_profile(str(own))
 
 
-def test_servos_have_the_names_of_their_joints() -> None:
+def test_servo_names_are_joint_names() -> None:
     assert list(PROFILE.servo_names) == PROFILE.servo_ids.ravel().tolist()
     assert PROFILE.servo_names[PROFILE.legs[4].servo_ids[1]] == "left rear femur"

@@ -26,13 +26,13 @@ def reference(feet: Array, centre: Array) -> float:
 
 
 @pytest.mark.parametrize(("centre", "margin"), [((0, 0), 1.0), ((0.5, 0), 0.5), ((1, 0), 0.0), ((1.5, 0.2), -0.5)])
-def test_a_square(centre: tuple[float, float], margin: float) -> None:
+def test_margin_of_square_support(centre: tuple[float, float], margin: float) -> None:
     assert support_margin(SQUARE, np.array(centre)) == pytest.approx(margin)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
 @settings(max_examples=60)
-def test_inside_it_is_the_distance_to_the_hull(seed: int, n: int) -> None:
+def test_margin_inside_is_distance_to_hull(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     feet = rng.uniform(-0.3, 0.3, (n, 2))
     centre = rng.dirichlet(np.ones(n)) @ feet
@@ -42,7 +42,7 @@ def test_inside_it_is_the_distance_to_the_hull(seed: int, n: int) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
 @settings(max_examples=60)
-def test_outside_it_is_negative_and_no_farther_than_the_hull(seed: int, n: int) -> None:
+def test_margin_outside_is_negative_and_bounded_by_hull_distance(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     feet = rng.uniform(-0.3, 0.3, (n, 2))
     angle = rng.uniform(0.0, 2 * np.pi)
@@ -55,7 +55,7 @@ def test_outside_it_is_negative_and_no_farther_than_the_hull(seed: int, n: int) 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-3, 3), st.permutations(range(5)))
 @settings(max_examples=40)
-def test_it_does_not_depend_on_frame_or_order(seed: int, angle: float, order: list[int]) -> None:
+def test_margin_does_not_depend_on_frame_or_order(seed: int, angle: float, order: list[int]) -> None:
     rng = np.random.default_rng(seed)
     feet, centre, shift = rng.uniform(-0.3, 0.3, (5, 2)), rng.uniform(-0.2, 0.2, 2), rng.uniform(-5, 5, 2)
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -65,7 +65,7 @@ def test_it_does_not_depend_on_frame_or_order(seed: int, angle: float, order: li
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
-def test_another_foot_never_makes_it_worse(seed: int) -> None:
+def test_additional_foot_never_reduces_margin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     feet = rng.uniform(-0.3, 0.3, (6, 2))
     centre = rng.dirichlet(np.ones(5)) @ feet[:5]
@@ -74,24 +74,24 @@ def test_another_foot_never_makes_it_worse(seed: int) -> None:
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 0, 2]])
 @pytest.mark.parametrize("aside", [0.1, -0.1, 0.5, -0.5])
-def test_feet_in_one_line_carry_nothing(order: list[int], aside: float) -> None:
+def test_collinear_feet_give_no_support(order: list[int], aside: float) -> None:
     line = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])[order]
     assert support_margin(line, np.array([1.0, 0.0])) <= 1e-9
     assert support_margin(line, np.array([1.0, aside])) == pytest.approx(-abs(aside))
 
 
-def test_feet_in_one_place_carry_nothing() -> None:
+def test_coincident_feet_give_no_support() -> None:
     assert support_margin(np.zeros((3, 2)), np.array([0.3, 0.4])) == pytest.approx(-0.5)
 
 
-def test_two_feet_are_a_mistake() -> None:
+def test_two_feet_are_refused() -> None:
     with pytest.raises(ValueError, match="at least three standing feet expected, found 2"):
         support_margin(SQUARE[:2], np.zeros(2))
 
 
 @pytest.mark.parametrize("name", profile_names())
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, -0.03, 0.02)])
-def test_at_rest_the_centre_of_mass_is_where_the_support_tests_have_it(name: str, place: tuple[float, float, float]) -> None:
+def test_center_of_mass_at_rest_matches_support_tests(name: str, place: tuple[float, float, float]) -> None:
     profile = load_profile(name)
     profile = replace(profile, body=replace(profile.body, centre_of_mass=place))
     true = centre_of_mass(profile, body_inverse(profile, profile.rest_feet()))

@@ -28,7 +28,7 @@ class Own:
     ahead_ns=st.integers(-(10**15), 10**15).filter(lambda ahead: ahead > -4 * SEC or ahead < -6 * SEC),
     ways_ms=st.lists(st.integers(1, 400), min_size=1, max_size=200),
 )
-def test_it_is_late_by_the_shortest_way_and_never_early_nor_back(ahead_ns: int, ways_ms: list[int]) -> None:
+def test_robot_clock_lags_by_shortest_delay_and_is_monotonic(ahead_ns: int, ways_ms: list[int]) -> None:
     own = Own(10**16)
     robot, told = RobotClock(own), []
     for way_ms in ways_ms:
@@ -42,7 +42,7 @@ def test_it_is_late_by_the_shortest_way_and_never_early_nor_back(ahead_ns: int, 
     assert robot.ahead_s * SEC == pytest.approx(ahead_ns - min(ways_ms) * MS, rel=1e-9)
 
 
-def test_it_follows_a_clock_that_drifts() -> None:
+def test_robot_clock_follows_drift() -> None:
     own, drift = Own(0), 1e-4
     robot, late = RobotClock(own), []
     for k in range(25 * 120):
@@ -53,7 +53,7 @@ def test_it_follows_a_clock_that_drifts() -> None:
     assert -2.1 < min(late) <= max(late) < 5.0, "[ms]; 100 ppm are 2 ms in two windows"
 
 
-def test_nothing_is_known_before_the_robot_is_heard() -> None:
+def test_robot_clock_is_unknown_before_first_message() -> None:
     own = Own()
     robot = RobotClock(own)
     assert not robot.known
@@ -64,7 +64,7 @@ def test_nothing_is_known_before_the_robot_is_heard() -> None:
     assert robot() == 77 * SEC
 
 
-def test_a_robot_that_was_switched_off_is_another_time() -> None:
+def test_restarted_robot_sets_new_time() -> None:
     own = Own(1000 * SEC)
     robot = RobotClock(own)
     robot.heard(5000 * SEC)
@@ -81,7 +81,7 @@ def test_a_robot_that_was_switched_off_is_another_time() -> None:
 
 
 @pytest.mark.parametrize("claim_ns", [0, -(1 << 62), 1 << 62, 5000 * SEC + 3600 * SEC])
-def test_a_claim_of_another_time_is_not_believed_while_the_robot_says_what_time_it_is(claim_ns: int) -> None:
+def test_false_time_is_ignored_while_robot_publishes_its_time(claim_ns: int) -> None:
     own = Own(1000 * SEC)
     robot = RobotClock(own)
     for _ in range(500):
@@ -92,7 +92,7 @@ def test_a_claim_of_another_time_is_not_believed_while_the_robot_says_what_time_
         own.now_ns += 40 * MS
 
 
-def test_a_machine_that_was_suspended_finds_the_robot_ahead() -> None:
+def test_robot_clock_is_ahead_after_suspend() -> None:
     own = Own(1000 * SEC)
     robot = RobotClock(own)
     for lost_s in (0, 3600):
@@ -102,7 +102,7 @@ def test_a_machine_that_was_suspended_finds_the_robot_ahead() -> None:
         assert robot() == own.now_ns + (4000 + lost_s) * SEC
 
 
-def test_a_process_goes_by_its_machines_clock_unless_it_is_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_uses_machine_clock_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "_clock", clock._clock.copy())
     before = clock.now_ns()
     assert clock.now_ns() >= before
@@ -131,7 +131,7 @@ class TwoClocks:
         return read_ns
 
 
-def test_suspended_time_is_the_difference_of_the_clocks() -> None:
+def test_suspended_time_is_difference_of_clocks() -> None:
     clocks = TwoClocks(7 * SEC)
     suspended = SuspendedTime(clocks.monotonic, clocks.boot)
     assert abs(suspended() - 7 * SEC) < 1_000_000
@@ -139,7 +139,7 @@ def test_suspended_time_is_the_difference_of_the_clocks() -> None:
     assert abs(suspended() - 3607 * SEC) < 1_000_000
 
 
-def test_a_reading_that_a_preemption_has_torn_is_discarded() -> None:
+def test_reading_torn_by_preemption_is_discarded() -> None:
     clocks = TwoClocks()
     suspended = SuspendedTime(clocks.monotonic, clocks.boot)
     before = suspended()
@@ -151,7 +151,7 @@ def test_a_reading_that_a_preemption_has_torn_is_discarded() -> None:
     assert abs(suspended() - 60 * SEC) < 1_000_000
 
 
-def test_suspended_time_never_falls() -> None:
+def test_suspended_time_never_decreases() -> None:
     clocks = TwoClocks(5 * SEC)
     suspended = SuspendedTime(clocks.monotonic, clocks.boot)
     first = suspended()
@@ -159,7 +159,7 @@ def test_suspended_time_never_falls() -> None:
     assert suspended() == first
 
 
-def test_the_clocks_of_this_machine_agree_that_it_is_awake() -> None:
+def test_suspended_time_is_constant_while_awake() -> None:
     suspended = SuspendedTime()
     readings = [suspended() for _ in range(1000)]
     assert readings == sorted(readings)

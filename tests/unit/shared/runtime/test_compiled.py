@@ -30,13 +30,13 @@ def borrowed(source: str) -> Iterator[str]:
             yield from (f"{function.name} uses {name}" for name in sorted(names & imported))
 
 
-def test_borrowed_names_are_found() -> None:
+def test_names_used_from_other_files_are_found() -> None:
     source = "from sextant.shared.a import B, c\nD = 1\n@compiled\ndef f(x):\n    return c(x) + B + D\ndef g():\n    return B\n"
     assert list(borrowed(source)) == ["f uses B", "f uses c"]
     assert list(borrowed(source.replace("@compiled", "@written_into"))) == ["f uses B", "f uses c"]
 
 
-def test_no_compiled_function_uses_what_another_file_may_change() -> None:
+def test_compiled_functions_use_no_names_of_other_files() -> None:
     files = [file for folder in OURS for file in (ROOT / folder).rglob("*.py")]
     assert sum("@compiled" in file.read_text() for file in files) > 10
     found = {str(file.relative_to(ROOT)): list(borrowed(file.read_text())) for file in files}

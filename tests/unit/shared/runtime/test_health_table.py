@@ -17,7 +17,7 @@ def health(service: str, doing: str = "well", refusal: str = "") -> Health:
     return Health(1, service, doing, 0, 0, 0, refusal, (), nothing, nothing)
 
 
-def test_names_of_one_role_crowd_out_no_other_and_those_that_were_there_stay() -> None:
+def test_many_names_of_one_role_displace_no_known_service() -> None:
     table = HealthTable()
     for role, name in (("robot", "actuator"), ("base", "planner"), ("console", "console")):
         table.add(role, health(name), 0)
@@ -31,7 +31,7 @@ def test_names_of_one_role_crowd_out_no_other_and_those_that_were_there_stay() -
     assert max(map(len, named)) < 100
 
 
-def test_another_role_is_not_taken_for_the_robots_service() -> None:
+def test_service_of_other_role_is_shown_with_role() -> None:
     table = HealthTable()
     table.add("robot", health("actuator", "holds"), 0)
     table.add("console", health("actuator", "a claim"), SEC)
@@ -39,7 +39,7 @@ def test_another_role_is_not_taken_for_the_robots_service() -> None:
     assert table.named()["actuator (console)"][0].status == "a claim"
 
 
-def test_what_is_silent_for_long_is_forgotten_and_makes_room() -> None:
+def test_long_silent_service_is_removed() -> None:
     table, at_ns = HealthTable(), 0
     for number in range(MOST_SERVICES):
         table.add("base", health(f"{number}"), at_ns)
@@ -50,14 +50,14 @@ def test_what_is_silent_for_long_is_forgotten_and_makes_room() -> None:
     assert list(table.named()) == ["planner (base)"]
 
 
-def test_a_role_is_there_for_as_long_as_its_health_comes() -> None:
+def test_role_is_present_while_its_health_arrives() -> None:
     table = HealthTable()
     table.add("viewer", health("router of viewer"), 0)
     assert table.roles(4 * SEC) == {"viewer"}
     assert table.roles(6 * SEC) == set()
 
 
-def test_it_takes_health_from_the_keys_of_all_roles() -> None:
+def test_health_is_read_from_keys_of_all_roles() -> None:
     inbox = Inbox(tuple(topics.HEALTH_OF.values()), Stages())
     for role, topic in topics.HEALTH_OF.items():
         inbox.receive(topic, codec.encode(health(f"one of {role}")), 0)
@@ -66,7 +66,7 @@ def test_it_takes_health_from_the_keys_of_all_roles() -> None:
     assert {name.partition(" (")[0] for name in table.named()} == {f"one of {role}" for role in topics.ROLE_NAMES}
 
 
-def test_what_a_page_and_the_log_keep_of_the_largest_health_is_bounded() -> None:
+def test_page_and_log_bound_largest_health() -> None:
     stages = tuple(f"{number}" * 200 for number in range(MAX_ITEMS))
     times = np.full(MAX_ITEMS, 1e308)
     large = Health(1, "x" * MAX_TEXT, "y" * MAX_TEXT, 1, 1, 1, "z" * MAX_TEXT, stages, times, times)

@@ -32,7 +32,7 @@ def after(computer: SlowComputer, *reports: Health, seconds: float = 1.0) -> str
     return computer.words(round((len(reports) - 1) * seconds * S))
 
 
-def test_the_worst_age_of_each_input_is_reported_once() -> None:
+def test_worst_age_of_each_input_is_reported_once() -> None:
     ages = InputAges({TERRAIN: 0.8, POSE: 0.4})
     ages.note(TERRAIN, 300 * MS, 100 * MS)
     ages.note(TERRAIN, 1600 * MS, 1200 * MS)
@@ -42,7 +42,7 @@ def test_the_worst_age_of_each_input_is_reported_once() -> None:
     assert ages.report() == ()
 
 
-def test_what_is_left_counts_the_inputs_of_one_step() -> None:
+def test_remaining_time_counts_inputs_of_one_step() -> None:
     ages = InputAges({TERRAIN: 0.8, POSE: 0.4, BEAT: 0.2})
     assert ages.left_ns() is None
     ages.note(TERRAIN, 400 * MS)
@@ -57,12 +57,12 @@ def test_what_is_left_counts_the_inputs_of_one_step() -> None:
     assert legs.left_ns() == pytest.approx(80 * MS), "legs do not wait that time for a plan"
 
 
-def test_maps_that_are_old_on_arrival_name_the_computer() -> None:
+def test_maps_stale_on_arrival_are_attributed_to_computer() -> None:
     report = health("planner", maps())
     assert after(SlowComputer(), report, report) == "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
 
 
-def test_a_link_or_lockstep_is_told_apart() -> None:
+def test_link_and_lockstep_are_distinguished_from_computer() -> None:
     report = health("planner", maps())
     said = "the link between the machines is too slow: maps are 1.6 s old, 0.8 s allowed"
     assert after(SlowComputer(real_time=False, linked=True), report, report) == said
@@ -86,23 +86,23 @@ def test_a_link_or_lockstep_is_told_apart() -> None:
         (health("planner", InputAge(TERRAIN, 9.0, 9.0, 0.8, 7.0)),) * 5,
     ],
 )
-def test_what_is_no_slow_computer_is_not_called_one(reports: tuple[Health, ...]) -> None:
+def test_other_causes_are_not_reported_as_slow_computer(reports: tuple[Health, ...]) -> None:
     assert after(SlowComputer(), *reports) == ""
 
 
-def test_a_cycle_that_comes_late_names_the_computer_behind_the_inputs() -> None:
+def test_late_cycle_is_reported_after_inputs() -> None:
     report = health("planner", InputAge(BEAT, 2.0, 2.0, 0.2, 0.5), maps(arrived_s=0.1))
     words = after(SlowComputer(), report, report)
     assert words == "this computer is too slow: maps are 1.6 s old, 0.8 s allowed; the planner cycle takes 2.0 s, 0.2 s allowed"
 
 
-def test_a_process_that_stood_still_names_the_computer() -> None:
+def test_stalled_process_is_attributed_to_computer() -> None:
     report = health("mapper", InputAge(STALL, 1.5, 1.5, 0.5, 0.2))
     words = "this computer is too slow: the mapper process did not run for 1.5 s, 0.5 s allowed"
     assert after(SlowComputer(), report, report) == words
 
 
-def test_the_two_worst_inputs_are_named_in_the_order_of_the_chain() -> None:
+def test_two_worst_inputs_are_named_in_processing_order() -> None:
     scans, poses = InputAge(SCAN, 3.0, 3.0, 0.6, 0.5), InputAge(POSE, 0.5, 0.5, 0.4, 0.5)
     words = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed; scans are 3.0 s old, 0.6 s allowed"
     computer = SlowComputer()
@@ -111,14 +111,14 @@ def test_the_two_worst_inputs_are_named_in_the_order_of_the_chain() -> None:
     assert computer.severity == (True, pytest.approx(5.0))
 
 
-def test_it_is_over_some_seconds_after_the_last_late_input() -> None:
+def test_report_ends_seconds_after_last_late_input() -> None:
     computer, report = SlowComputer(), health("planner", maps())
     assert after(computer, report, report)
     assert computer.words(4 * S)
     assert computer.words(7 * S) == ""
 
 
-def test_a_report_counts_once_however_often_it_is_looked_at() -> None:
+def test_repeated_health_report_is_counted_once() -> None:
     computer, report = SlowComputer(), health("planner", maps())
     assert computer.update({"planner": (report, 0)}) == [("planner", report)]
     for _ in range(5):

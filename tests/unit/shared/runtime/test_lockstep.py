@@ -58,14 +58,14 @@ def seen(run: Lockstep, name: str = "planner") -> list[tuple[int, Any]]:
     return service.seen
 
 
-def test_a_message_takes_its_latency() -> None:
+def test_message_arrives_after_its_latency() -> None:
     run, _ = system()
     run.run(100 * MS)
     latency_ns = round(1e9 * VELOCITY.latency_s)
     assert [(at, v.stamp_ns) for at, v in seen(run)] == [(10 * MS * n + latency_ns, 10 * MS * n) for n in range(10)]
 
 
-def test_what_several_read_is_decoded_once_and_none_of_them_can_change_it() -> None:
+def test_shared_message_is_decoded_once_and_read_only() -> None:
     run = Lockstep({"console": operator, "planner": planner, "mapper": lambda: Scripted("mapper", VELOCITY)})
     run.run(50 * MS)
     pairs = zip(seen(run), seen(run, "mapper"), strict=True)
@@ -75,13 +75,13 @@ def test_what_several_read_is_decoded_once_and_none_of_them_can_change_it() -> N
             at_planner.velocity[0] = 1.0
 
 
-def test_a_latency_may_be_another() -> None:
+def test_latency_is_configurable() -> None:
     run, _ = system(latency_s={VELOCITY.key: 0.025})
     run.run(50 * MS)
     assert [at for at, _ in seen(run)] == [25 * MS, 35 * MS, 45 * MS]
 
 
-def test_time_passes_to_the_instant_and_not_beyond() -> None:
+def test_run_ends_exactly_at_requested_time() -> None:
     run, _ = system()
     run.run(20 * MS)
     assert run.now_ns == 20 * MS
@@ -94,7 +94,7 @@ def test_time_passes_to_the_instant_and_not_beyond() -> None:
     assert len(seen(run, "console")) == 4
 
 
-def test_at_one_instant_deliveries_come_before_beats_and_beats_in_order() -> None:
+def test_deliveries_precede_ticks_and_ticks_keep_order() -> None:
     happened: list[str] = []
 
     def note(name: str) -> Callable[[Any, Inbox], Iterable[Message]]:
@@ -109,13 +109,13 @@ def test_at_one_instant_deliveries_come_before_beats_and_beats_in_order() -> Non
     assert happened == ["b 0 -", "a 0 -", "b 10 fresh", "a 10 fresh"]
 
 
-def test_a_message_that_takes_no_time_still_comes_in_its_turn() -> None:
+def test_message_without_latency_keeps_order() -> None:
     run, _ = system(latency_s={VELOCITY.key: 0.0, MODE.key: 0.0})
     run.run(30 * MS)
     assert [at for at, _ in seen(run)] == [0, 10 * MS, 20 * MS, 30 * MS]
 
 
-def test_two_runs_are_the_same_to_the_byte() -> None:
+def test_repeated_run_gives_identical_frames() -> None:
     outages = (Outage("planner", 200 * MS, 400 * MS, kill=True), Outage("console", 500 * MS, 600 * MS, kill=False))
     runs = [system(outages=outages) for _ in range(2)]
     for run, _ in runs:
@@ -124,7 +124,7 @@ def test_two_runs_are_the_same_to_the_byte() -> None:
     assert len(runs[0][1].frames) > 200
 
 
-def test_pausing_changes_nothing() -> None:
+def test_pause_between_runs_changes_nothing() -> None:
     (whole, tap), (parts, parts_tap) = system(), system()
     whole.run(300 * MS)
     for n in range(0, 301, 7):
@@ -133,7 +133,7 @@ def test_pausing_changes_nothing() -> None:
     assert tap.frames == parts_tap.frames
 
 
-def test_a_killed_service_comes_back_as_a_new_object_that_knows_nothing() -> None:
+def test_killed_service_restarts_without_state() -> None:
     run, _ = system(outages=[Outage("planner", 100 * MS, 200 * MS, kill=True)])
     run.run(99 * MS)
     first = run.service("planner")
@@ -148,7 +148,7 @@ def test_a_killed_service_comes_back_as_a_new_object_that_knows_nothing() -> Non
     assert len(seen(run, "console")) == 31  # the others go on
 
 
-def test_a_hung_service_goes_on_where_it_was() -> None:
+def test_hung_service_resumes_with_its_state() -> None:
     run, tap = system(outages=[Outage("planner", 100 * MS, 200 * MS, kill=False)])
     run.run(150 * MS)
     first = run.service("planner")
@@ -164,24 +164,24 @@ def test_a_hung_service_goes_on_where_it_was() -> None:
     assert max(waited) >= 10  # orders waited in its queue while it hung
 
 
-def test_a_service_that_hangs_misses_its_beats() -> None:
+def test_hung_service_misses_its_ticks() -> None:
     run, _ = system(outages=[Outage("console", 20 * MS, 50 * MS, kill=False)])
     run.run(60 * MS)
     assert [at // MS for at, _ in seen(run, "console")] == [0, 10, 50, 60]
 
 
 @pytest.mark.parametrize("kill", [True, False])
-def test_an_outage_of_nobody_is_refused(kill: bool) -> None:
+def test_outage_of_unknown_service_is_refused(kill: bool) -> None:
     with pytest.raises(ValueError, match="console, planner expected, found pilot"):
         system(outages=[Outage("pilot", 0, MS, kill)])
 
 
-def test_a_latency_of_no_topic_is_refused() -> None:
+def test_latency_of_unknown_topic_is_refused() -> None:
     with pytest.raises(ValueError, match="keys of the topic table expected, found operator/speed"):
         system(latency_s={"operator/speed": 0.1})
 
 
-def test_only_what_somebody_reads_is_wanted() -> None:
+def test_only_subscribed_topics_are_wanted() -> None:
     wanted: dict[str, bool] = {}
 
     def act(_tick: Any, box: Inbox) -> Iterable[Message]:
@@ -192,14 +192,14 @@ def test_only_what_somebody_reads_is_wanted() -> None:
     assert wanted == {VELOCITY.key: True, MODE.key: True, STATUS.key: False}
 
 
-def test_the_tap_sees_what_nobody_reads() -> None:
+def test_tap_receives_unsubscribed_topics() -> None:
     run, tap = system()
     run.run(0)
     run.run(10 * MS)
     assert STATUS.key in {key for key, _, _ in tap.frames}
 
 
-def test_in_lockstep_the_measured_latency_is_the_configured_one() -> None:
+def test_measured_latency_equals_configured_one() -> None:
     run, _ = system()
     run.run(200 * MS)
     expected_ms = VELOCITY.latency_s * 1e3
@@ -215,7 +215,7 @@ def failing(name: str, trigger: Any) -> Scripted:
 
 
 @pytest.mark.parametrize("trigger", [Every(10 * MS), MODE], ids=["clock", "topic"])
-def test_an_exception_of_a_service_names_it_and_the_line(trigger: Any) -> None:
+def test_service_exception_names_service_and_line(trigger: Any) -> None:
     tap = Recorder()
     run = Lockstep({"console": operator, "planner": lambda: failing("planner", trigger)}, tap)
     with pytest.raises(ServiceFailedError, match=r"planner failed: IndexError: index 5 .* \(test_lockstep\.py:\d+\)") as caught:
@@ -224,7 +224,7 @@ def test_an_exception_of_a_service_names_it_and_the_line(trigger: Any) -> None:
     assert tap.frames[-1][0] == VELOCITY.key, "what it had sent before was seen"
 
 
-def test_an_exception_of_the_tap_is_not_a_services() -> None:
+def test_tap_exception_is_not_attributed_to_service() -> None:
     def full(_topic: AnyTopic, _frame: bytes, _at_ns: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -233,7 +233,7 @@ def test_an_exception_of_the_tap_is_not_a_services() -> None:
         run.run(50 * MS)
 
 
-def test_a_service_that_cannot_be_started_again_has_failed() -> None:
+def test_service_that_cannot_restart_has_failed() -> None:
     starts = iter([operator()])
     makers = {"console": lambda: next(starts)}
     run = Lockstep(makers, outages=[Outage("console", 20 * MS, 40 * MS, kill=True)])

@@ -50,7 +50,7 @@ class Settings:
 # ------------------------------------------------------------------------------------------------- settings
 
 
-def test_nothing_said_is_the_defaults() -> None:
+def test_no_assignment_gives_defaults() -> None:
     assert process.load_settings(Settings, None, []) == Settings()
     assert process.assignments(Settings()) == []
 
@@ -73,11 +73,11 @@ def test_nothing_said_is_the_defaults() -> None:
         ("registration.iterations=3", Settings(registration=Registration(iterations=3))),
     ],
 )
-def test_one_assignment(assignment: str, expected: Settings) -> None:
+def test_assignment_sets_one_value(assignment: str, expected: Settings) -> None:
     assert process.load_settings(Settings, None, [assignment]) == expected
 
 
-def test_later_assignments_win_and_all_go_over_the_file(tmp_path: Path) -> None:
+def test_later_assignments_override_earlier_ones_and_file(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_text('port = 5\nhost = "file"\n[registration]\nmethod = "kiss-icp"\niterations = 7\n')
     assert process.load_settings(Settings, str(path), []) == Settings(5, "file", registration=Registration("kiss-icp", 7))
@@ -101,13 +101,13 @@ def test_later_assignments_win_and_all_go_over_the_file(tmp_path: Path) -> None:
         (["registration.method.name=1"], "registration.method"),
     ],
 )
-def test_what_is_wrong_is_named(assignments: list[str], words: str) -> None:
+def test_invalid_assignment_is_named(assignments: list[str], words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         process.load_settings(Settings, None, assignments)
     assert words in str(caught.value)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_missing_settings_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         process.load_settings(Settings, str(tmp_path / "none.toml"), [])
 
@@ -132,13 +132,13 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
         limit=st.none() | numbers,
     )
 )
-def test_assignments_make_the_settings_again(settings: Settings) -> None:
+def test_assignments_reproduce_settings(settings: Settings) -> None:
     arguments = process.assignments(settings)
     assert set(arguments[::2]) <= {"--set"}
     assert process.load_settings(Settings, None, arguments[1::2]) == settings
 
 
-def test_defaults_are_left_out() -> None:
+def test_assignments_omit_defaults() -> None:
     assert process.assignments(Settings(port=1)) == ["--set", "port=1"]
 
 
@@ -219,7 +219,7 @@ def run(make: Any, argv: list[str], compile_functions: Any = None) -> int:
         return process.run("planner", Settings, make, told, argv, compile_functions)
 
 
-def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
+def test_signal_ends_process_with_status_0_and_closes_all() -> None:
     made: list[Any] = []
 
     def make(profile: RobotProfile, settings: Settings) -> Beating:
@@ -235,7 +235,7 @@ def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
     assert NoLink.closed == 1
 
 
-def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() -> None:
+def test_functions_are_compiled_before_link_opens() -> None:
     heard: list[Any] = []
 
     def compile_functions(profile: RobotProfile, settings: Settings) -> None:
@@ -246,7 +246,7 @@ def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() ->
     assert len(NoLink.opened) == 1
 
 
-def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signal_during_compilation_ends_process_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """End at once on a signal during the compilation.
 
     Compilation cannot be interrupted, and takes up to a minute.
@@ -269,7 +269,7 @@ def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytes
     assert not NoLink.opened
 
 
-def test_a_rehearsal_that_takes_long_says_why(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_long_compilation_is_explained(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     monkeypatch.setattr(process, "_PATIENCE_S", 0.0)
     told = threading.Event()
@@ -287,15 +287,13 @@ def test_a_rehearsal_that_takes_long_says_why(monkeypatch: pytest.MonkeyPatch, c
         ([], "an endpoint to connect to is needed"),
     ],
 )
-def test_what_the_caller_got_wrong_is_said_with_status_2(
-    arguments: list[str], words: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_caller_error_is_reported_with_status_2(arguments: list[str], words: str, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
         assert run(lambda *_: Beating(end_self), arguments) == 2
     assert words in caplog.text
 
 
-def test_no_network_is_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_network_exits_with_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     def fail(_: object) -> None:
         raise TransportError("could not open Zenoh")
 
@@ -304,7 +302,7 @@ def test_no_network_is_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.
     assert "could not open Zenoh" in caplog.text
 
 
-def test_a_device_that_is_not_there_is_status_1_in_words(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_device_exits_with_status_1_and_reason(caplog: pytest.LogCaptureFixture) -> None:
     def fail(*_: object) -> Beating:
         raise ConnectionError("cannot open servo port /dev/ttyUSB0")
 
@@ -313,7 +311,7 @@ def test_a_device_that_is_not_there_is_status_1_in_words(caplog: pytest.LogCaptu
     assert "Traceback" not in caplog.text
 
 
-def test_a_bug_in_a_step_ends_in_a_traceback() -> None:
+def test_exception_in_step_ends_with_traceback() -> None:
     def bug() -> None:
         raise ValueError("shapes do not match")
 
@@ -322,14 +320,14 @@ def test_a_bug_in_a_step_ends_in_a_traceback() -> None:
     assert NoLink.closed == 1
 
 
-def test_an_unknown_argument_ends_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_argument_exits_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         run(lambda *_: Beating(end_self), ["--conect", "x"])
     assert caught.value.code == 2
     assert "--conect" in capsys.readouterr().err
 
 
-def test_a_process_whose_parent_is_gone_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_without_its_parent_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ctypes, "CDLL", lambda _: type("libc", (), {"prctl": staticmethod(lambda *_: 0)}))
     with pytest.raises(SystemExit) as caught:
         run(lambda *_: Beating(end_self), [*CONNECT, "--parent", str(os.getppid() + 1)])

@@ -28,7 +28,7 @@ class Run:
         self.itself = self
 
 
-def test_what_an_earlier_run_left_behind_goes_when_the_next_one_begins() -> None:
+def test_garbage_of_earlier_run_is_collected_at_next_start() -> None:
     run = Run()
     left = weakref.ref(run)
     spare_collector()
@@ -38,7 +38,7 @@ def test_what_an_earlier_run_left_behind_goes_when_the_next_one_begins() -> None
     assert left() is None
 
 
-def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_time_priority_is_set_or_refused_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int, int]] = []
     monkeypatch.setattr(os, "sched_setscheduler", lambda pid, policy, way: asked.append((pid, policy, way.sched_priority)))
     assert go_first() == ""
@@ -51,7 +51,7 @@ def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monk
     assert "ulimit -r" in go_first()
 
 
-def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> None:
+def test_thread_switch_interval_suits_servo_timeout() -> None:
     """Switch threads often enough that a servo's answer is read in time.
 
     A thread reads the answer while another one computes. With Python's usual 5 ms, some answers came too late in measurements.
@@ -64,7 +64,7 @@ def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> N
         sys.setswitchinterval(usual_s)
 
 
-def test_a_process_may_open_many_files_as_far_as_the_user_may() -> None:
+def test_open_file_limit_is_raised_to_user_limit() -> None:
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))

@@ -24,7 +24,7 @@ def inbox(*subscribes: AnyTopic) -> Inbox:
 # ---------------------------------------------------------------------------------------------------- inbox
 
 
-def test_latest_keeps_the_newest_only() -> None:
+def test_latest_keeps_newest_only() -> None:
     box = inbox()
     for n in range(5):
         box.receive(VELOCITY, codec.encode(velocity(n)), n)
@@ -36,7 +36,7 @@ def test_latest_keeps_the_newest_only() -> None:
     assert box.dropped == 0  # overwriting old states is no loss
 
 
-def test_every_keeps_all_in_order() -> None:
+def test_queue_keeps_all_in_order() -> None:
     box = inbox()
     for n in range(5):
         box.receive(MODE, codec.encode(order(n)), n)
@@ -45,7 +45,7 @@ def test_every_keeps_all_in_order() -> None:
     assert not box.waiting(MODE)
 
 
-def test_a_flooded_queue_drops_the_oldest_and_counts() -> None:
+def test_full_queue_drops_oldest_and_counts() -> None:
     box = inbox()
     for n in range(QUEUE_LENGTH + 7):
         box.receive(MODE, codec.encode(order(n)), n)
@@ -53,7 +53,7 @@ def test_a_flooded_queue_drops_the_oldest_and_counts() -> None:
     assert box.dropped == 7
 
 
-def test_what_is_fetched_counts_as_having_come_at_the_look() -> None:
+def test_fetched_message_arrives_at_time_of_fetch() -> None:
     box, kept = inbox(), Kept(codec.encode(order(1)), codec.encode(order(2)))
     velocities = Kept(codec.encode(velocity(), codec.Timing(1, 2)))
     box.fetch(MODE, kept.take)
@@ -68,14 +68,14 @@ def test_what_is_fetched_counts_as_having_come_at_the_look() -> None:
     assert box.fresh(VELOCITY) is None
 
 
-def test_nothing_has_come_yet() -> None:
+def test_empty_inbox_has_no_messages() -> None:
     box = inbox()
     assert box.latest(VELOCITY) is None
     assert box.fresh(VELOCITY) is None
     assert box.drain(MODE) == []
 
 
-def test_a_message_is_fresh_for_three_periods_of_its_topic() -> None:
+def test_message_is_fresh_for_three_periods() -> None:
     box = inbox()
     box.receive(VELOCITY, codec.encode(velocity()), 1000)
     for age_ns, fresh in ((0, True), (VELOCITY.fresh_for_ns, True), (VELOCITY.fresh_for_ns + 1, False)):
@@ -85,7 +85,7 @@ def test_a_message_is_fresh_for_three_periods_of_its_topic() -> None:
     assert VELOCITY.fresh_for_ns == 150 * MS
 
 
-def test_a_refused_frame_is_counted_and_the_last_good_message_stays() -> None:
+def test_refused_frame_is_counted_and_last_message_kept() -> None:
     box = inbox()
     box.receive(VELOCITY, codec.encode(velocity(7)), 1)
     assert box.latest(VELOCITY) is not None
@@ -100,7 +100,7 @@ def test_a_refused_frame_is_counted_and_the_last_good_message_stays() -> None:
     assert box.fresh(VELOCITY) is None  # an invalid message does not keep the old one fresh
 
 
-def test_good_frames_around_a_bad_one_are_kept() -> None:
+def test_valid_frames_around_invalid_one_are_kept() -> None:
     box = inbox()
     for frame in (codec.encode(order(1)), b"garbage", codec.encode(order(2))):
         box.receive(MODE, frame, 0)
@@ -108,14 +108,14 @@ def test_good_frames_around_a_bad_one_are_kept() -> None:
     assert box.refused == 1
 
 
-def test_a_frame_over_the_size_of_its_topic_is_refused() -> None:
+def test_oversized_frame_is_refused() -> None:
     box = inbox()
     box.receive(MODE, codec.encode(order(1)) + bytes(MODE.max_bytes), 0)
     assert box.latest(MODE) is None
     assert "at most 2048 bytes" in box.last_refusal
 
 
-def test_latency_is_taken_from_the_frame() -> None:
+def test_latency_is_read_from_frame() -> None:
     stages = Stages()
     box = Inbox((MODE,), stages)
     box.receive(MODE, codec.encode(order(1), codec.Timing(5 * MS, 6 * MS)), 12 * MS)
@@ -123,7 +123,7 @@ def test_latency_is_taken_from_the_frame() -> None:
     assert stages.percentiles() == {"latency operator/mode": (7.0, 7.0)}
 
 
-def test_an_inbox_may_be_filled_from_many_threads() -> None:
+def test_inbox_is_filled_from_many_threads() -> None:
     box = inbox()
     ready = threading.Barrier(4)
 
@@ -145,7 +145,7 @@ def test_an_inbox_may_be_filled_from_many_threads() -> None:
         assert own == sorted(own)
 
 
-def test_stages_give_percentiles() -> None:
+def test_stage_times_give_percentiles() -> None:
     stages = Stages()
     for ms in range(1, 102):
         stages.add("plan", float(ms))
@@ -156,7 +156,7 @@ def test_stages_give_percentiles() -> None:
     assert 0.0 <= found["look"][0] < 1000.0
 
 
-def test_stages_forget_the_oldest() -> None:
+def test_stage_times_drop_oldest() -> None:
     stages = Stages()
     for ms in range(10_000):
         stages.add("plan", float(ms))
@@ -167,7 +167,7 @@ def test_stages_forget_the_oldest() -> None:
     assert stages.runs("unheard of") == 0
 
 
-def test_a_failing_stage_is_timed_and_fails() -> None:
+def test_failing_stage_is_timed_and_raises() -> None:
     stages = Stages()
     with pytest.raises(KeyError), stages("bad"):
         raise KeyError
@@ -181,19 +181,19 @@ def worker_of(service: Service, sent: list[tuple[AnyTopic, bytes]], now: Callabl
     return ServiceRunner(service, lambda topic, frame, _: sent.append((topic, frame)), now)
 
 
-def test_a_message_that_its_writes_do_not_name_is_refused() -> None:
+def test_undeclared_message_is_refused() -> None:
     service = Scripted("planner", Every.hz(10), act=lambda _m, _i: [order(1)])
     with pytest.raises(ValueError, match="planner returned a ModeCommand, which is not in its `publishes`"):
         worker_of(service, []).tick()
 
 
-def test_a_message_without_a_topic_is_refused_too() -> None:
+def test_message_without_topic_is_refused() -> None:
     service = Scripted("planner", Every.hz(10), publishes=(MODE,), act=lambda _m, _i: [Tick(1)])
     with pytest.raises(ValueError, match="planner returned a Tick, which is not in its `publishes`"):
         worker_of(service, []).tick()
 
 
-def test_a_step_sends_what_it_makes_in_order_and_reports_health_once_a_second() -> None:
+def test_step_sends_messages_in_order_and_health_every_second() -> None:
     now = [0]
     sent: list[tuple[AnyTopic, bytes]] = []
     service = Scripted("planner", Every.hz(10), publishes=(MODE, STATUS), act=lambda _m, _i: [order(1), status(2)])
@@ -211,7 +211,7 @@ def test_a_step_sends_what_it_makes_in_order_and_reports_health_once_a_second() 
     assert "planner" in healths[1].stages
 
 
-def test_health_tells_of_frames_that_went_astray() -> None:
+def test_health_counts_misrouted_frames() -> None:
     sent: list[tuple[AnyTopic, bytes]] = []
 
     def send(topic: AnyTopic, frame: bytes, _: int) -> None:
@@ -235,7 +235,7 @@ def test_health_tells_of_frames_that_went_astray() -> None:
     assert words[3] == astray[1], "the newest is reported"
 
 
-def test_health_tells_of_refusals() -> None:
+def test_health_counts_refusals() -> None:
     now = [0]
     sent: list[tuple[AnyTopic, bytes]] = []
     worker = worker_of(Scripted("planner", MODE, subscribes=(VELOCITY,)), sent, lambda: now[0])
@@ -249,7 +249,7 @@ def test_health_tells_of_refusals() -> None:
     assert health.steps == 0
 
 
-def test_health_tells_that_nothing_comes_to_step_for() -> None:
+def test_health_reports_missing_pacing_input() -> None:
     now, sent = [0], []  # type: ignore[var-annotated]
     worker = worker_of(Scripted("planner", VELOCITY), sent, lambda: now[0])
     doing = []
@@ -265,7 +265,7 @@ def test_health_tells_that_nothing_comes_to_step_for() -> None:
     assert doing[5] == "what it is told"
 
 
-def test_a_service_steps_once_for_each_pacing_message() -> None:
+def test_service_steps_once_per_pacing_message() -> None:
     service = Scripted("actuator", MODE, subscribes=(VELOCITY, MODE))
     worker = worker_of(service, [])
     assert worker.subscribes == (MODE, VELOCITY)  # the pacing topic, once
@@ -299,7 +299,7 @@ class Desk:
             self.health.append(codec.decode(frame, Health)[0])
 
 
-def test_the_ages_of_inputs_go_out_with_the_health() -> None:
+def test_health_contains_input_ages() -> None:
     service = Needy("planner", Every.hz(10), (VELOCITY, MODE), act=lambda _, box: (box.fresh(VELOCITY), ())[1])
     service.max_age_s = {VELOCITY.key: 0.2}
     desk = Desk(service)
@@ -316,7 +316,7 @@ def test_the_ages_of_inputs_go_out_with_the_health() -> None:
     assert told.missed_ticks == 1, "the one at 100 ms"
 
 
-def test_simulated_time_may_go_on_until_an_input_or_the_beat_would_be_late() -> None:
+def test_simulated_time_advances_until_input_or_tick_is_due() -> None:
     service = Needy("actuator", Every.hz(50), (VELOCITY,), act=lambda _, box: (box.latest(VELOCITY), ())[1])
     service.max_age_s = {BEAT: 0.2, VELOCITY.key: 0.03}
     desk = Desk(service)
@@ -329,13 +329,13 @@ def test_simulated_time_may_go_on_until_an_input_or_the_beat_would_be_late() -> 
     assert desk.limits[2:] == [1040 * MS, 1028 * MS], "three fifths of the age that it may have"
 
 
-def test_a_service_without_limits_has_none_for_simulated_time() -> None:
+def test_service_without_limits_does_not_hold_simulated_time() -> None:
     desk = Desk(Scripted("operator", Every.hz(50), (VELOCITY,), act=lambda _, box: (box.latest(VELOCITY), ())[1]))
     desk.worker.tick()
     assert desk.limits == []
 
 
-def test_what_paces_a_service_is_an_input_too() -> None:
+def test_pacing_topic_is_an_input() -> None:
     service = Needy("planner", MODE, act=lambda *_: ())
     service.max_age_s = {MODE.key: 0.5}
     desk = Desk(service)
@@ -346,7 +346,7 @@ def test_what_paces_a_service_is_an_input_too() -> None:
     assert float(desk.health[0].input_age_s[0]) == pytest.approx(0.1)
 
 
-def test_a_message_from_ahead_of_the_robots_time_is_refused_where_that_is_known() -> None:
+def test_message_from_future_is_refused_if_robot_time_is_known() -> None:
     for robot_time, expected in ((True, 1), (False, 2)):
         inbox = Inbox((MODE,), Stages(), robot_time=robot_time)
         for stamp_ns in (9_000_000_000, (1 << 63) - 1):

@@ -78,7 +78,7 @@ def is_ready(process: "subprocess.Popen[str]") -> bool:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_who_is_told_closes_and_leaves_with_its_status(number: signal.Signals) -> None:
+def test_signaled_process_closes_and_exits_with_its_status(number: signal.Signals) -> None:
     with begun(_ENDS, str(PATIENCE_S)) as process:
         assert is_ready(process)
         process.send_signal(number)
@@ -87,7 +87,7 @@ def test_who_is_told_closes_and_leaves_with_its_status(number: signal.Signals) -
 
 
 @pytest.mark.parametrize("source", [_CAUGHT_IN_A_LIBRARY, _HANGS_WHILE_IT_CLOSES])
-def test_who_is_told_and_hangs_is_ended_and_says_where_it_was(source: str) -> None:
+def test_hung_process_is_ended_after_signal_with_traceback(source: str) -> None:
     with begun(source, "0.5") as process:
         assert is_ready(process)
         process.send_signal(signal.SIGTERM)
@@ -97,7 +97,7 @@ def test_who_is_told_and_hangs_is_ended_and_says_where_it_was(source: str) -> No
     assert 'File "<string>", line' in complained
 
 
-def test_nobody_who_hangs_outlives_the_one_that_started_it() -> None:
+def test_hung_process_ends_with_its_parent() -> None:
     child = _CAUGHT_IN_A_LIBRARY.replace("with shutdown", "shutdown.end_with(os.getppid())\nwith shutdown")
     with begun(_STARTS_ONE, child, "0.5") as parent:
         assert is_ready(parent)
@@ -107,14 +107,14 @@ def test_nobody_who_hangs_outlives_the_one_that_started_it() -> None:
     assert "Timeout" in complained
 
 
-def test_what_is_raised_in_the_end_is_told_and_is_status_1() -> None:
+def test_exception_during_shutdown_exits_with_status_1() -> None:
     with begun(_FAILS) as process:
         _, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert complained.endswith("RuntimeError: no more ground\n")
 
 
-def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signal_handlers_are_restored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutdown, "_END_S", PATIENCE_S)  # otherwise the process of all tests would end
     heard: list[int] = []
     before: Any = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
@@ -132,7 +132,7 @@ def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) 
         signal.signal(signal.SIGTERM, before)
 
 
-def test_a_process_ends_with_the_traceback_of_the_thread_that_failed() -> None:
+def test_failed_thread_ends_process_with_traceback() -> None:
     with begun(_FAILS_IN_A_THREAD) as process:
         _, said = process.communicate(timeout=60.0)
         assert process.returncode == 1

@@ -43,7 +43,7 @@ def let_run(time_: SimulatedTime, machine: Machine, real_ns: int, step_ns: int =
     return time_()
 
 
-def test_it_stands_until_it_is_granted_and_then_keeps_up_with_real_time(time_: SimulatedTime, machine: Machine) -> None:
+def test_time_stands_until_granted_then_follows_real_time(time_: SimulatedTime, machine: Machine) -> None:
     begun = time_()
     machine.now_ns += 7 * SEC
     assert time_() == begun == 5 * SEC
@@ -51,14 +51,14 @@ def test_it_stands_until_it_is_granted_and_then_keeps_up_with_real_time(time_: S
     assert let_run(time_, machine, SEC) == begun + SEC
 
 
-def test_it_stands_where_the_simulator_does_not_run(time_: SimulatedTime, machine: Machine) -> None:
+def test_time_stands_without_simulator(time_: SimulatedTime, machine: Machine) -> None:
     time_.grant()
     before = let_run(time_, machine, 100 * MS)
     machine.now_ns += 3 * SEC
     assert time_() == before + SPAN_NS
 
 
-def test_it_waits_for_a_service_that_is_late_and_says_for_whom(time_: SimulatedTime, machine: Machine) -> None:
+def test_time_waits_for_late_service_and_names_it(time_: SimulatedTime, machine: Machine) -> None:
     time_.grant()
     limit = time_() + 50 * MS
     time_.hold("mapper", limit)
@@ -72,7 +72,7 @@ def test_it_waits_for_a_service_that_is_late_and_says_for_whom(time_: SimulatedT
     assert let_run(time_, machine, 600 * MS) == pytest.approx(limit + 620 * MS, abs=5 * MS)
 
 
-def test_it_goes_on_without_a_service_that_has_ended_or_hangs(time_: SimulatedTime, machine: Machine) -> None:
+def test_time_continues_without_ended_or_hung_service(time_: SimulatedTime, machine: Machine) -> None:
     time_.grant()
     limit = time_() + 50 * MS
     time_.hold("mapper", limit)
@@ -82,7 +82,7 @@ def test_it_goes_on_without_a_service_that_has_ended_or_hangs(time_: SimulatedTi
     assert let_run(time_, machine, 5 * SEC) > limit + 7 * SEC
 
 
-def test_processes_that_map_the_file_share_the_time(time_: SimulatedTime, machine: Machine, tmp_path: Path) -> None:
+def test_processes_share_time_through_file(time_: SimulatedTime, machine: Machine, tmp_path: Path) -> None:
     other = SimulatedTime(tmp_path / "time", machine)
     assert other.names == ("mapper", "planner")
     time_.grant()
@@ -106,7 +106,7 @@ def test_processes_that_map_the_file_share_the_time(time_: SimulatedTime, machin
         max_size=80,
     )
 )
-def test_it_never_goes_back_and_is_never_faster_than_real_time(
+def test_time_is_monotonic_and_never_faster_than_real_time(
     tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[int, str, int | None]]
 ) -> None:
     machine = Machine()
@@ -124,7 +124,7 @@ def test_it_never_goes_back_and_is_never_faster_than_real_time(
         before = now
 
 
-def test_a_reader_sees_whole_records_while_they_are_written(tmp_path: Path) -> None:
+def test_reader_sees_consistent_records_during_writes(tmp_path: Path) -> None:
     writer = SimulatedTime.create(tmp_path / "time", ["mapper"])
     reader = SimulatedTime(tmp_path / "time")
     told: list[int] = []
@@ -140,7 +140,7 @@ def test_a_reader_sees_whole_records_while_they_are_written(tmp_path: Path) -> N
     assert told == sorted(told)
 
 
-def test_a_file_that_is_none_of_simulated_time_is_refused(tmp_path: Path) -> None:
+def test_invalid_time_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"cannot map simulated time in .*nowhere"):
         SimulatedTime(tmp_path / "nowhere")
     for content in (b"", b"eight by"):
@@ -157,7 +157,7 @@ def going_by(time_: SimulatedTime) -> Iterator[SimulatedTime]:
         yield time_
 
 
-def test_a_process_states_limits_only_where_it_goes_by_simulated_time(going_by: SimulatedTime, machine: Machine) -> None:
+def test_process_states_limits_only_with_simulated_time(going_by: SimulatedTime, machine: Machine) -> None:
     going_by.grant()
     assert clock.now_ns() == going_by()
     limit = going_by() + 10 * MS

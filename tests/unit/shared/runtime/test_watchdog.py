@@ -44,7 +44,7 @@ def heard(ear: socket.socket) -> list[bytes]:
             return found
 
 
-def test_ready_comes_once_and_then_signs_of_life_at_their_period(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
+def test_ready_is_sent_once_then_watchdog_pulses_periodically(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
     ear.bind(str(tmp_path / "notify"))
     watchdog = watch(NOTIFY_SOCKET=str(tmp_path / "notify"), WATCHDOG_USEC=LONG)
     assert heard(ear) == [], "it is the loop's to begin"
@@ -59,7 +59,7 @@ def test_ready_comes_once_and_then_signs_of_life_at_their_period(ear: socket.soc
 
 
 @given(patience_ms=st.integers(1, 5000), looks_ms=st.integers(1, 50))
-def test_signs_come_well_within_the_watcher_s_patience(patience_ms: int, looks_ms: int) -> None:
+def test_pulses_arrive_well_within_timeout(patience_ms: int, looks_ms: int) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
         ear.setblocking(False)
         ear.bind("")  # a free abstract name
@@ -72,7 +72,7 @@ def test_signs_come_well_within_the_watcher_s_patience(patience_ms: int, looks_m
                 assert now_ms - last_ms < min(250, patience_ms / 3) + looks_ms
 
 
-def test_who_asks_for_no_signs_is_told_only_that_it_begins(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
+def test_only_ready_is_sent_without_watchdog_timeout(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
     ear.bind(str(tmp_path / "notify"))
     another = {"WATCHDOG_USEC": LONG, "WATCHDOG_PID": str(os.getpid() + 1)}
     asked: dict[str, str]
@@ -84,7 +84,7 @@ def test_who_asks_for_no_signs_is_told_only_that_it_begins(ear: socket.socket, w
 
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative"])
-def test_where_nobody_watches_nothing_happens(address: str, watch: Watch) -> None:
+def test_nothing_is_opened_without_notify_socket(address: str, watch: Watch) -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
     watchdog = watch(**({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": LONG} if address else {}))
     for at in range(10):
@@ -92,7 +92,7 @@ def test_where_nobody_watches_nothing_happens(address: str, watch: Watch) -> Non
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_a_watcher_that_comes_late_hears_that_it_began_and_one_that_goes_is_not_missed(watch: Watch, tmp_path: Path) -> None:
+def test_late_listener_receives_ready_and_lost_listener_is_tolerated(watch: Watch, tmp_path: Path) -> None:
     path = tmp_path / "notify"
     watchdog = watch(NOTIFY_SOCKET=str(path), WATCHDOG_USEC=LONG)
     watchdog.beat(0)
@@ -107,7 +107,7 @@ def test_a_watcher_that_comes_late_hears_that_it_began_and_one_that_goes_is_not_
     watchdog.beat(4 * S)
 
 
-def test_a_watcher_that_hangs_does_not_hang_the_watched(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
+def test_hung_listener_does_not_block_service(ear: socket.socket, watch: Watch, tmp_path: Path) -> None:
     ear.bind(str(tmp_path / "notify"))
     watchdog = watch(NOTIFY_SOCKET=str(tmp_path / "notify"), WATCHDOG_USEC=LONG)
     for at in range(5000):  # more than any queue holds
@@ -118,6 +118,6 @@ def test_a_watcher_that_hangs_does_not_hang_the_watched(ear: socket.socket, watc
 
 
 @pytest.mark.parametrize("asked", ["soon", "-1", "1.5"])
-def test_a_patience_that_is_no_number_is_refused(asked: str, tmp_path: Path) -> None:
+def test_invalid_timeout_is_refused(asked: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"microseconds as a whole number expected, found '{asked}'"):
         Watchdog({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": asked})

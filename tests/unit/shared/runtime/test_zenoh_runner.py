@@ -69,7 +69,7 @@ def running(service: Service, wire: Wire) -> tuple[threading.Thread, threading.E
     return thread, stop
 
 
-def test_live_a_service_answers_its_pacing_messages_in_order(wire: Wire) -> None:
+def test_service_answers_pacing_messages_in_order(wire: Wire) -> None:
     service = Scripted("planner", MODE, publishes=(STATUS,), act=lambda c, _: [status(c.sequence)])
     wire.expect = lambda topic: topic is STATUS and sum(t is STATUS for t, _ in wire.sent) == 20
     thread, stop = running(service, wire)
@@ -86,7 +86,7 @@ def test_live_a_service_answers_its_pacing_messages_in_order(wire: Wire) -> None
     assert all(0 < t.began_ns <= t.sent_ns for t in timings)
 
 
-def test_live_a_service_that_gets_only_garbage_says_so(wire: Wire) -> None:
+def test_service_reports_invalid_pacing_messages(wire: Wire) -> None:
     def tells(topic: AnyTopic) -> bool:
         return topic is HEALTH and codec.decode(wire.sent[-1][1], Health)[0].refused > 0
 
@@ -111,7 +111,7 @@ def test_live_a_service_that_gets_only_garbage_says_so(wire: Wire) -> None:
     assert not service.seen
 
 
-def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
+def test_ticks_come_at_their_rate_and_stop(wire: Wire) -> None:
     service = Scripted("operator", Every.hz(200), publishes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
     wire.expect = lambda topic: topic is VELOCITY and sum(t is VELOCITY for t, _ in wire.sent) == 11
     thread, stop = running(service, wire)
@@ -125,7 +125,7 @@ def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
     assert stamps[10] - stamps[0] > 30 * MS  # ten periods of 5 ms; a busy machine is late, never early by much
 
 
-def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire) -> None:
+def test_service_with_own_wait_fetches_collected_messages(wire: Wire) -> None:
     waits: list[float] = []
     wire.kept[MODE.key] = Kept(codec.encode(order(1)))
     wire.astray, wire.last_astray = 3, "sent to another"
@@ -152,9 +152,7 @@ def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire)
 
 
 @pytest.mark.parametrize("pace", [Every.hz(100), MODE])
-def test_live_the_thread_that_steps_says_that_it_lives_also_where_nothing_has_it_step(
-    wire: Wire, pace: AnyTopic | Every
-) -> None:
+def test_stepping_thread_reports_liveness_without_input(wire: Wire, pace: AnyTopic | Every) -> None:
     told: list[int] = []
     threads: set[threading.Thread] = set()
     stop = threading.Event()
@@ -192,12 +190,12 @@ def beaten(stalls: list[int], period: int) -> list[int]:
 
 
 @given(work=st.lists(st.integers(0, 20 * MS), max_size=50))
-def test_beats_come_when_they_are_due_whatever_the_work_takes(work: list[int]) -> None:
+def test_ticks_are_on_time_for_any_work_within_period(work: list[int]) -> None:
     assert beaten(work, 20 * MS) == [k * 20 * MS for k in range(len(work) + 1)]
 
 
 @given(stalls=st.lists(st.integers(0, 200 * MS), max_size=50))
-def test_beats_are_not_raced_after_a_stall(stalls: list[int]) -> None:
+def test_ticks_do_not_burst_after_stall(stalls: list[int]) -> None:
     came, period = beaten(stalls, 20 * MS), 20 * MS
     for i, at in enumerate(came):
         for k in range(i, len(came)):
@@ -205,7 +203,7 @@ def test_beats_are_not_raced_after_a_stall(stalls: list[int]) -> None:
             assert came[k] >= k * period
 
 
-def test_live_an_error_in_a_step_ends_the_run(wire: Wire) -> None:
+def test_error_in_step_ends_live_run(wire: Wire) -> None:
     def fail(_tick: Any, _box: Inbox) -> Iterable[Message]:
         raise RuntimeError("broken")
 
@@ -213,7 +211,7 @@ def test_live_an_error_in_a_step_ends_the_run(wire: Wire) -> None:
         run_live(Scripted("planner", Every.hz(1000), act=fail), wire, threading.Event())
 
 
-def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire) -> None:
+def test_ticks_wait_for_slower_simulated_time(wire: Wire) -> None:
     """Wait for beats on a clock that advances by 5 ms at each reading.
 
     The runner reports that it is alive while it waits.
@@ -235,7 +233,7 @@ def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire
     assert len(lives) > 8, "it is reported while it waits, not only at each cycle"
 
 
-def test_live_a_service_beats_by_the_machine_while_the_time_stands(wire: Wire) -> None:
+def test_machine_ticks_continue_while_time_stands(wire: Wire) -> None:
     stop = threading.Event()
     service = Scripted("simulator", Every(4 * MS, by_machine=True), act=lambda *_: stop.set() or () if service.seen[3:] else ())
     with clock.going_by(lambda: 42):
@@ -243,7 +241,7 @@ def test_live_a_service_beats_by_the_machine_while_the_time_stands(wire: Wire) -
     assert [tick.stamp_ns for _, tick in service.seen] == [42] * 4
 
 
-def test_live_how_long_a_service_waited_for_nothing_goes_out_with_its_health(wire: Wire) -> None:
+def test_health_contains_waiting_time_of_service(wire: Wire) -> None:
     stop = threading.Event()
     service = Limited("planner", MODE)
     wire.expect = lambda topic: topic is HEALTH and bool(stalls())

@@ -40,7 +40,7 @@ MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 
 
 
 @pytest.mark.parametrize("name", scenario_names())
-def test_those_that_come_along_can_be_walked(name: str) -> None:
+def test_packaged_scenarios_are_valid(name: str) -> None:
     scenario = load_scenario(name)
     assert scenario.name == name
     profile = load_profile(scenario.robot)
@@ -51,11 +51,11 @@ def test_those_that_come_along_can_be_walked(name: str) -> None:
     assert Path(scenario.folder).is_absolute()
 
 
-def test_flat_and_steps_are_there() -> None:
+def test_flat_and_steps_are_packaged() -> None:
     assert {"flat", "steps"} <= set(scenario_names())
 
 
-def test_every_course_begins_with_flat_ground() -> None:
+def test_every_course_begins_on_flat_ground() -> None:
     """Keep the first 0.8 m flat: the camera sees nothing nearer than half a metre."""
     for name in scenario_names():
         for piece in load_scenario(name).terrain:
@@ -82,7 +82,7 @@ def test_steps_has_a_dozen_low_blocks_and_two_stairs() -> None:
     assert all(0.01 <= top <= 0.04 for piece in terrain if isinstance(piece, Rubble) for top in piece.top)
 
 
-def test_little_is_needed() -> None:
+def test_minimal_scenario_is_valid() -> None:
     scenario = config.build(MINIMAL, Scenario)
     assert scenario.terrain == (Plane(),)
     assert scenario.goal == Goal(1.0)
@@ -90,7 +90,7 @@ def test_little_is_needed() -> None:
     assert scenario.faults == ()
 
 
-def test_files_are_looked_for_beside_the_scenario(tmp_path: Path) -> None:
+def test_files_are_relative_to_scenario(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
         'name = "mine"\n[goal]\ndistance = 1\n'
@@ -100,7 +100,7 @@ def test_files_are_looked_for_beside_the_scenario(tmp_path: Path) -> None:
     assert scenario.folder == str(tmp_path.resolve())
 
 
-def test_an_unknown_name_lists_the_known() -> None:
+def test_unknown_name_lists_known_ones() -> None:
     with pytest.raises(config.ConfigError, match=r"no scenario 'stpes'; did you mean 'steps'"):
         load_scenario("stpes")
     with pytest.raises(config.ConfigError, match="no such file"):
@@ -165,17 +165,17 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],
 )
-def test_nonsense_is_refused(change: dict[str, Any], words: str) -> None:
+def test_invalid_values_are_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(config.ConfigError, match=words):
         config.build(MINIMAL | change, Scenario)
 
 
-def test_a_fault_lasts_two_seconds_unless_said() -> None:
+def test_fault_lasts_two_seconds_by_default() -> None:
     assert Fault(1.0, "planner").for_s == 2.0
 
 
 @pytest.mark.parametrize("name", trouble_names())
-def test_a_trouble_is_laid_over_any_course(name: str) -> None:
+def test_trouble_applies_to_any_course(name: str) -> None:
     course, trouble = load_scenario("stairs"), load_trouble(name)
     both = load_scenario(f"stairs+{name}")
     assert both.name == f"stairs+{name}"
@@ -186,14 +186,14 @@ def test_a_trouble_is_laid_over_any_course(name: str) -> None:
     assert both.faults or both.bus_faults or both.movers or both.camera != course.camera
 
 
-def test_an_unknown_trouble_names_the_nearest_and_the_course_is_looked_at_first() -> None:
+def test_unknown_trouble_suggests_nearest_after_course_is_checked() -> None:
     with pytest.raises(config.ConfigError, match=r"no trouble 'snu'; did you mean 'sun'\? known: .*legs.*sun"):
         load_scenario("steps+snu")
     with pytest.raises(config.ConfigError, match="no scenario 'stpes'"):
         load_scenario("stpes+sun")
 
 
-def test_times_of_faults_are_drawn_by_the_seed_within_their_spread() -> None:
+def test_fault_times_follow_seed_within_spread() -> None:
     scenario = config.build(
         MINIMAL | {"faults": [{"at_s": 3, "service": "planner", "at_spread_s": 4}, {"at_s": 1, "service": "mapper"}]}, Scenario
     )

@@ -56,7 +56,7 @@ def anything() -> st.SearchStrategy[Any]:
 
 @WILD
 @given(messages())
-def test_what_is_sent_comes_out_the_same(message: Message) -> None:
+def test_messages_survive_round_trip(message: Message) -> None:
     receiver = Receiver(FROM_HOST | TO_HOST)
     assert receiver.feed(bridge_protocol.encode(message)) == [message]
     assert receiver.dropped.total() == 0
@@ -64,7 +64,7 @@ def test_what_is_sent_comes_out_the_same(message: Message) -> None:
 
 @WILD
 @given(st.lists(st.binary(max_size=300), max_size=6), messages(FROM_HOST))
-def test_any_bytes_are_messages_or_dropped(parts: list[bytes], message: Message) -> None:
+def test_any_bytes_decode_to_messages_or_are_dropped(parts: list[bytes], message: Message) -> None:
     receiver = Receiver(FROM_HOST)
     for part in parts:
         receiver.feed(part)
@@ -73,7 +73,7 @@ def test_any_bytes_are_messages_or_dropped(parts: list[bytes], message: Message)
 
 @WILD
 @given(st.sampled_from(sorted(MESSAGES)) | st.integers(), st.lists(anything(), max_size=20))
-def test_whatever_an_intact_frame_holds_is_a_message_or_refused(code: int, values: list[Any]) -> None:
+def test_any_intact_frame_is_message_or_refused(code: int, values: list[Any]) -> None:
     try:
         payload = pack_values([code, *values])
         sent = frame(payload)
@@ -87,7 +87,7 @@ def test_whatever_an_intact_frame_holds_is_a_message_or_refused(code: int, value
 
 @WILD
 @given(messages(), st.data())
-def test_a_message_with_one_field_of_anything_is_refused_or_one_that_may_be(message: Message, data: st.DataObject) -> None:
+def test_message_with_any_field_value_is_valid_or_refused(message: Message, data: st.DataObject) -> None:
     kinds = bridge_protocol._kinds(type(message))
     values = [kind.to_wire(getattr(message, name)) for name, kind in kinds]
     values[data.draw(st.integers(0, len(values) - 1))] = data.draw(anything())
@@ -99,14 +99,14 @@ def test_a_message_with_one_field_of_anything_is_refused_or_one_that_may_be(mess
         assert type(found)(*(getattr(found, field.name) for field in dataclasses.fields(found))) == found  # type: ignore[arg-type]
 
 
-def test_each_side_takes_only_what_the_other_says() -> None:
+def test_each_side_accepts_only_messages_of_the_other() -> None:
     order = bridge_protocol.Torque(7, 1, 0, 0)
     receiver = Receiver(TO_HOST)
     assert receiver.feed(bridge_protocol.encode(order)) == []
     assert receiver.last_refusal == "one of the types [129, 130, 131] expected, found 3"
 
 
-def test_a_greeting_of_another_version_is_known_whatever_follows() -> None:
+def test_greeting_of_other_version_is_recognized() -> None:
     receiver = Receiver(FROM_HOST)
     assert receiver.feed(frame(pack_values([1, 9, "all", "different"]))) == []
     assert receiver.other_version == 9
@@ -138,12 +138,12 @@ def test_a_greeting_of_another_version_is_known_whatever_follows() -> None:
         (bridge_protocol.Welcome, (1, 7, 0, 0, "x" * 33), "a text of at most 32"),
     ],
 )
-def test_what_may_not_be_is_refused_with_what_was_expected(message: type[Message], fields: tuple[Any, ...], words: str) -> None:
+def test_invalid_message_is_refused_with_expectation(message: type[Message], fields: tuple[Any, ...], words: str) -> None:
     with pytest.raises(ValueError, match=re.escape(words)):
         message(*fields)
 
 
-def test_a_state_of_the_most_servos_fits_a_frame() -> None:
+def test_state_of_max_servos_fits_frame() -> None:
     n, top = bridge_protocol.MAX_SERVOS, 0xFFFF_FFFF
     octets = bytes([255] * n)
     state = bridge_protocol.State(
@@ -156,7 +156,7 @@ def test_a_state_of_the_most_servos_fits_a_frame() -> None:
 # ------------------------------------------------------------------------------------------------------ the document
 
 
-def test_the_worked_examples_of_the_document_are_what_is_sent() -> None:
+def test_documented_examples_match_encoding() -> None:
     examples = re.findall(r"^`(\w+)\((.*?)\)` is\n\n```text\n(.*?)\n```$", DOCUMENT, re.MULTILINE | re.DOTALL)
     assert {name for name, _, _ in examples} >= {"Hello", "Goals", "Torque", "State"}
     for name, arguments, dump in examples:
@@ -167,7 +167,7 @@ def test_the_worked_examples_of_the_document_are_what_is_sent() -> None:
         assert Receiver(FROM_HOST | TO_HOST).feed(sent) == [message], name
 
 
-def test_the_document_lists_every_message_with_its_fields() -> None:
+def test_document_lists_every_message_and_field() -> None:
     for kind in MESSAGES.values():
         row = next(row for row in DOCUMENT.splitlines() if row.startswith(f"| {kind.code} | {kind.__name__} |"))
         listed = re.findall(r"`(\w+)`", row.split("|")[3])
@@ -175,12 +175,12 @@ def test_the_document_lists_every_message_with_its_fields() -> None:
 
 
 @pytest.mark.parametrize("table", [bridge_protocol.Mode, bridge_protocol.Refusal, bridge_protocol.Result])
-def test_the_document_lists_every_mode_refusal_and_result(table: Any) -> None:
+def test_document_lists_every_mode_refusal_and_result(table: Any) -> None:
     for member in table:
         assert f"| {member.value} | {member.name} |" in DOCUMENT
 
 
-def test_the_times_of_the_document_are_those_of_the_frames() -> None:
+def test_documented_times_match_frames() -> None:
     top, octets = 0xFFFF_FFFF, bytes([255] * N)
     late = (top, top, (1 << 64) - 1)
     state = bridge_protocol.State(
@@ -212,7 +212,7 @@ def test_the_times_of_the_document_are_those_of_the_frames() -> None:
     st.integers(-(1 << 50), 1 << 50),
     st.lists(st.tuples(st.integers(1, 10**9), st.integers(0, 10**8)), min_size=1, max_size=30),
 )
-def test_an_age_is_never_more_than_the_delay_and_right_once_something_was_quick(
+def test_age_is_bounded_by_delay_and_exact_after_quick_message(
     began_us: int, offset_ns: int, sent: list[tuple[int, int]]
 ) -> None:
     clock, now_us, arrived_ns = RemoteClock(), began_us, 0
@@ -226,7 +226,7 @@ def test_an_age_is_never_more_than_the_delay_and_right_once_something_was_quick(
         assert age_ns >= true_ns - 1000 - 2e-4 * (arrived_ns - 1000 * began_us - offset_ns)
 
 
-def test_bytes_that_waited_in_a_buffer_are_known_as_old() -> None:
+def test_buffered_bytes_are_dated_as_old() -> None:
     clock = RemoteClock()
     for k in range(5):
         assert clock.age_ns(20_000 * k, 20_000_000 * k) == 0
@@ -236,7 +236,7 @@ def test_bytes_that_waited_in_a_buffer_are_known_as_old() -> None:
     assert ages[0] == pytest.approx(1.9e9, rel=1e-3)
 
 
-def test_an_error_of_the_codec_is_one_of_the_bridge() -> None:
+def test_codec_error_is_bridge_error() -> None:
     with pytest.raises(DecodeError, match="not msgpack"):
         bridge_protocol.decode(b"\xc1", FROM_HOST)
     with pytest.raises(DecodeError, match="a message type and its fields expected"):

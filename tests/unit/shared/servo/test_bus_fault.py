@@ -21,7 +21,7 @@ def fault(target: FaultTarget, kind: FaultKind) -> BusFault:
     return BusFault(target, kind, 1.0, servo=5 if GRID[target, kind].needs_servo else -1)
 
 
-def test_the_grid_has_every_kind_on_every_target() -> None:
+def test_grid_has_every_kind_for_every_target() -> None:
     six = ("silent", "stuck", "garbage", "wrong", "slow", "intermittent")
     assert {(target, kind) for target in ("bytes", "packets", "servo", "bus") for kind in six} <= GRID.keys()
     assert {target for target, _ in GRID} == set(TARGETS)
@@ -29,7 +29,7 @@ def test_the_grid_has_every_kind_on_every_target() -> None:
 
 
 @pytest.mark.parametrize("cell", GRID, ids=" ".join)
-def test_every_cell_can_be_asked_for_by_file_and_by_message(cell: tuple[FaultTarget, FaultKind]) -> None:
+def test_every_fault_is_set_by_file_and_by_message(cell: tuple[FaultTarget, FaultKind]) -> None:
     made = fault(*cell)
     assert config.build(config.as_table(made), BusFault) == made
     message, _ = codec.decode(codec.encode(made.command(7)), FaultCommand, 2048)
@@ -40,7 +40,7 @@ def test_every_cell_can_be_asked_for_by_file_and_by_message(cell: tuple[FaultTar
 
 @given(target=st.sampled_from(TARGETS), kind=st.sampled_from(KINDS), servo=st.integers(-2, 255), share=st.floats(-1, 2))
 @settings(derandomize=True)
-def test_what_is_off_the_grid_is_refused(target: FaultTarget, kind: FaultKind, servo: int, share: float) -> None:
+def test_fault_outside_grid_is_refused(target: FaultTarget, kind: FaultKind, servo: int, share: float) -> None:
     cell = GRID.get((target, kind))
     of_servo = servo == -1 if cell is None or "servo" not in cell.takes else -1 <= servo <= 253
     of_servo = of_servo and not (cell is not None and cell.needs_servo and servo == -1)
@@ -52,7 +52,7 @@ def test_what_is_off_the_grid_is_refused(target: FaultTarget, kind: FaultKind, s
             BusFault(target, kind, 0.0, servo=servo, share=share)
 
 
-def test_all_that_is_wrong_is_told_at_once() -> None:
+def test_all_errors_are_reported_together() -> None:
     table = {"target": "bus", "kind": "silent", "at_s": -1, "for_s": 0, "volts": 3.0, "off_ms": -1.0}
     with pytest.raises(config.ConfigError) as refusal:
         config.build(table, BusFault)
@@ -67,7 +67,7 @@ def test_all_that_is_wrong_is_told_at_once() -> None:
         BusFault("servo", "stuck", 0.0)
 
 
-def test_a_scenario_has_them() -> None:
+def test_scenario_contains_bus_faults() -> None:
     table = {
         "name": "mine",
         "terrain": [{"kind": "plane"}],
@@ -80,7 +80,7 @@ def test_a_scenario_has_them() -> None:
         config.build(table, Scenario)
 
 
-def test_the_table_of_the_docs_is_the_grid() -> None:
+def test_documented_table_equals_grid() -> None:
     text = (Path(__file__).parents[4] / "docs" / "actuator.md").read_text(encoding="utf-8")
     rows = [
         f"| {target} {kind} | {cell.means} | {', '.join(f'`{name}`' for name in cell.takes)} |"

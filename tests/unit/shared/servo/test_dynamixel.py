@@ -38,14 +38,14 @@ def hexed(text: str) -> bytes:
         (dxl.write(0, 17, b"\x04\x04"), "FF FF 00 05 03 11 04 04 DE"),  # example 15
     ],
 )
-def test_byte_vectors_of_the_manuals(packet: bytes, expected: str) -> None:
+def test_packets_match_byte_vectors_of_manuals(packet: bytes, expected: str) -> None:
     assert packet == hexed(expected)
     (parsed,) = PacketParser().feed(packet)
     assert parsed.end == len(packet)
     assert dxl.encode(parsed.servo_id, parsed.code, parsed.parameters) == packet
 
 
-def test_every_instruction_has_its_code() -> None:
+def test_instruction_codes_match_manual() -> None:
     packets = {
         Instruction.PING: dxl.ping(3),
         Instruction.READ: dxl.read(3, 36, 8),
@@ -61,19 +61,19 @@ def test_every_instruction_has_its_code() -> None:
 
 
 @pytest.mark.parametrize(("servo_id", "size"), [(255, 0), (-1, 0), (1, 254)])
-def test_what_no_packet_can_hold_is_refused(servo_id: int, size: int) -> None:
+def test_oversized_packet_content_is_refused(servo_id: int, size: int) -> None:
     with pytest.raises(ValueError, match=r"expected|fit"):
         dxl.encode(servo_id, 1, bytes(size))
 
 
-def test_sync_write_refuses_rows_of_another_size() -> None:
+def test_sync_write_refuses_rows_of_unequal_size() -> None:
     with pytest.raises(ValueError, match="servo 7: 4 bytes expected, found 3"):
         dxl.sync_write(30, 4, [(7, bytes(3))])
 
 
 @WILD
 @given(st.lists(PACKETS, max_size=8), st.lists(st.integers(1, 20), max_size=200))
-def test_packets_survive_the_stream_however_it_is_cut(packets: list[tuple[int, int, bytes]], cuts: list[int]) -> None:
+def test_packets_survive_any_split_of_stream(packets: list[tuple[int, int, bytes]], cuts: list[int]) -> None:
     stream = b"".join(dxl.encode(*packet) for packet in packets)
     parser, found, rest = PacketParser(), [], stream
     for cut in cuts:
@@ -93,7 +93,7 @@ GARBAGE = st.one_of(
 
 @WILD
 @given(st.lists(st.tuples(GARBAGE, PACKETS), min_size=1, max_size=6), GARBAGE)
-def test_good_packets_are_found_between_garbage(pairs: list[tuple[bytes, tuple[int, int, bytes]]], tail: bytes) -> None:
+def test_valid_packets_are_found_between_garbage(pairs: list[tuple[bytes, tuple[int, int, bytes]]], tail: bytes) -> None:
     parser, stream, ends = PacketParser(), bytearray(), {}
     for noise, packet in pairs:
         stream += noise + dxl.encode(*packet)
@@ -114,14 +114,14 @@ def test_good_packets_are_found_between_garbage(pairs: list[tuple[bytes, tuple[i
 
 @WILD
 @given(st.binary(max_size=300))
-def test_a_broken_packet_never_counts_as_intact(data: bytes) -> None:
+def test_corrupted_packet_is_never_accepted(data: bytes) -> None:
     parser = PacketParser(keep_broken=True)
     for packet in parser.feed(data):
         raw = dxl.encode(packet.servo_id, packet.code, packet.parameters) if packet.servo_id <= 0xFE else b""
         assert packet.intact == (data[packet.end - len(raw) : packet.end] == raw)
 
 
-def test_drops_are_counted_by_reason() -> None:
+def test_dropped_packets_are_counted_by_reason() -> None:
     parser = PacketParser(max_length=20)
     good, broken = dxl.ping(9), bytearray(dxl.ping(9))
     broken[-1] ^= 1
@@ -137,11 +137,11 @@ def test_drops_are_counted_by_reason() -> None:
     assert parser.dropped[Dropped.TRUNCATED] == 1
 
 
-def test_a_run_of_ff_is_a_header_by_its_last_two() -> None:
+def test_header_is_last_two_bytes_of_ff_run() -> None:
     assert [p.servo_id for p in PacketParser().feed(b"\xff" * 5 + dxl.ping(4)[2:])] == [4]
 
 
-def test_the_register_table_has_no_overlap_and_names_each_once() -> None:
+def test_registers_do_not_overlap_and_have_unique_names() -> None:
     assert len({r.name for r in dxl.REGISTERS}) == len(dxl.REGISTERS) == 32
     end = 0
     for register in dxl.REGISTERS:
@@ -155,7 +155,7 @@ def test_the_register_table_has_no_overlap_and_names_each_once() -> None:
     assert read_only == {0, 2, 36, 38, 40, 42, 43, 44, 46}
 
 
-def test_models_differ_where_the_manual_says() -> None:
+def test_models_differ_as_in_manual() -> None:
     ax, rx = dxl.AX_12A.factory_table(), dxl.RX_64.factory_table()
     assert {i: (a, b) for i, (a, b) in enumerate(zip(ax, rx, strict=True)) if a != b} == {
         0: (12, 64),
@@ -169,20 +169,20 @@ def test_models_differ_where_the_manual_says() -> None:
 
 @WILD
 @given(st.integers(0, 1023))
-def test_angles_and_ticks_are_inverse(ticks: int) -> None:
+def test_angle_and_tick_conversions_are_inverse(ticks: int) -> None:
     angle = dxl.angle_from_ticks(ticks)
     assert dxl.ticks_from_angle(angle) == ticks
     assert math.degrees(angle) == pytest.approx((ticks - 512) * 300 / 1023)
 
 
-def test_angle_zero_is_the_centre_and_a_degree_3_41_ticks() -> None:
+def test_zero_angle_is_center_and_one_degree_is_3_41_ticks() -> None:
     assert dxl.angle_from_ticks(512) == 0.0
     assert dxl.ticks_from_angle(math.radians(100)) - 512 == pytest.approx(341, abs=0.5)
 
 
 @WILD
 @given(st.integers(-1023, 1023))
-def test_signed_registers_are_inverse(value: int) -> None:
+def test_signed_register_conversions_are_inverse(value: int) -> None:
     raw = dxl.direction_magnitude(value)
     assert dxl.signed_magnitude(raw) == value
     assert bool(raw & 1 << 10) == (value < 0)
@@ -190,7 +190,7 @@ def test_signed_registers_are_inverse(value: int) -> None:
     assert dxl.register_from_load(dxl.load_from_register(raw)) == raw
 
 
-def test_units_of_the_manual() -> None:
+def test_register_units_match_manual() -> None:
     assert dxl.speed_from_register(300) == pytest.approx(33.3 * 2 * math.pi / 60)
     assert dxl.load_from_register(512) == pytest.approx(0.512)
     assert dxl.load_from_register(1024 + 512) == pytest.approx(-0.512)
@@ -199,24 +199,24 @@ def test_units_of_the_manual() -> None:
 
 @WILD
 @given(st.floats(1e-6, 100.0))
-def test_a_wanted_speed_is_never_the_code_for_uncontrolled(speed: float) -> None:
+def test_speed_is_never_encoded_as_uncontrolled(speed: float) -> None:
     assert 1 <= dxl.moving_speed_from(speed) <= 1023
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
-def test_a_moving_speed_must_be_positive(speed: float) -> None:
+def test_moving_speed_must_be_positive(speed: float) -> None:
     with pytest.raises(ValueError, match="greater than 0"):
         dxl.moving_speed_from(speed)
 
 
-def test_error_bits_have_words() -> None:
+def test_error_bits_have_descriptions() -> None:
     assert dxl.error_words(0) == ""
     assert dxl.error_words(0x24) == "overheating, overload"
     assert all(dxl.error_words(bit) for bit in ServoError)
     assert sorted(ServoError) == [1, 2, 4, 8, 16, 32, 64]
 
 
-def test_register_encode_checks_the_range() -> None:
+def test_register_encoding_checks_range() -> None:
     assert dxl.GOAL_POSITION.encode(0x0210) == b"\x10\x02"
     with pytest.raises(ValueError, match="goal position takes 0 to 1023, found 1024"):
         dxl.GOAL_POSITION.encode(1024)

@@ -29,20 +29,20 @@ UP = bytes(range(1, 256))
         (UP[2:].hex() + "00 01", "FE" + UP[2:].hex() + "02 01"),
     ],
 )
-def test_stuffing_is_as_published(data: str, stuffing: str) -> None:
+def test_stuffing_matches_publication(data: str, stuffing: str) -> None:
     """Compare with the examples of Cheshire and Baker's encoding on Wikipedia."""
     assert stuffed(bytes.fromhex(data)) == bytes.fromhex(stuffing)
     assert unstuffed(bytes.fromhex(stuffing)) == bytes.fromhex(data)
 
 
-def test_the_checksum_is_the_common_one() -> None:
+def test_checksum_matches_standard_check_value() -> None:
     assert zlib.crc32(b"123456789") == 0xCBF43926
     assert frame(b"123456789") == b"\0" + stuffed(b"123456789" + bytes.fromhex("26 39 F4 CB")) + b"\0"
 
 
 @WILD
 @given(st.binary(max_size=1200))
-def test_what_is_stuffed_has_no_zero_and_comes_out_again(data: bytes) -> None:
+def test_stuffed_data_has_no_zero_and_survives_round_trip(data: bytes) -> None:
     assert 0 not in stuffed(data)
     assert unstuffed(stuffed(data)) == data
     assert len(stuffed(data)) <= len(data) + len(data) // 254 + 1
@@ -50,7 +50,7 @@ def test_what_is_stuffed_has_no_zero_and_comes_out_again(data: bytes) -> None:
 
 @WILD
 @given(st.lists(st.binary(max_size=900), max_size=8), PAYLOADS)
-def test_behind_any_bytes_a_frame_is_found_and_memory_is_bounded(noise: list[bytes], payloads: list[bytes]) -> None:
+def test_frame_is_found_after_any_bytes_with_bounded_memory(noise: list[bytes], payloads: list[bytes]) -> None:
     deframer = Deframer()
     for part in noise:
         deframer.feed(part)
@@ -60,7 +60,7 @@ def test_behind_any_bytes_a_frame_is_found_and_memory_is_bounded(noise: list[byt
 
 @WILD
 @given(PAYLOADS, st.data())
-def test_a_stream_may_be_cut_anywhere(payloads: list[bytes], data: st.DataObject) -> None:
+def test_stream_may_be_split_anywhere(payloads: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(map(frame, payloads))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
     parts = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
@@ -71,7 +71,7 @@ def test_a_stream_may_be_cut_anywhere(payloads: list[bytes], data: st.DataObject
 
 @WILD
 @given(PAYLOADS, st.data())
-def test_one_byte_changed_lost_or_too_many_spoils_one_frame_at_most(payloads: list[bytes], data: st.DataObject) -> None:
+def test_one_byte_error_spoils_at_most_one_frame(payloads: list[bytes], data: st.DataObject) -> None:
     frames = [frame(payload) for payload in payloads]
     stream = bytearray(b"".join(frames))
     at = data.draw(st.integers(0, len(stream) - 1))
@@ -87,7 +87,7 @@ def test_one_byte_changed_lost_or_too_many_spoils_one_frame_at_most(payloads: li
     assert found == payloads or found in whole
 
 
-def test_what_is_no_frame_is_counted_by_reason() -> None:
+def test_invalid_frames_are_counted_by_reason() -> None:
     deframer = Deframer()
     assert deframer.feed(b"\x00\x00\x00") == []
     assert not deframer.broken, "nothing stood between them"
@@ -97,7 +97,7 @@ def test_what_is_no_frame_is_counted_by_reason() -> None:
     assert deframer.broken == {Broken.STUFFING: 1, Broken.CRC: 1, Broken.LONG: 1}
 
 
-def test_the_longest_payload_fits_and_no_longer_one() -> None:
+def test_payload_length_is_limited() -> None:
     longest = bytes(range(1, 200)) * 2
     assert Deframer().feed(frame(longest[: MAX_PAYLOAD - 4])) == [longest[: MAX_PAYLOAD - 4]]
     with pytest.raises(ValueError, match=f"at most {MAX_PAYLOAD - 4} bytes of payload expected, found {MAX_PAYLOAD - 3}"):

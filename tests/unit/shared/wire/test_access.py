@@ -46,30 +46,30 @@ def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[Any
         ("console", {"console"}),
     ],
 )
-def test_a_role_puts_what_its_processes_write_and_reads_what_they_read(role: str, processes: set[str]) -> None:
+def test_role_may_publish_and_subscribe_as_its_processes_do(role: str, processes: set[str]) -> None:
     written, read = written_and_read(processes, role)
     held = ROLE_NAMED[role]
     assert set(held.publishes) == written
     assert set(held.subscribes) >= read
 
 
-def test_the_robot_is_told_nothing_but_what_its_processes_read() -> None:
+def test_robot_receives_only_topics_of_its_processes() -> None:
     _, read = written_and_read({process.name for process in rows("onboard", simulated=False)}, "robot")
     assert set(ROLE_NAMED["robot"].subscribes) == read
 
 
-def test_a_recorder_at_the_base_hears_all_that_is_recorded() -> None:
+def test_base_recorder_receives_all_recorded_topics() -> None:
     heard = {*ROLE_NAMED["base"].subscribes, *ROLE_NAMED["base"].publishes}
     assert heard >= set(TOPICS) - LEFT_OUT - OF_THE_SIMULATOR - LOCAL
 
 
 @pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
-def test_nobody_meets_the_simulator_from_another_machine_and_servos_have_no_keys(role: Role) -> None:
+def test_simulator_and_servos_are_unreachable_from_other_machines(role: Role) -> None:
     assert not {*role.publishes, *role.subscribes} & OF_THE_SIMULATOR
     assert not [topic.key for topic in TOPICS if "servo" in topic.key or "bus" in topic.key]
 
 
-def test_plans_come_from_where_the_planner_is_and_from_nowhere_else() -> None:
+def test_only_planner_role_publishes_plans() -> None:
     assert [role.name for role in ROLES if topics.STEP_PLAN in role.publishes] == ["base", SITE], "a site passes on"
     assert [role.name for role in ROLES if topics.MODE in role.publishes] == ["base", "console", SITE]
 
@@ -78,7 +78,7 @@ OF_ROLES = {**{t: r for r, t in topics.HEALTH_OF.items()}, **{t: r for r, t in t
 
 
 @pytest.mark.parametrize("role", [role for role in ROLES if role.name != SITE], ids=lambda role: role.name)
-def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role) -> None:
+def test_health_and_presence_are_published_only_by_named_role(role: Role) -> None:
     """Publish health and presence by their own role only.
 
     A console cannot publish an actuator's health or a robot's presence. Only a robot publishes its time.
@@ -90,14 +90,14 @@ def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role
     assert not LOCAL & {*role.publishes, *role.subscribes, *role.relays}
 
 
-def test_a_router_that_refuses_is_believed_under_the_key_of_a_role_that_no_other_machine_can_use() -> None:
+def test_router_refusal_is_accepted_only_from_its_role_key() -> None:
     order = [topics.MODE]
     assert "this certificate (viewer: " in access.refusal_here(["viewer", "robot"], order)
     assert access.refusal_here(["robot", "base", "console", "site"], order) == ""
     assert access.refusal_here(["viewer"], [topics.STOP]) == ""
 
 
-def test_a_site_passes_on_what_others_say_to_each_other() -> None:
+def test_site_relays_topics_of_other_roles() -> None:
     site, ends = ROLE_NAMED[SITE], [role for role in ROLES if role.name != SITE]
     own = {topics.HEALTH_OF[SITE], topics.PRESENCE_OF[SITE]}
     assert set(site.publishes) == {topic for role in ends for topic in role.publishes} | own
@@ -128,7 +128,7 @@ def rules(keys: Path, role: str) -> Iterator[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
-def test_what_is_allowed_is_a_list_of_keys_without_wildcards(role: Role, keys: Path) -> None:
+def test_allowed_keys_have_no_wildcards(role: Role, keys: Path) -> None:
     allowed = set(rules(keys, role.name))
     assert {key for _, _, key in allowed if "*" in key} == set()
     assert {key for message, flow, key in allowed if (message, flow) == ("put", "ingress")} == {
@@ -140,14 +140,14 @@ def test_what_is_allowed_is_a_list_of_keys_without_wildcards(role: Role, keys: P
     assert {message for message, _, _ in allowed} == {"put", "declare_subscriber"}
 
 
-def test_who_has_no_certificate_is_on_loopback_and_the_rest_is_denied(keys: Path) -> None:
+def test_clients_without_certificate_are_limited_to_loopback(keys: Path) -> None:
     control = Keys.load(keys / "robot").hosting("here")["access_control"]
     assert control["default_permission"] == "deny"
     (own,) = (subject for subject in control["subjects"] if "cert_common_names" not in subject)
     assert own == {"id": "own", "link_protocols": ["tcp"], "interfaces": ["lo"]}
 
 
-def test_every_key_is_limited_in_rate_and_size(keys: Path) -> None:
+def test_every_key_has_rate_and_size_limit(keys: Path) -> None:
     listening = Keys.load(keys / "robot").hosting("here")
     rates = {rule["key_expr"]: rule["freq"] for rule in listening["downsampling"][0]["rules"]}
     sizes = {key: one["size_limit"] for one in listening["low_pass_filter"] for key in one["key_exprs"]}
@@ -158,7 +158,7 @@ def test_every_key_is_limited_in_rate_and_size(keys: Path) -> None:
     assert listening["transport"]["link"]["rx"]["max_message_size"] < 10_000_000
 
 
-def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
+def test_own_certificate_explains_refusal(keys: Path) -> None:
     viewer, console = Keys.load(keys / "viewer"), Keys.load(keys / "console")
     assert "this certificate (viewer: a viewer's computer" in viewer.refusal([topics.MODE])
     assert "may not send operator/mode" in viewer.refusal([topics.MODE])
@@ -179,19 +179,19 @@ def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
         (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "robot, base, console"),
     ],
 )
-def test_keys_that_cannot_be_used_say_why(broken: Callable[[Path], object], hint: str, tmp_path: Path) -> None:
+def test_unusable_keys_are_refused_with_reason(broken: Callable[[Path], object], hint: str, tmp_path: Path) -> None:
     Authority(days=30).issue(tmp_path / "base", "base")
     broken(tmp_path / "base")
     with pytest.raises(AccessError, match=hint):
         Keys.load(tmp_path / "base")
 
 
-def test_the_folder_of_all_roles_is_none_of_a_machine(keys: Path) -> None:
+def test_folder_of_all_roles_is_refused(keys: Path) -> None:
     with pytest.raises(AccessError, match="it contains a folder for each role: give one of these"):
         Keys.load(keys)
 
 
-def test_a_certificate_that_has_ended_is_refused_by_who_holds_it(tmp_path: Path) -> None:
+def test_expired_certificate_is_refused_by_holder(tmp_path: Path) -> None:
     now = datetime.now(UTC)
     Authority(days=30).issue(tmp_path / "base", "base", ends=now - timedelta(days=3))
     with pytest.raises(AccessError, match="expired 3 days ago"):
@@ -212,11 +212,11 @@ def test_a_certificate_that_has_ended_is_refused_by_who_holds_it(tmp_path: Path)
         ("tcp/localhost.evil.example:7447", True),
     ],
 )
-def test_plain_is_for_loopback(endpoint: str, plain: bool) -> None:
+def test_plain_endpoints_are_for_loopback_only(endpoint: str, plain: bool) -> None:
     assert access.plain_elsewhere([endpoint]) == ((endpoint,) if plain else ())
 
 
-def test_where_anybody_is_let_in_limits_hold_and_the_simulator_is_out_of_reach() -> None:
+def test_open_access_keeps_limits_and_hides_simulator() -> None:
     opened = access.opened("here", ["eth0", "wlan0"])
     (limit,) = opened["downsampling"]
     assert limit["interfaces"] == ["eth0", "wlan0"]
@@ -225,7 +225,7 @@ def test_where_anybody_is_let_in_limits_hold_and_the_simulator_is_out_of_reach()
     assert "simulator" not in said
 
 
-def test_the_tables_of_the_page_are_the_rules() -> None:
+def test_documented_access_tables_match_rules() -> None:
     page = (Path(__file__).parents[4] / "docs" / "access.md").read_text(encoding="utf-8")
     for table in (access_page.roles(), access_page.keys()):
         assert "\n".join(table) in page, "made again: the lines of deploy/security/access_page.py"
@@ -233,7 +233,7 @@ def test_the_tables_of_the_page_are_the_rules() -> None:
 
 @pytest.mark.parametrize("name", [access.CERTIFICATE, access.AUTHORITY, access.KEY])
 @pytest.mark.parametrize("data", [b"", b"none", b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", None])
-def test_a_folder_of_broken_certificates_says_which(name: str, data: bytes | None, tmp_path: Path) -> None:
+def test_broken_certificate_file_is_named(name: str, data: bytes | None, tmp_path: Path) -> None:
     Authority(days=30).write(tmp_path / "ca")
     Authority(days=30).issue(tmp_path / "base", "base")
     for folder in ("ca", "base"):

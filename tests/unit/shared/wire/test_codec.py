@@ -142,7 +142,7 @@ def decoded_or_refused(frame: bytes, kind: type[Message]) -> Message | None:
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=20)
 @given(data=st.data())
-def test_every_message_comes_back(kind: type[Message], data: st.DataObject) -> None:
+def test_every_message_survives_round_trip(kind: type[Message], data: st.DataObject) -> None:
     message = data.draw(messages(kind))
     timing = codec.Timing(*data.draw(st.tuples(int64, int64)))
     frame = codec.encode(message, timing)
@@ -153,7 +153,7 @@ def test_every_message_comes_back(kind: type[Message], data: st.DataObject) -> N
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
+def test_decoded_arrays_are_read_only_views_of_frame(kind: type[Message]) -> None:
     frame = codec.encode(example(kind))
     found, _ = codec.decode(frame, kind)
     whole = np.frombuffer(frame, np.uint8)
@@ -170,7 +170,7 @@ def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
 @pytest.mark.parametrize(
     "array", [np.arange(12, dtype=np.uint16).reshape(3, 4).T, np.arange(24, dtype=np.uint16).reshape(4, 6)[::2, ::-2]]
 )
-def test_arrays_of_any_layout_are_sent(array: Any) -> None:
+def test_arrays_of_any_memory_layout_are_encoded(array: Any) -> None:
     found, _ = codec.decode(codec.encode(m.DepthImage(1, array)), m.DepthImage)
     np.testing.assert_array_equal(found.depth, array)
 
@@ -184,18 +184,18 @@ class Packed(Message):
 
 
 @given(data=st.data(), n=st.integers(0, 40))
-def test_packed_arrays_come_back_whatever_is_in_them(data: st.DataObject, n: int) -> None:
+def test_packed_arrays_survive_round_trip(data: st.DataObject, n: int) -> None:
     message = Packed(1, data.draw(hnp.arrays(np.uint8, (n,))), data.draw(hnp.arrays(np.int64, (n, 2, 3))))
     assert_equal(codec.decode(codec.encode(message), Packed)[0], message)
 
 
-def test_packing_makes_neighbours_that_are_alike_small() -> None:
+def test_packing_compresses_similar_neighbours() -> None:
     slow = np.cumsum(np.random.default_rng(0).integers(-2, 3, (10_000, 2, 3)), axis=0)
     message = Packed(1, np.zeros(10_000, np.uint8), slow)
     assert len(codec.encode(message)) < slow.nbytes / 10
 
 
-def test_packed_arrays_of_broken_numbers_are_not_declared() -> None:
+def test_packed_float_arrays_cannot_be_declared() -> None:
     @dataclasses.dataclass(frozen=True, slots=True)
     class Broken(Message):
         """A packed array of floats."""
@@ -206,14 +206,14 @@ def test_packed_arrays_of_broken_numbers_are_not_declared() -> None:
         codec.schema_id(Broken)
 
 
-def test_the_longest_texts_fit() -> None:
+def test_longest_texts_are_encoded() -> None:
     status = m.PlannerStatus(0, "waiting", "\U0001f9ed" * m.MAX_TEXT, 0, 0, -1)
     assert_equal(codec.decode(codec.encode(status), m.PlannerStatus)[0], status)
     state = dataclasses.replace(example(m.ActuatorState), warnings=("w" * 100,) * m.MAX_ITEMS)  # type: ignore[call-arg]
     assert_equal(codec.decode(codec.encode(state), m.ActuatorState)[0], state)
 
 
-def test_a_depth_frame_costs_little_memory_to_decode() -> None:
+def test_decoding_depth_frame_needs_little_memory() -> None:
     frame = codec.encode(m.DepthImage(1, np.ones((480, 640), np.uint16)))
     codec.decode(frame, m.DepthImage)
     assert _peak(lambda: codec.decode(frame, m.DepthImage)) < 20_000  # of 614 kB
@@ -237,12 +237,12 @@ def pose_of(change: Any) -> Any:
         lambda T: T.fill(1.7e308),
     ],
 )
-def test_a_pose_in_a_frame_is_a_rotation_and_a_translation(change: Any) -> None:
+def test_invalid_pose_is_refused(change: Any) -> None:
     frame = codec.encode(dataclasses.replace(example(m.Odometry), T_odom_body=pose_of(change)))  # type: ignore[call-arg]
     assert refusal(frame, m.Odometry).startswith("Odometry.T_odom_body: a pose expected")
 
 
-def test_a_pose_in_a_frame_lies_near_the_origin_of_its_frame() -> None:
+def test_pose_far_from_origin_is_refused() -> None:
     far = pose_of(lambda T: T.__setitem__((0, 3), -1.1e6))
     frame = codec.encode(dataclasses.replace(example(m.Odometry), T_odom_body=far))  # type: ignore[call-arg]
     assert "T_odom_body: a pose within 1e+06 m of its frame's origin expected, found 1.1e+06 m" in refusal(frame, m.Odometry)
@@ -256,20 +256,20 @@ def test_a_pose_in_a_frame_lies_near_the_origin_of_its_frame() -> None:
         (m.PassagePlan, {"tree_edges": np.full((1, 2, 3), 1e30, np.float32)}),
     ],
 )
-def test_a_number_in_a_frame_is_small_enough_to_compute_with(kind: type[Message], changes: dict[str, Any]) -> None:
+def test_too_large_number_is_refused(kind: type[Message], changes: dict[str, Any]) -> None:
     frame = codec.encode(dataclasses.replace(example(kind), **changes))
     assert f"at most {codec.MAX_NUMBER:g} expected" in refusal(frame, kind)
     codec.decode(codec.encode(dataclasses.replace(example(m.BodyPose), covariance=np.full((6, 6), 1e12))), m.BodyPose)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("name", ["stages", "inputs"])
-def test_a_frame_with_more_names_than_numbers_is_refused(name: str) -> None:
+def test_frame_with_more_names_than_values_is_refused(name: str) -> None:
     health = dataclasses.replace(example(m.Health), **{name: ("one", "two")})  # type: ignore[arg-type]
     assert "values for the named stages and inputs" in refusal(codec.encode(health), m.Health)
 
 
 @pytest.mark.parametrize("name", ["reason", "warnings"])
-def test_a_frame_with_a_text_that_is_too_long_is_refused_and_not_cut(name: str) -> None:
+def test_frame_with_too_long_text_is_refused(name: str) -> None:
     message = example(m.ActuatorState)
     long = "x" * (m.MAX_TEXT + 1)
     object.__setattr__(message, name, (long,) if name == "warnings" else long)
@@ -277,7 +277,7 @@ def test_a_frame_with_a_text_that_is_too_long_is_refused_and_not_cut(name: str) 
         codec.decode(codec.encode(message), m.ActuatorState)
 
 
-def test_schemas_have_different_names() -> None:
+def test_schema_names_are_unique() -> None:
     assert len({codec.schema_id(kind) for kind in KINDS}) == len(KINDS)
 
 
@@ -292,7 +292,7 @@ def test_random_bytes_are_refused(kind: type[Message], garbage: bytes) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_frame_cut_anywhere_is_refused(kind: type[Message]) -> None:
+def test_truncated_frame_is_refused(kind: type[Message]) -> None:
     frame = codec.encode(example(kind))
     message = codec.decode(frame, kind)[0]
     for length in range(len(frame)):
@@ -305,7 +305,7 @@ def test_a_frame_cut_anywhere_is_refused(kind: type[Message]) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=40)
 @given(data=st.data())
-def test_flipped_bits_are_refused_or_make_another_good_message(kind: type[Message], data: st.DataObject) -> None:
+def test_flipped_bits_are_refused_or_give_valid_message(kind: type[Message], data: st.DataObject) -> None:
     frame = bytearray(codec.encode(example(kind)))
     for bit in data.draw(st.lists(st.integers(0, min(8 * len(frame), 8 * 400) - 1), min_size=1, max_size=4)):
         frame[bit // 8] ^= 1 << bit % 8
@@ -327,7 +327,7 @@ array_fields = st.tuples(
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=40)
 @given(data=st.data())
-def test_wild_fields_are_refused(kind: type[Message], data: st.DataObject) -> None:
+def test_arbitrary_fields_are_refused_or_valid(kind: type[Message], data: st.DataObject) -> None:
     names = [name for name, _, _ in m.schema(kind)]
     frame = with_field(kind, data.draw(st.sampled_from(names)), data.draw(objects | array_fields))
     found = decoded_or_refused(frame, kind)
@@ -335,16 +335,16 @@ def test_wild_fields_are_refused(kind: type[Message], data: st.DataObject) -> No
 
 
 @pytest.mark.parametrize("header", [[], [1, 2, 3], None, {}, "text", [None, 0, 0, []], ["x", 0, 0, {}], ["x", 0.0, 0, []]])
-def test_a_header_of_another_form_is_refused(header: object) -> None:
+def test_malformed_header_is_refused(header: object) -> None:
     assert "expected" in refusal(framed(m.Imu, msgpack.packb(header)), m.Imu) or header == {}
 
 
 @pytest.mark.parametrize("timing", [(True, 0), (0, False), (0.0, 0), ("0", 0), (None, None)])
-def test_times_are_whole_numbers(timing: Any) -> None:
+def test_non_integer_times_are_refused(timing: Any) -> None:
     assert "two times" in refusal(framed(m.ModeCommand, [0, "off", 1], timing=timing), m.ModeCommand)
 
 
-def test_another_message_or_version_is_named() -> None:
+def test_other_message_type_or_version_is_named() -> None:
     words = refusal(codec.encode(example(m.Imu)), m.Odometry)
     assert codec.schema_id(m.Imu) in words
     assert codec.schema_id(m.Odometry) in words
@@ -353,7 +353,7 @@ def test_another_message_or_version_is_named() -> None:
 
 
 @pytest.mark.parametrize("fields", [[], [0], [0, "off", 1], [0, "off", 1, "me", False, 1]])
-def test_the_number_of_fields_counts(fields: list[Any]) -> None:
+def test_wrong_number_of_fields_is_refused(fields: list[Any]) -> None:
     assert refusal(framed(m.ModeCommand, fields), m.ModeCommand) == f"ModeCommand: 5 fields expected, found {len(fields)}"
 
 
@@ -378,7 +378,7 @@ def test_the_number_of_fields_counts(fields: list[Any]) -> None:
         (None, "dtype, shape and offset expected"),
     ],
 )
-def test_arrays_that_are_not_as_declared(value: object, words: str) -> None:
+def test_arrays_that_differ_from_declaration_are_refused(value: object, words: str) -> None:
     found = refusal(with_field(m.Imu, "gyro", value), m.Imu)
     assert found.startswith("Imu.gyro: ")
     assert words in found
@@ -398,13 +398,13 @@ def test_arrays_that_are_not_as_declared(value: object, words: str) -> None:
         (["|u1", [4_000_001], 0, 10], "from 0 to 4000000 expected as lengths"),
     ],
 )
-def test_packed_arrays_that_are_not_as_declared(value: object, words: str) -> None:
+def test_packed_arrays_that_differ_from_declaration_are_refused(value: object, words: str) -> None:
     found = refusal(with_field(m.Scan, "pixel_count", value), m.Scan)
     assert found.startswith("Scan.pixel_count: ")
     assert words in found
 
 
-def test_a_packed_array_of_another_size_is_refused_before_it_is_unpacked() -> None:
+def test_packed_array_of_wrong_size_is_refused_before_unpacking() -> None:
     bomb = zstandard.ZstdCompressor().compress(bytes(1 << 24))
     good = codec.encode(Packed(1, np.zeros(3, np.uint8), np.zeros((3, 2, 3), np.int64)))
     (length,) = struct.unpack_from("<I", good)
@@ -422,7 +422,7 @@ def test_a_packed_array_of_another_size_is_refused_before_it_is_unpacked() -> No
 
 
 @pytest.mark.parametrize("shape", [[0, 2**62, 3], [0, 2**63, 3], [0, 2**64 - 1, 3], [1] * 65, [0] * 200])
-def test_an_array_without_bytes_may_not_claim_a_strange_shape(shape: list[int]) -> None:
+def test_empty_array_with_invalid_shape_is_refused(shape: list[int]) -> None:
     assert refusal(with_field(m.ColorImage, "rgb", ["|u1", shape, 0]), m.ColorImage).startswith("ColorImage.rgb: ")
 
 
@@ -445,14 +445,14 @@ def test_an_array_without_bytes_may_not_claim_a_strange_shape(shape: list[int]) 
         (m.BodyPose, "ok", 1, "true or false expected, found 1"),
     ],
 )
-def test_values_that_are_not_as_declared(kind: type[Message], name: str, value: object, words: str) -> None:
+def test_values_that_differ_from_declaration_are_refused(kind: type[Message], name: str, value: object, words: str) -> None:
     found = refusal(with_field(kind, name, value), kind)
     assert found.startswith(f"{kind.__name__}.{name}: ")
     assert words in found
 
 
 @pytest.mark.parametrize("kind", [k for k in KINDS if any(b is np.ndarray and d[0].kind == "f" for _, b, d in m.schema(k))])
-def test_a_number_that_is_none_is_refused_where_numbers_are_asked(kind: type[Message]) -> None:
+def test_nan_in_finite_array_is_refused(kind: type[Message]) -> None:
     for name, base, detail in m.schema(kind):
         if base is np.ndarray and detail[0].kind == "f" and detail[1].finite:
             message = example(kind)
@@ -463,7 +463,7 @@ def test_a_number_that_is_none_is_refused_where_numbers_are_asked(kind: type[Mes
             assert "NaN or infinity" in refusal(frame, kind)
 
 
-def test_a_truth_value_of_two_is_refused() -> None:
+def test_boolean_value_of_two_is_refused() -> None:
     message = example(m.Odometry)
     frame = bytearray(codec.encode(message))
     frame[-8] = 2  # stance is the last array
@@ -471,7 +471,7 @@ def test_a_truth_value_of_two_is_refused() -> None:
 
 
 @pytest.mark.parametrize("where", [0, 70_000, -1])
-def test_nor_does_it_pass_in_a_large_array(where: int) -> None:
+def test_boolean_value_of_two_in_large_array_is_refused(where: int) -> None:
     n = 300
     layer = np.zeros((n, n), dtype=np.float32)
     flags = np.zeros((n, n), dtype=np.bool_)
@@ -483,7 +483,7 @@ def test_nor_does_it_pass_in_a_large_array(where: int) -> None:
     assert "truth values of 0 or 1" in refusal(bytes(frame), m.TerrainMap)
 
 
-def test_what_is_too_large_is_refused_unread() -> None:
+def test_oversized_frame_is_refused_undecoded() -> None:
     frame = codec.encode(example(m.ColorImage))
     assert f"at most {len(frame) - 1} bytes expected, found {len(frame)}" in refusal(frame, m.ColorImage, len(frame) - 1)
 
@@ -501,7 +501,7 @@ def test_deep_nesting_is_refused(depth: int, kind: type[Message], position: int)
 
 @pytest.mark.parametrize("depth", [1, 500, 900, 980, 990, 1000, 1010, 1020, 5000])
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_deep_nesting_within_an_array_is_refused(depth: int, place: int) -> None:
+def test_deep_nesting_in_array_is_refused(depth: int, place: int) -> None:
     nested = b"\x91" * depth + b"\x01"
     parts = [msgpack.packb("<f8"), b"\x91\x03", b"\x00"]
     parts[place] = b"\x91" + nested if place == 1 else nested
@@ -521,7 +521,7 @@ HUGE_CLAIMS = {
 
 
 @pytest.mark.parametrize("claim", HUGE_CLAIMS.values(), ids=HUGE_CLAIMS)
-def test_a_huge_claim_allocates_nothing(claim: bytes) -> None:
+def test_huge_claimed_size_allocates_nothing(claim: bytes) -> None:
     frames = [
         framed(m.Imu, claim),
         framed(m.Imu, b"\x94" + claim + b"\x00" * 50),
@@ -532,7 +532,7 @@ def test_a_huge_claim_allocates_nothing(claim: bytes) -> None:
         assert _peak(lambda frame=frame: refusal(frame, m.Imu)) < 200_000
 
 
-def test_a_huge_array_claim_allocates_nothing() -> None:
+def test_huge_claimed_array_allocates_nothing() -> None:
     frame = with_field(m.DepthImage, "depth", ["<u2", [4_000_000, 4_000_000], 0])
     assert _peak(lambda: refusal(frame, m.DepthImage)) < 200_000
 

@@ -13,7 +13,7 @@ from sextant.shared.wire.endpoint import cannot_connect, cannot_listen, fault, o
 AT = "tcp/robot.local:7447"
 
 
-def test_a_place_is_host_and_port() -> None:
+def test_endpoint_is_split_into_host_and_port() -> None:
     assert place("tls/robot.local:7448") == ("robot.local", 7448)
     assert place("tcp/[fe80::1]:7447?prio=1-3#so_sndbuf=1") == ("fe80::1", 7447)
 
@@ -31,13 +31,13 @@ def test_a_place_is_host_and_port() -> None:
         ("tpc/robot.local:7447", "begins with 'tpc': tcp, or tls with certificates, expected"),
     ],
 )
-def test_what_is_no_endpoint_is_named(text: str, words: str) -> None:
+def test_invalid_endpoint_is_named(text: str, words: str) -> None:
     assert words in fault([AT, text])
     assert fault([AT]) == ""
 
 
 @given(st.text())
-def test_no_text_is_too_strange(text: str) -> None:
+def test_any_text_is_parsed_or_refused(text: str) -> None:
     if not fault([text]):
         host, port = place(text)
         assert host
@@ -57,7 +57,7 @@ def test_no_text_is_too_strange(text: str) -> None:
         (OSError(errno.EPERM, "Operation not permitted"), "Operation not permitted; is the robot up"),
     ],
 )
-def test_each_way_of_not_being_reached_has_its_sentence(error: OSError, words: str) -> None:
+def test_each_connect_failure_has_its_sentence(error: OSError, words: str) -> None:
     assert f"{AT} cannot be reached: {words}" in cannot_connect(AT, error)
 
 
@@ -71,11 +71,11 @@ def test_each_way_of_not_being_reached_has_its_sentence(error: OSError, words: s
         (socket.gaierror(socket.EAI_NONAME, "x"), "the host 'robot.local' is not known"),
     ],
 )
-def test_each_way_of_not_listening_has_its_sentence(error: OSError, words: str) -> None:
+def test_each_listen_failure_has_its_sentence(error: OSError, words: str) -> None:
     assert f"cannot listen on {AT}: {words}" in cannot_listen(AT, error)
 
 
-def test_what_can_be_reached_and_listened_on_has_no_obstacle() -> None:
+def test_usable_endpoint_has_no_obstacle() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         here = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         assert obstacle(here) == unknown_host(here) == ""
@@ -84,14 +84,14 @@ def test_what_can_be_reached_and_listened_on_has_no_obstacle() -> None:
     assert "nothing listens on port" in obstacle(here)
 
 
-def test_a_name_that_no_host_can_have_is_an_unknown_one() -> None:
+def test_invalid_host_name_is_unknown() -> None:
     for host in ("a..b", "x" * 64):
         assert "is not known" in unknown_host(f"tcp/{host}:7447")
         assert "is not known" in obstacle(f"tcp/{host}:7447")
         assert "is not known" in occupied(f"tcp/{host}:7447")
 
 
-def test_a_host_that_does_not_answer_is_no_program_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_host_is_distinguished_from_silent_program(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(endpoint, "_CONNECT_S", 0.05)
     with socket.socket() as full:  # its backlog is full, so a new connection gets no answer
         full.bind(("127.0.0.1", 0))

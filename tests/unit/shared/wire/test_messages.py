@@ -47,7 +47,7 @@ def refused(message: Message, name: str, value: object) -> str:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_type_can_be_made_and_not_changed(kind: type[Message]) -> None:
+def test_messages_are_immutable(kind: type[Message]) -> None:
     message = example(kind)
     with pytest.raises(dataclasses.FrozenInstanceError):
         message.stamp_ns = 1  # type: ignore[misc]
@@ -57,7 +57,7 @@ def test_every_type_can_be_made_and_not_changed(kind: type[Message]) -> None:
 
 
 @pytest.mark.parametrize(("kind", "name", "detail"), fields_with(np.ndarray))
-def test_arrays_are_checked(kind: type[Message], name: str, detail: Any) -> None:
+def test_invalid_arrays_are_refused(kind: type[Message], name: str, detail: Any) -> None:
     dtype, dims = detail
     message = example(kind)
     good = getattr(message, name)
@@ -85,47 +85,47 @@ def test_arrays_are_checked(kind: type[Message], name: str, detail: Any) -> None
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(float))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1, "1", None, True])
-def test_numbers_are_finite_floats(kind: type[Message], name: str, _: Any, value: object) -> None:
+def test_non_finite_or_non_float_numbers_are_refused(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(int))
 @pytest.mark.parametrize("value", [1.0, True, "1", None, 1 << 63, -(1 << 63), np.int64(1)])
-def test_whole_numbers_fit_64_bits(kind: type[Message], name: str, _: Any, value: object) -> None:
+def test_integers_must_fit_64_bits(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(bool))
 @pytest.mark.parametrize("value", [0, 1, None, "true", np.True_])
-def test_truth_is_true_or_false(kind: type[Message], name: str, _: Any, value: object) -> None:
+def test_non_boolean_values_are_refused(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(str))
 @pytest.mark.parametrize("value", [0, None, b"text"])
-def test_texts_are_short_and_can_be_encoded(kind: type[Message], name: str, _: Any, value: object) -> None:
+def test_non_text_values_are_refused(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(tuple))
 @pytest.mark.parametrize("value", [["text"], (1,), ("x", 1), "text"])
-def test_lists_are_tuples_of_texts(kind: type[Message], name: str, _: Any, value: object) -> None:
+def test_lists_must_be_tuples_of_texts(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
-def test_words_out_of_a_choice() -> None:
+def test_values_outside_choices_are_refused() -> None:
     refused(example(m.ModeCommand), "mode", "run")
     refused(example(m.ModeCommand), "mode", None)
     refused(example(m.PlannerStatus), "state", "")
     refused(example(m.ActuatorState), "mode", "walk")  # a text is not yet a Mode
 
 
-def test_a_long_array_is_refused() -> None:
+def test_too_long_array_is_refused() -> None:
     huge = np.broadcast_to(np.zeros((1, 1), np.uint16), (m.MAX_LENGTH + 1, 1))  # takes no memory
     assert "expected" in refused(example(m.DepthImage), "depth", huge)
 
 
-def test_an_empty_picture_and_an_empty_scan_are_messages() -> None:
+def test_empty_image_and_empty_scan_are_valid() -> None:
     m.ColorImage(stamp_ns=0, rgb=np.zeros((0, 0, 3), np.uint8))
     dataclasses.replace(
         example(m.Scan),
@@ -136,7 +136,7 @@ def test_an_empty_picture_and_an_empty_scan_are_messages() -> None:
     )
 
 
-def test_what_is_optional_is_there_for_all_or_for_none() -> None:
+def test_optional_color_is_given_for_all_points_or_none() -> None:
     scan = example(m.Scan)
     dataclasses.replace(scan, color=np.zeros((0, 3), np.uint8))  # type: ignore[call-arg]
     for bad in (np.zeros((1, 3), np.uint8), np.zeros((0, 4), np.uint8), np.zeros(0, np.uint8)):
@@ -148,7 +148,7 @@ _MOST = [(m.TerrainMap, "hazard", 3), (m.TerrainMap, "confidence", 100), (m.Scan
 
 
 @pytest.mark.parametrize(("kind", "name", "most"), _MOST)
-def test_numbers_without_a_meaning_are_refused(kind: type[Message], name: str, most: int) -> None:
+def test_undefined_codes_are_refused(kind: type[Message], name: str, most: int) -> None:
     message = example(kind)
     values = getattr(message, name).copy()
     values.flat[-1] = most
@@ -157,14 +157,14 @@ def test_numbers_without_a_meaning_are_refused(kind: type[Message], name: str, m
     assert f"at most {most} expected, found {most + 1}" in refused(message, name, values)
 
 
-def test_a_goal_has_a_waypoint_and_not_too_many() -> None:
+def test_goal_needs_limited_number_of_waypoints() -> None:
     goal = example(m.Goal)
     for n in (0, m.MAX_WAYPOINTS + 1):
         assert f"found {n}" in refused(goal, "waypoints", np.zeros((n, 2)))
     dataclasses.replace(goal, waypoints=np.zeros((m.MAX_WAYPOINTS, 2)))  # type: ignore[call-arg]
 
 
-def test_a_text_that_no_frame_may_carry_is_cut_where_the_message_is_made() -> None:
+def test_too_long_text_is_truncated_on_construction() -> None:
     """Truncate texts of others, so that they end no service."""
     status = m.PlannerStatus(0, "waiting", "x" * (m.MAX_TEXT + 1), 0, 0, -1)
     assert status.reason == "x" * (m.MAX_TEXT - 3) + "..."

@@ -10,14 +10,14 @@ from sextant.shared.wire import codec, messages, topics
 from sextant.shared.wire.topics import TOPICS, Delivery, Lane, Topic
 
 
-def test_keys_and_types_stand_once() -> None:
+def test_keys_and_types_are_unique() -> None:
     assert len({t.key for t in TOPICS}) == len(TOPICS)
     of_roles = {*topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values()}
     assert len({t.type for t in TOPICS if t not in of_roles}) == len(TOPICS) - len(of_roles)
     assert {t.type for t in of_roles} == {messages.Health, messages.Presence}
 
 
-def test_what_machines_publish_of_themselves_has_a_key_for_each_role() -> None:
+def test_health_and_presence_have_one_key_per_role() -> None:
     assert [topic.key for topic in topics.HEALTH_OF.values()] == [f"health/{role}" for role in topics.ROLE_NAMES]
     assert [topic.key for topic in topics.PRESENCE_OF.values()] == [f"machine/presence/{role}" for role in topics.ROLE_NAMES]
     assert topics.OF_TYPE[messages.Health] is topics.HEALTH_OF["robot"]
@@ -25,12 +25,12 @@ def test_what_machines_publish_of_themselves_has_a_key_for_each_role() -> None:
     assert not set(topics.RENAMED) & {topic.key for topic in TOPICS}
 
 
-def test_every_row_is_in_the_table() -> None:
+def test_every_topic_is_in_table() -> None:
     rows = [value for value in vars(topics).values() if isinstance(value, Topic)]
     assert dict.fromkeys([*rows, *topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values()]).keys() == set(TOPICS)
 
 
-def test_every_message_but_the_tick_has_a_topic() -> None:
+def test_every_message_except_tick_has_topic() -> None:
     kinds = {
         value
         for value in vars(messages).values()
@@ -40,7 +40,7 @@ def test_every_message_but_the_tick_has_a_topic() -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
-def test_rows_make_sense(topic: Topic[messages.Message]) -> None:
+def test_topic_properties_are_consistent(topic: Topic[messages.Message]) -> None:
     assert 0.0 < topic.rate_hz <= 1000.0
     assert topic.fresh_for_ns == pytest.approx(3e9 / topic.rate_hz, abs=1)
     assert 0.0 < topic.latency_s < 0.1
@@ -50,16 +50,16 @@ def test_rows_make_sense(topic: Topic[messages.Message]) -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
-def test_large_frames_stay_off_the_control_lane(topic: Topic[messages.Message]) -> None:
+def test_large_frames_are_not_sent_with_control_priority(topic: Topic[messages.Message]) -> None:
     assert topic.lane is Lane.BULK or topic.max_bytes <= 64 * 1024
 
 
-def test_what_counts_once_is_delivered_every_time() -> None:
+def test_single_use_messages_are_delivered_reliably() -> None:
     for topic in (topics.MODE, topics.STEP_PLAN, topics.ODOMETRY, topics.IMU, topics.HEALTH):
         assert topic.delivery is Delivery.EVERY
 
 
-def test_a_depth_frame_of_the_profile_fits() -> None:
+def test_depth_frame_of_profile_fits_topic() -> None:
     assert topics.DEPTH.max_bytes > 640 * 480 * 2
     assert topics.COLOR.max_bytes > 640 * 480 * 3
     assert topics.SCAN.max_bytes > 60_000
@@ -81,7 +81,7 @@ def _smallest(kind: type[messages.Message]) -> messages.Message:
 
 
 @pytest.mark.parametrize("topic", [topics.TERRAIN, topics.PASSAGE, topics.DEPTH, topics.COLOR], ids=lambda topic: topic.key)
-def test_the_largest_map_and_picture_that_a_configuration_may_ask_for_fit_into_their_message(topic: Topic[Any]) -> None:
+def test_largest_configurable_map_and_image_fit_their_message(topic: Topic[Any]) -> None:
     rows = 500
     columns = topics.cells_that_fit(topic) // rows
     rng, values = np.random.default_rng(0), {}

@@ -75,7 +75,7 @@ def test_every_frame_arrives_in_order(endpoint: str) -> None:
     assert receiver.frames == frames
 
 
-def test_of_states_the_newest_arrives_and_a_slow_reader_skips(endpoint: str) -> None:
+def test_slow_reader_receives_newest_state(endpoint: str) -> None:
     release, holding, last = threading.Event(), threading.Event(), threading.Event()
     received: list[bytes] = []
 
@@ -104,7 +104,7 @@ def test_of_states_the_newest_arrives_and_a_slow_reader_skips(endpoint: str) -> 
     assert received == [b"first", b"19"]  # the frames in between were overwritten
 
 
-def test_a_depth_frame_arrives_whole(endpoint: str) -> None:
+def test_depth_frame_arrives_complete(endpoint: str) -> None:
     frame = bytes(range(256)) * 2400  # 614 kB
     with ZenohLink(Endpoints((endpoint,))) as sender, ZenohLink(Endpoints((endpoint,))) as reader:
         receiver = Receiver(frame)
@@ -116,7 +116,7 @@ def test_a_depth_frame_arrives_whole(endpoint: str) -> None:
     assert type(receiver.frames[0]) is bytes
 
 
-def test_wanted_only_while_somebody_subscribes(endpoint: str) -> None:
+def test_topic_is_wanted_only_while_subscribed(endpoint: str) -> None:
     with ZenohLink(Endpoints((endpoint,))) as sender:
         assert not sender.wanted(COLOR)
         with ZenohLink(Endpoints((endpoint,))) as reader:
@@ -129,7 +129,7 @@ def test_wanted_only_while_somebody_subscribes(endpoint: str) -> None:
         assert not sender.wanted(COLOR)
 
 
-def test_asking_first_does_not_change_how_a_topic_is_sent(endpoint: str) -> None:
+def test_wanted_query_does_not_change_publisher(endpoint: str) -> None:
     with ZenohLink(Endpoints((endpoint,))) as asks, ZenohLink(Endpoints((endpoint,))) as sends:
         for topic in (MODE, DEPTH):
             asks.wanted(topic)
@@ -139,7 +139,7 @@ def test_asking_first_does_not_change_how_a_topic_is_sent(endpoint: str) -> None
             assert a.congestion_control == b.congestion_control
 
 
-def test_two_namespaces_do_not_meet(endpoint: str) -> None:
+def test_namespaces_are_isolated(endpoint: str) -> None:
     here, there = Endpoints((endpoint,), namespace="here"), Endpoints((endpoint,), namespace="there")
     with ZenohLink(here) as a, ZenohLink(there) as b, ZenohLink(here) as reader, ZenohLink(there) as other:
         receiver, stranger = Receiver(b"last"), Receiver(b"last")
@@ -158,7 +158,7 @@ def test_two_namespaces_do_not_meet(endpoint: str) -> None:
     assert stranger.frames == [b"for there", b"last"]
 
 
-def test_one_link_may_hear_itself_and_two_readers_both_hear(endpoint: str) -> None:
+def test_link_receives_own_messages_and_all_readers_receive(endpoint: str) -> None:
     with ZenohLink(Endpoints((endpoint,))) as link, ZenohLink(Endpoints((endpoint,))) as other:
         receivers = [Receiver(b"x"), Receiver(b"x")]
         link.subscribe(MODE, receivers[0])
@@ -172,7 +172,7 @@ def test_one_link_may_hear_itself_and_two_readers_both_hear(endpoint: str) -> No
         assert all(r.done.is_set() for r in receivers)
 
 
-def test_among_others_payloads_have_attachments_and_tokens_last_as_long_as_the_session(endpoint: str) -> None:
+def test_foreign_attachments_and_liveliness_tokens_are_supported(endpoint: str) -> None:
     received: list[bytes] = []
     config = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as other:
@@ -204,7 +204,7 @@ def test_among_others_payloads_have_attachments_and_tokens_last_as_long_as_the_s
         assert tokens() == []
 
 
-def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
+def test_close_is_quick_and_ends_threads(endpoint: str) -> None:
     before = set(threading.enumerate())
     with ZenohLink(Endpoints((endpoint,))) as link:
         for topic in (MODE, VELOCITY, DEPTH):
@@ -218,7 +218,7 @@ def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
         assert not thread.is_alive()
 
 
-def test_a_subscriber_is_asked_for_nothing_while_it_is_undeclared() -> None:
+def test_subscriber_is_not_accessed_during_undeclaration() -> None:
     """Do not access a subscriber during its undeclaration.
 
     Zenoh's subscriber then raises an error: `Already mutably borrowed`.
@@ -259,7 +259,7 @@ def test_a_subscriber_is_asked_for_nothing_while_it_is_undeclared() -> None:
     assert failed == []
 
 
-def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_close_does_not_wait_for_hung_session(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "CLOSE_TIMEOUT_S", 0.05)
     release = threading.Event()
 
@@ -273,7 +273,7 @@ def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.Monk
     release.set()
 
 
-def test_links_outlive_an_error_inside_them(endpoint: str) -> None:
+def test_link_closes_after_error_in_block(endpoint: str) -> None:
     def fail() -> None:
         with ZenohLink(Endpoints((endpoint,))) as link:
             link.subscribe(MODE, Receiver(b""))
@@ -288,13 +288,13 @@ def test_links_outlive_an_error_inside_them(endpoint: str) -> None:
 # ------------------------------------------------------------------------------------------------- endpoints
 
 
-def test_without_scouting_an_endpoint_is_needed() -> None:
+def test_endpoint_is_required_without_scouting() -> None:
     with pytest.raises(ValueError, match=r"with scouting off an endpoint to connect to is needed, e\.g\. tcp/"):
         Endpoints()
     assert Endpoints(scouting=True).connect == ()
 
 
-def test_only_what_is_asked_for_is_opened() -> None:
+def test_only_configured_endpoints_are_opened() -> None:
     quiet = Endpoints(("tcp/10.0.0.1:7447",)).zenoh_config()
     assert quiet["mode"] == "client"
     assert quiet["listen"]["endpoints"] == []
@@ -307,32 +307,32 @@ def test_only_what_is_asked_for_is_opened() -> None:
     assert scouting["namespace"] == "lab"
 
 
-def test_an_endpoint_that_is_none_is_named() -> None:
+def test_invalid_endpoint_is_named() -> None:
     with pytest.raises(ValueError, match=r"PROTOCOL/HOST:PORT expected.*'nonsense'"):
         Endpoints(("nonsense",))
     with pytest.raises(TransportError, match=r"PROTOCOL/HOST:PORT expected.*'nonsense'"), ForeignLink(("nonsense",)):
         pass
 
 
-def test_a_port_that_is_taken_is_named(endpoint: str) -> None:
+def test_taken_port_is_named(endpoint: str) -> None:
     with pytest.raises(TransportError, match=f"cannot listen on {endpoint}: another program has port"), Router((endpoint,)):
         pass
 
 
 @pytest.mark.parametrize("namespace", ["", "*", "/x", "x/"])
-def test_a_namespace_that_is_none_is_refused(endpoint: str, namespace: str) -> None:
+def test_invalid_namespace_is_refused(endpoint: str, namespace: str) -> None:
     with pytest.raises((ValueError, TransportError)), ZenohLink(replace(Endpoints((endpoint,)), namespace=namespace)):
         pass
 
 
-def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "_CONNECT_MS", 50)
     address = free_endpoint()
     with pytest.raises(TransportError, match=f"{address} cannot be reached: nothing listens"), ZenohLink(Endpoints((address,))):
         pass
 
 
-def test_silent_connections_keep_no_client_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_connections_do_not_block_clients(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "_CONNECT_MS", 3000)  # with Zenoh's defaults the first 100 keep all others out for 10 s
     address = free_endpoint()
     host, port = address.removeprefix("tcp/").split(":")
@@ -343,7 +343,7 @@ def test_silent_connections_keep_no_client_out(monkeypatch: pytest.MonkeyPatch) 
             link.send(MODE, b"x")
 
 
-def test_what_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_that_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "_CONNECT_MS", 200)
     with socket.create_server(("127.0.0.1", 0)) as other:
         address = f"tcp/127.0.0.1:{other.getsockname()[1]}"
@@ -351,14 +351,14 @@ def test_what_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
             ForeignLink((address,)).__enter__()
 
 
-def test_the_places_in_zenohs_source_are_left_out() -> None:
+def test_zenoh_source_locations_are_removed() -> None:
     said = "Unable to connect to [tcp/1.2.3.4:1]. Timeout! at /root/.cargo/git/x/zenoh/src/orchestrator.rs:388.. Then more"
     assert transport.without_source(said) == "Unable to connect to [tcp/1.2.3.4:1]. Timeout!. Then more"
     said = "thread 'rx-0' panicked at /root/.cargo/git/checkouts/zenoh/src/keyexpr.rs:241:32:"
     assert transport.without_source(said) == "thread 'rx-0' panicked"
 
 
-def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
+def test_collected_messages_wait_until_fetched(endpoint: str) -> None:
     endpoints = Endpoints((endpoint,), namespace="collected")
     with ZenohLink(endpoints) as sender, ZenohLink(endpoints) as receiver:
         come = {topic: receiver.collect(topic) for topic in (MODE, VELOCITY)}
@@ -381,7 +381,7 @@ def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
         assert come[MODE]() == come[VELOCITY]() == []
 
 
-def test_a_frame_that_was_sent_to_another_key_or_robot_is_dropped_and_told_of(endpoint: str) -> None:
+def test_misrouted_frame_is_dropped_and_reported(endpoint: str) -> None:
     endpoints = Endpoints((endpoint,), namespace="a")
     with ZenohLink(endpoints) as reader, zenoh.open(zenoh.Config.from_json5(json.dumps(endpoints.zenoh_config()))) as sender:
         receiver = Receiver(b"")
@@ -414,7 +414,7 @@ def nobody_takes_sigcont() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("nobody_takes_sigcont")
-def test_a_router_that_was_stopped_for_long_begins_anew_and_all_meet_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_router_stopped_for_long_restarts_and_clients_reconnect(monkeypatch: pytest.MonkeyPatch) -> None:
     address, away_s, looks = free_endpoint(), [0.0], [0]
     told: list[str] = []
 
@@ -454,7 +454,7 @@ def test_a_router_that_was_stopped_for_long_begins_anew_and_all_meet_again(monke
     assert signal.getsignal(signal.SIGCONT) is signal.SIG_DFL, "as it was"
 
 
-def test_every_frame_goes_with_its_address(endpoint: str) -> None:
+def test_every_frame_carries_its_address(endpoint: str) -> None:
     endpoints = Endpoints((endpoint,), namespace="addressed")
     with ZenohLink(endpoints) as sender, zenoh.open(zenoh.Config.from_json5(json.dumps(endpoints.zenoh_config()))) as reader:
         subscriber: Any = reader.declare_subscriber(MODE.key)
@@ -465,7 +465,7 @@ def test_every_frame_goes_with_its_address(endpoint: str) -> None:
 
 
 @pytest.mark.parametrize("first", ["robot", "base"])
-def test_chained_routers_pass_on_both_ways_whichever_is_there_first(first: str) -> None:
+def test_chained_routers_relay_both_ways_in_any_start_order(first: str) -> None:
     robot, base = free_endpoint(), free_endpoint()
     routers = {"robot": Router((robot,)), "base": Router((base,), upstream=(robot,))}
     with contextlib.ExitStack() as stack:
@@ -481,7 +481,7 @@ def test_chained_routers_pass_on_both_ways_whichever_is_there_first(first: str) 
             assert got.done.wait(PATIENCE_S)
 
 
-def test_a_robot_that_was_away_is_met_again() -> None:
+def test_returning_robot_is_reconnected() -> None:
     robot, base = free_endpoint(), free_endpoint()
     with Router((base,), upstream=(robot,)), ZenohLink(Endpoints((base,))) as offboard:
         for word in (b"first", b"and again"):
@@ -493,7 +493,7 @@ def test_a_robot_that_was_away_is_met_again() -> None:
                 assert got.done.wait(PATIENCE_S)
 
 
-def test_commands_and_bulk_take_a_link_each_between_routers() -> None:
+def test_commands_and_bulk_use_separate_links_between_routers() -> None:
     upstream = transport._router_config(("tcp/127.0.0.1:1",), ("tls/robot.local:7447",))
     assert upstream["transport"]["unicast"]["max_links"] == 2
     commands, bulk = (endpoint.partition("?")[2] for endpoint in upstream["connect"]["endpoints"])
@@ -504,7 +504,7 @@ def test_commands_and_bulk_take_a_link_each_between_routers() -> None:
     assert upstream["connect"]["exit_on_failure"] is False, "it may be there later"
 
 
-def test_a_router_would_hear_that_it_was_stopped_before_anybody_can_meet_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_router_notices_long_stop_before_new_connections(monkeypatch: pytest.MonkeyPatch) -> None:
     usual, meanwhile = signal.getsignal(signal.SIGCONT), []  # type: ignore[var-annotated]
 
     def fail(_config: object) -> None:
