@@ -207,6 +207,7 @@ def test_state_line_round_trips() -> None:
     assert "\n" not in heard.line()
 
 
+@pytest.mark.slow
 def test_namespaces_connect_only_through_radio_and_are_removed() -> None:
     with contextlib.ExitStack() as stack:
         try:

@@ -14,6 +14,7 @@ from sextant.shared.servo import dynamixel as dxl
 from tests.support.desk import PHANTOMX
 
 
+@pytest.mark.slow
 @pytest.mark.live  # its servos answer in real time, from this process
 def test_start_command_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["start", "--rounds", "2", "--out", str(tmp_path), "--json"]) == 0

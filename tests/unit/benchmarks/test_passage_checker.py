@@ -41,12 +41,14 @@ def planned_crossing(roadmap: Roadmap, field: StripMap, seed: int) -> SectionPla
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [1, 2, 3])
 def test_bridge_plans_have_no_violations(roadmap: Roadmap, scenario: int) -> None:
     field = bridge_field(scenario)
     assert violations(PROFILE, field, START_STANCE, planned_crossing(roadmap, field, scenario).steps) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "relief"), [(1, 0.0), (2, 0.0), (3, 0.015), (4, 0.015)])
 def test_scattered_pillar_plans_have_no_violations(roadmap: Roadmap, seed: int, relief: float) -> None:
     field = scattered_field(seed, relief)
@@ -68,6 +70,7 @@ def test_backtracking_plan_has_no_violations(roadmap: Roadmap, seed: int, done: 
     assert violations(PROFILE, field, Stance(steps[-1].body, feet), back) == []
 
 
+@pytest.mark.slow
 def test_steep_swing_near_coxa_keeps_leg_clearance() -> None:
     """Keep the distance between legs where a foot rises steeply near its coxa.
 
@@ -81,6 +84,7 @@ def test_steep_swing_near_coxa_keeps_leg_clearance() -> None:
     assert violations(PROFILE, field, start, found.steps) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -105,6 +109,7 @@ def test_corrupted_step_is_detected(roadmap: Roadmap, spoil: Callable[[PassageSt
     assert any(said in words for words in violations(PROFILE, field, START_STANCE, steps[: at + 1]))
 
 
+@pytest.mark.slow
 def test_foot_off_foothold_is_detected(roadmap: Roadmap) -> None:
     field = bridge_field(1)
     steps = planned_crossing(roadmap, field, 1).steps

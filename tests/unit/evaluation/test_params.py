@@ -52,6 +52,7 @@ def numbers(group: Params, prefix: str = "") -> Iterator[tuple[str, Any, tuple[f
 NUMBERS = tuple(numbers(SystemParams()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "default", "limits"), NUMBERS, ids=[name for name, *_ in NUMBERS])
 def test_number_within_range_is_taken_and_beyond_it_refused(name: str, default: float, limits: tuple[float, float]) -> None:
     low, high = limits
@@ -87,6 +88,7 @@ def test_invalid_assignment_is_refused_in_one_line(assignment: str, words: str) 
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_run_reports_parameters_of_its_command(tmp_path: Path) -> None:
     path, out = tmp_path / "short.toml", tmp_path / "out"
     path.write_text('name = "short"\ntime_limit_s = 1.0\ngoal = {distance = 1.0}\nterrain = [{kind = "plane"}]\n')

@@ -1,6 +1,7 @@
 """Moving window of the map: cells keep their places until they leave the window."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +27,7 @@ coordinate = st.floats(-0.6, 0.6).map(lambda x: round(x, 3))
 waypoints = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=8)
 
 
+@pytest.mark.slow
 @given(waypoints, st.integers(0, 2**32 - 1))
 @settings(deadline=None)
 def test_only_cells_outside_moved_window_are_cleared(path: list[tuple[float, float]], seed: int) -> None:

@@ -86,6 +86,7 @@ def scan_of(messages: list[Message]) -> Scan | None:
     return next((m for m in messages if isinstance(m, Scan)), None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GARBAGE)
 def test_invalid_frames_during_walk_are_reported_and_give_no_ground(world, name: str) -> None:  # type: ignore[no-untyped-def]
     rig, (garbage, words) = Rig(world), GARBAGE[name]

@@ -43,6 +43,7 @@ def errors(found: Sequence[RegistrationResult], poses: Sequence[np.ndarray]) -> 
     return np.array([np.linalg.norm(r.T_world_camera[:3, 3] - T[:3, 3]) for r, T in zip(found, poses, strict=True)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "move",
     [
@@ -59,6 +60,7 @@ def test_camera_moving_from_first_frame_is_tracked(move: Callable[[float], np.nd
     assert errors(found, poses).max() < 0.015
 
 
+@pytest.mark.slow
 def test_camera_moved_away_is_lost_and_relocalized_on_return() -> None:
     """Check a jump of 3 m to unseen ground, and a return near the previous place."""
     boxes = room()
@@ -90,6 +92,7 @@ def walking_legs(n: int) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [trolley, approaching, walking_legs])
 @pytest.mark.parametrize("things", [NO_BOXES, room()[:12]], ids=["bare floor", "a few things"])
 def test_moving_body_does_not_shift_resting_camera(body: Boxes, things: np.ndarray) -> None:
@@ -113,6 +116,7 @@ def test_moving_body_does_not_shift_standing_robot(body: Boxes) -> None:
     assert np.linalg.norm(expected[:3, 3] - T[:3, 3]) < 0.006
 
 
+@pytest.mark.slow
 def test_camera_starting_to_move_among_static_objects_is_tracked() -> None:
     speeds = np.concatenate([np.zeros(10), np.linspace(0.0, 0.5, 20)])
     poses = [at(x) for x in np.cumsum(speeds) / RATE_HZ]

@@ -238,6 +238,7 @@ def test_blind_camera_sends_no_free_space_rays(world) -> None:  # type: ignore[n
     assert all(len(scan.free_rays_mm) == 0 for scan in scans)
 
 
+@pytest.mark.slow
 def test_missing_odometry_is_a_fault_only_on_unobservable_ground(world) -> None:  # type: ignore[no-untyped-def]
     for scene, told in (("flat", False), ("pillars", True)):
         rig = Rig(world, scene)
@@ -359,6 +360,7 @@ def test_invalid_settings_are_refused(name: str, bad: float) -> None:
         Settings(**{name: bad})
 
 
+@pytest.mark.slow
 def test_preview_is_published_at_5_hz_only_with_subscribers(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     made = [m for _ in range(30) for m in rig.frame(body_at(0.0)) if isinstance(m, Preview)]

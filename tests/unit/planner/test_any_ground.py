@@ -101,6 +101,7 @@ def test_detected_gap_lies_between_robot_and_target(seed: int) -> None:
         assert found
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_path_on_any_map_starts_at_robot_or_has_reason(seed: int) -> None:

@@ -173,6 +173,7 @@ def unusable_maps(map_: TerrainMap) -> dict[str, TerrainMap]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", unusable_maps(FLAT))
 def test_unusable_map_is_refused_and_next_valid_map_is_used(words: str) -> None:
     rig = Rig()
@@ -687,6 +688,7 @@ def test_blind_walking_rests_at_zero_velocity() -> None:
     assert rig.status().state == "resting"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("velocity", "side"), [((0.0, 0.06), "left"), ((0.0, -0.06), "right"), ((-0.06, -0.01), "right")])
 def test_step_into_unseen_ground_is_blocked_with_advice_to_turn(
     velocity: tuple[float, float], side: str, make_terrain: Maker
@@ -708,6 +710,7 @@ def test_step_into_unseen_ground_is_blocked_with_advice_to_turn(
     assert "to see it" not in rig.status().reason, "it is in view"
 
 
+@pytest.mark.slow
 def test_robot_turns_on_the_spot_on_mapped_ground() -> None:
     rig = Rig()
     rig.command = VelocityCommand(0, np.zeros(2), 0.2, HEIGHT, 0.04)
@@ -737,6 +740,7 @@ GOAL = Goal(0, np.array([[1.0, 0.0]]), 0.03, 0.06, HEIGHT, 0.04)
 DATA = {"terrain": FLAT, "pose": Rig().pose}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DATA)
 def test_late_data_do_not_count_as_stall(name: str) -> None:
     def hold_up(rig: Rig, cycle: int) -> None:
@@ -745,10 +749,12 @@ def test_late_data_do_not_count_as_stall(name: str) -> None:
     assert "stuck" not in reason_before_goal(hold_up)
 
 
+@pytest.mark.slow
 def test_late_plans_do_not_count_as_stall() -> None:
     assert "stuck" not in reason_before_goal(lambda *_: None), "they neither walk a plan nor refuse it"
 
 
+@pytest.mark.slow
 def test_planner_delay_does_not_count_as_stall() -> None:
     def hold_up(rig: Rig, cycle: int) -> None:
         rig.now_ns += 2_000 * MS * (cycle % 25 == 0)
@@ -756,6 +762,7 @@ def test_planner_delay_does_not_count_as_stall() -> None:
     assert "stuck" not in reason_before_goal(hold_up)
 
 
+@pytest.mark.slow
 def test_repeated_refusals_by_actuator_count_as_stall() -> None:
     def refuse(rig: Rig, _: int) -> None:
         newest = max((m.stamp_ns for m in sent), default=-1)
@@ -828,6 +835,7 @@ def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     assert rig.status().state == "stepping"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seen", [lambda x, y: x < -9.0 + 0.0 * y, lambda x, y: x < -0.5 + 0.0 * y], ids=["nothing", "what lies behind"]
 )

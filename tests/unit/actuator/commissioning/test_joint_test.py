@@ -42,6 +42,7 @@ def run(desk: Desk, answers: list[Answer], **options: object):  # type: ignore[n
     return run_joint_test(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_joints_move_one_at_a_time_at_limited_torque_and_speed() -> None:
     desk = Watched()
     moved, builder = run(desk, [True])
@@ -62,6 +63,7 @@ def test_joints_move_one_at_a_time_at_limited_torque_and_speed() -> None:
     assert "torque is off" in builder.told[-1]
 
 
+@pytest.mark.slow
 def test_reported_directions_match_visible_motion() -> None:
     moved, _ = run(Desk(), [True])
     ways = {one.name: one.way for one in moved}

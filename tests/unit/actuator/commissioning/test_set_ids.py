@@ -140,6 +140,7 @@ def test_ids_can_be_set_with_one_servo_at_a_time_on_the_bus() -> None:
     assert_set_up(desk)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("done", [0, 1, 7, 17])
 def test_interrupted_id_setup_resumes_with_missing_servos(done: int) -> None:
     desk = Desk(fresh=True)
@@ -152,6 +153,7 @@ def test_interrupted_id_setup_resumes_with_missing_servos(done: int) -> None:
     assert_set_up(desk)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", range(1, 12))
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
 def test_interrupt_at_any_write_is_recovered_by_second_run(profile: RobotProfile, after: int) -> None:
@@ -361,6 +363,7 @@ HARMFUL = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("register", "value", "words"), HARMFUL, ids=lambda value: getattr(value, "name", None))
 def test_unsafe_limits_and_protections_are_named_and_restored(register: dxl.Register, value: int, words: str) -> None:
     desk = Desk()

@@ -60,6 +60,7 @@ def test_attitude_of_turning_body_follows_the_gyro(tilt: tuple[float, float], ya
     assert off(found, R) < 1e-3
 
 
+@pytest.mark.slow
 @WILD
 @given(tilts, st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02)))
 def test_horizontal_gyro_bias_is_estimated(tilt: tuple[float, float], bias: tuple[float, float]) -> None:

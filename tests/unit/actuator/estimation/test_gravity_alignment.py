@@ -33,6 +33,7 @@ def lean(T: Array) -> float:
     return float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
 
 
+@pytest.mark.slow
 @WILD
 @given(leans, st.floats(-3.0, 3.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
 def test_odom_frame_is_levelled_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
@@ -217,6 +218,7 @@ def test_inconsistent_gyro_heading_is_ignored_until_next_step() -> None:
     assert plumb.problem(now_ns) == ""
 
 
+@pytest.mark.slow
 @WILD
 @given(st.floats(0.25, 0.34), st.floats(-3.0, 3.0))
 def test_levelling_stops_at_12_deg_and_is_reported(angle: float, way: float) -> None:

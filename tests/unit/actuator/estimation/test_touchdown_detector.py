@@ -89,6 +89,7 @@ def stroke(height: float, cycles: int) -> Array:
     return np.asarray(Q[LEG, FEMUR] + np.concatenate([np.zeros(3), up, np.zeros(5)]))
 
 
+@pytest.mark.slow
 @given(st.floats(0.2, 0.8), st.integers(28, 60), st.floats(0.6, 1.6), st.floats(0.1, 0.9))
 @settings(max_examples=60)
 def test_free_motion_gives_no_contact_at_any_goal_delay(height: float, cycles: int, armature: float, told: float) -> None:

@@ -22,6 +22,7 @@ DT = 0.02
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
+@pytest.mark.slow
 @given(
     st.lists(hnp.arrays(np.float64, (6, 3), elements=anything), min_size=1, max_size=4),
     st.integers(0, 2**32 - 1),

@@ -1,6 +1,7 @@
 """Leg recovery: which legs hang, and when they may return to their footholds."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -73,6 +74,7 @@ def test_leg_without_torque_is_not_reported_as_waiting() -> None:
     np.testing.assert_array_equal(hung.waiting, joints(0, 5))
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(SETS, SETS, SETS, st.booleans()), max_size=20))
 def test_random_recovery_returns_only_torqued_legs_and_forgets_none(
     story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],

@@ -185,6 +185,7 @@ class Overloaded(Patient):
         return verdict
 
 
+@pytest.mark.slow
 @given(servos, st.lists(st.floats(0.5, 200.0), min_size=4, max_size=10))
 @example(servo=0, pauses=[1.0, 1.0, 93.5, 199.5, 1.0])  # the first reset is five minutes old during the fourth shutdown
 @WILD
@@ -305,6 +306,7 @@ def test_false_first_temperature_does_not_make_robot_sit() -> None:
     assert {v.sit for v in Patient().live(0.25, one(7, temperature=LIMIT + 15.0))} == {""}
 
 
+@pytest.mark.slow
 @given(servos, st.floats(LIMIT - 20.0, LIMIT - 13.0), st.floats(0.3, 2.9))
 @WILD
 def test_rising_temperature_is_detected_without_delay(servo: int, temperature: float, rate: float) -> None:
@@ -314,6 +316,7 @@ def test_rising_temperature_is_detected_without_delay(servo: int, temperature: f
     assert temperature <= LIMIT - 5.0 + rate * PERIOD
 
 
+@pytest.mark.slow
 @given(st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 @WILD
 def test_sustained_load_reduces_pace_until_rest(share: float, sign: float) -> None:

@@ -342,6 +342,7 @@ poses = st.builds(lambda x, y, z, r, p, w: from_xyz_rpy((x, y, 0.1 + z), (r, p, 
 matrices = hnp.arrays(np.float64, (4, 4), elements=st.floats(-1e3, 1e3))
 
 
+@pytest.mark.slow
 @given(
     st.one_of(poses, matrices),
     st.one_of(st.just(np.eye(4)), poses, matrices),

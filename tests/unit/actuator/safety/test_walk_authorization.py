@@ -13,6 +13,7 @@ from sextant.services.actuator.safety.walk_authorization import WalkAuthorizatio
 ORDER = WalkOrder("page 1 at a console", 123_456_789)
 
 
+@pytest.mark.slow
 @given(st.text(min_size=1, max_size=100), st.integers(0, 2**63))
 def test_kept_walk_order_is_loaded_after_restart(tmp_path_factory: pytest.TempPathFactory, holder: str, sequence: int) -> None:
     path = tmp_path_factory.mktemp("run") / "walk"

@@ -90,6 +90,7 @@ LATE = 20  # [ticks] motion of a joint in a cycle, in which a reply may arrive a
 LIARS = (("servo", "stuck"), ("servo", "wrong"), ("packets", "stuck"), ("bus", "wrong"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("echo", [False, True], ids=["plain", "echo"])
 @pytest.mark.parametrize("cell", CELLS, ids=" ".join)
 def test_each_fault_keeps_time_budget_and_bus_recovers_afterwards(cell: tuple[FaultTarget, FaultKind], echo: bool) -> None:

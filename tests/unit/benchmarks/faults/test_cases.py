@@ -15,6 +15,7 @@ _CYCLE_S, _WINDOW = 0.02, 10  # [s]; [cycles] window of the check for lost answe
 _SHARE, _STOPS = 0.40, 0.30  # share of lost answers, and the share at which the robot stops
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("after_s", "per_million", "within"), [(0.44, 4000.0, 0.1), (BY_NAME["lost-40"].limits.decided_s, 20.0, 0.5)]
 )

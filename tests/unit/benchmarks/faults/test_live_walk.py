@@ -167,6 +167,7 @@ def test_suspended_process_is_away_until_resumed_or_replaced(walk: LiveWalk, mon
     assert over() == pytest.approx(12.1)
 
 
+@pytest.mark.slow
 @given(st.lists(st.booleans(), min_size=1, max_size=5))
 def test_torque_state_follows_last_torque_command(switched: list[bool]) -> None:
     walk = LiveWalk(BY_NAME["live-off"], 1)

@@ -26,6 +26,7 @@ def test_other_cases_have_no_bus_gap() -> None:
             assert gap_after(case.deeds, 0.24) == (math.inf, math.inf), name
 
 
+@pytest.mark.slow
 def test_torque_off_runs_in_copy_and_original_walk_is_unchanged() -> None:
     case = BY_NAME["off"]
     with FaultWalk(case, 1000) as walk, FaultWalk(case, 1000) as undisturbed:
@@ -40,6 +41,7 @@ def test_torque_off_runs_in_copy_and_original_walk_is_unchanged() -> None:
         assert [goals.ticks.tolist() for goals in walk.recorder.goals] == [g.ticks.tolist() for g in undisturbed.recorder.goals]
 
 
+@pytest.mark.slow
 def test_late_actuator_cycles_are_reported_and_walk_resumes() -> None:
     case = BY_NAME["actuator-late"]
     with FaultWalk(case, 1000) as walk:
@@ -52,6 +54,7 @@ def test_late_actuator_cycles_are_reported_and_walk_resumes() -> None:
     assert found.again_s < 2.0
 
 
+@pytest.mark.slow
 def test_service_exception_is_reported_by_injection(monkeypatch: pytest.MonkeyPatch) -> None:
     case = BY_NAME["lost-1"]
     with FaultWalk(case, 1000) as walk:

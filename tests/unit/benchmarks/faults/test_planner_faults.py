@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
 from benchmarks.faults.planner_faults import PLANS_PER_STEP, PlannerFaultInjector, fuzzed
 from sextant.services.actuator.safety.plan_validation import PlanCheck
@@ -60,6 +61,7 @@ def test_injector_passes_repeats_or_mutes_planner_messages() -> None:
     assert stamps(meddler.speak(300, planner.step)) == [21]
 
 
+@pytest.mark.slow
 def test_fuzzed_plans_cover_all_refusals_and_few_are_walkable() -> None:
     rng, now_ns = np.random.default_rng(1), 10_000_000_000
     made = [fuzzed(plan(now_ns - 50_000_000), now_ns, rng) for _ in range(2000)]

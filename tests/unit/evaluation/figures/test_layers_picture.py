@@ -21,6 +21,7 @@ def terrain(known: slice, relief: float = 0.05, good: bool = True) -> TerrainMap
     return TerrainMap(0, 0.01, np.zeros(2), height, np.full_like(height, 1e-5), score, flags, evaluation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("known", "good"), [(slice(10, 50), True), (slice(30, 31), False)])
 def test_layers_of_map_are_drawn(known: slice, good: bool, tmp_path: Path) -> None:
     way = np.array([from_xyz_rpy((0.01 * k, 0.4, 0.1), (0.0, 0.0, 0.0)) for k in range(30)])

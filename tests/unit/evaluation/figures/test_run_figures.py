@@ -29,6 +29,7 @@ def _share(path, color):
     return np.mean(np.all(np.abs(cv2.imread(str(path)).astype(int) - wanted) < 45, axis=-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["height", "tilt", "joints", "stability", "pose", "table"])
 def test_several_runs_are_overlaid_in_different_colors(name, good, fallen, tmp_path):
     path = tmp_path / f"{name}.png"
@@ -38,6 +39,7 @@ def test_several_runs_are_overlaid_in_different_colors(name, good, fallen, tmp_p
     assert _share(path, RUN_COLORS[2]) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["foot", "feet", "footholds"])
 def test_runs_that_cannot_be_overlaid_are_stacked(name, good, fallen, tmp_path):
     heights = []
@@ -48,6 +50,7 @@ def test_runs_that_cannot_be_overlaid_are_stacked(name, good, fallen, tmp_path):
     assert heights[1] > 1.5 * heights[0]
 
 
+@pytest.mark.slow
 def test_empty_figure_writes_no_file(story, heard, good, tmp_path):
     stood = heard("stood", story(moved_leg=2), until_s=0.8)
     assert not stood.trace.walking.any()
@@ -93,6 +96,7 @@ def test_torque_figure_shows_stall_limit_of_each_robot(story, heard, good, tmp_p
     assert figure.axes[0].get_ylim()[1] > 3.0
 
 
+@pytest.mark.slow
 def test_goal_is_drawn_only_if_known(story, heard, good, tmp_path):
     green = "#1a7f37"
     for run, has in ((good, True), (heard("robot", story(moved_leg=2), truth=False), False)):
@@ -101,6 +105,7 @@ def test_goal_is_drawn_only_if_known(story, heard, good, tmp_path):
         assert (_share(path, green) > 2e-4) == has
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["svg", "pdf", "png"])
 def test_figure_file_is_deterministic(suffix, good, tmp_path):
     a, b = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
@@ -137,6 +142,7 @@ def test_comparison_table_shows_report_values_or_dash(good, fallen):
     assert markdown([["", "a"], ["x", "1"]]) == "|  | a |\n|---|---|\n| x | 1 |"
 
 
+@pytest.mark.slow
 def test_plot_command_draws_requested_figures_and_comparison(story, kept, scenario, tmp_path, capsys):
     good, fallen = kept("good", story(moved_leg=2, drift=0.02, bob=0.001)), kept("fallen", story(topple_s=4.0, bob=0.003))
     out = ["--scenario", scenario, "--out", str(tmp_path / "plots")]

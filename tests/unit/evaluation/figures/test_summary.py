@@ -47,6 +47,7 @@ def test_summary_title_is_green_on_success_and_red_on_failure(tmp_path, story, g
     assert _share(bad, red, title) > 0.005 > _share(bad, green, title)
 
 
+@pytest.mark.slow
 def test_summary_of_empty_run_shows_unknown_ground_and_long_reason(tmp_path, story, good):
     scorer = story().scorer()  # it received no message
     long = replace(scorer.result(), reason="no foothold for the left front leg, " * 20)

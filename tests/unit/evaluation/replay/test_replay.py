@@ -170,6 +170,7 @@ def record(tmp_path: Path, about: dict[str, str], settings: Settings) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_replayed_run_reproduces_recorded_maps(recorded: Path, tmp_path: Path) -> None:
     table = replay_recording(recorded, tmp_path, Silent())
     assert table["complete"]

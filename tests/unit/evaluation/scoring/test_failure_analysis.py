@@ -19,6 +19,7 @@ def test_successful_or_empty_run_has_no_decisive_moment(story):
     assert _decisive_moment(story().scorer()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["topple_s", "sink_s", "shutdown_s"])
 def test_decisive_moment_has_time_and_place_of_failure(story, how):
     scorer = story(**{how: 4.0}).judged()
@@ -35,6 +36,7 @@ def test_decisive_moment_has_time_and_place_of_failure(story, how):
     np.testing.assert_allclose(moment.p, trace.p_true[min(k, len(trace.t) - 1), :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_recovered_servo_remains_cause_of_failure(story):
     told = story(shutdown_s=4.0)
     healed = type(told)(shutdown_s=4.0, tail_s=1.5)
@@ -50,6 +52,7 @@ def _healed(truth, ms):
     return replace(truth, shutdown=np.zeros((6, 3), dtype=bool)) if ms > 4500 else truth
 
 
+@pytest.mark.slow
 def test_refusal_moment_is_end_of_walking(story):
     scorer = story(
         scenario=_scenario_expecting_refusal(), refusal="right rear leg: no foothold within 12 cm", tail_s=12.0, beyond=-0.2

@@ -119,6 +119,7 @@ def test_without_timing_drops_planning_times(story):
 EITHER = Scenario("either", (Plane(),), Goal(0.5, expect="either"))
 
 
+@pytest.mark.slow
 def test_report_contains_planner_sections(story):
     passage = story(sections=2).judged().result().passage
     assert [(s.state, s.generated, s.expanded, s.steps) for s in passage.sections] == [
@@ -141,6 +142,7 @@ def test_level_ground_has_no_feet_off_and_no_pillar_touchdowns(story):
     assert np.isnan(passage.foothold_edge_m.median)
 
 
+@pytest.mark.slow
 def test_feet_over_gap_are_counted_as_off(story):
     gap = Scenario("gap", (Plane(height=-0.4), Box((0.0, 0.0), (0.8, 2.0), 0.0), Box((1.2, 0.0), (0.8, 2.0), 0.0)), Goal(0.5))
     level = story(scenario=replace(gap, terrain=(Plane(),)))
@@ -151,6 +153,7 @@ def test_feet_over_gap_are_counted_as_off(story):
     assert told.missteps < told.passage.feet_off  # the floor below would carry a foot
 
 
+@pytest.mark.slow
 def test_pillar_footholds_edge_distance_is_measured(story):
     """Walk on one row of narrow slabs along the way, in place of the plane."""
     slabs = tuple(Box((1.0, y), (3.0, 0.16), 0.0) for y in sorted({round(float(f), 3) for f in story().planted(0)[:, 1]}))
@@ -162,6 +165,7 @@ def test_pillar_footholds_edge_distance_is_measured(story):
     assert passage.foothold_edge_m.p05 <= passage.foothold_edge_m.median
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("passable", "arrives", "right"),
     [
@@ -181,6 +185,7 @@ def test_success_depends_on_passability_of_random_gap(story, passable, arrives, 
     assert (result.reason == reports.ARRIVED) == (arrives and right)
 
 
+@pytest.mark.slow
 def test_stopping_on_pillar_is_not_a_refusal(story):
     slabs = tuple(Box((1.0, y), (3.0, 0.16), 0.0) for y in sorted({round(float(f), 3) for f in story().planted(0)[:, 1]}))
     scenario = Scenario("slabs", (Plane(height=-0.4), *slabs), Goal(0.5, expect="either"))

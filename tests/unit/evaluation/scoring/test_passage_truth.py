@@ -50,6 +50,7 @@ def test_strip_elevation_matches_simulated_ground() -> None:
     np.testing.assert_allclose(field.elevation[i, j], course.height_at(xy), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_gap_without_pillars_is_impassable(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {}
     monkeypatch.setattr(
@@ -73,6 +74,7 @@ def test_gap_full_of_pillars_is_passable() -> None:
     assert way_exists(PROFILE, bridge, course_of(bridge))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [True, False, None])
 def test_scorer_checks_passability_once_if_seed_decides(story, way, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []

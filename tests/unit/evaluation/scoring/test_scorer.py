@@ -55,6 +55,7 @@ def test_a_perfect_walk_has_no_errors(story):
     assert result.min_stability_margin_m > 0.01
 
 
+@pytest.mark.slow
 def test_result_does_not_depend_on_start_heading(story):
     straight, turned = (story(heading_deg=h).judged().result() for h in (0.0, 180.0))
     a, b = reports.as_table(straight), reports.as_table(turned)
@@ -65,6 +66,7 @@ def test_result_does_not_depend_on_start_heading(story):
     assert b["distance_m"] == pytest.approx(a["distance_m"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "read", "expected"),
     [
@@ -102,6 +104,7 @@ def test_course_map_metrics_match_benchmark_definition(story):
     assert course.edge <= 0.006  # edges are right to within a cell
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "odd", [{"resolution": 0.0}, {"resolution": -0.01}, {"resolution": 1e-9}, {"origin": np.full(2, 1e200)}]
 )
@@ -115,6 +118,7 @@ def test_invalid_map_is_ignored(story, odd):
     assert reports.as_table(scorer.result()) == reports.as_table(before)
 
 
+@pytest.mark.slow
 def test_topple_and_sinking_are_falls_even_after_goal(story):
     toppled = story(topple_s=4.0).judged()
     assert toppled.finished
@@ -138,6 +142,7 @@ def test_servo_shutdown_ends_run_and_names_servo(story):
     assert "right middle femur" in result.reason
 
 
+@pytest.mark.slow
 def test_time_limit_uses_message_stamps(story):
     limited = Scenario("slow", (Plane(),), Goal(0.5), time_limit_s=5.0)
     scorer = story(scenario=limited).judged()
@@ -166,6 +171,7 @@ def test_stop_before_goal_fails_with_given_reason(story):
 REFUSED = Scenario("refused", (Plane(),), Goal(0.5, route=True, expect="refusal"))
 
 
+@pytest.mark.slow
 def test_expected_refusal_with_reason_is_success(story):
     scorer = story(scenario=REFUSED, beyond=-0.2, refusal="a wall", tail_s=14.0).judged()
     assert scorer.finished
@@ -173,6 +179,7 @@ def test_expected_refusal_with_reason_is_success(story):
     assert scorer.result().reason == "stood and reported why: a wall"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "otherwise",
     [

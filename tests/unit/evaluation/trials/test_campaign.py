@@ -102,6 +102,7 @@ def _sorted_runs(ran):
     return sorted((name, blind, seed) for name, blind, _, seed in ran)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", campaign_table.TABLES)
 def test_table_from_stored_runs_equals_table_of_campaign(tmp_path, table):
     found = campaign.run_campaign(("stairs", "flat"), range(4), 1, tmp_path, blind=True, run=Runner())

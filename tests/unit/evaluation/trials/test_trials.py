@@ -191,6 +191,7 @@ def test_each_stored_line_holds_complete_report(tmp_path):
         assert reports.check(json.loads(line)["report"]) == []
 
 
+@pytest.mark.slow
 def test_worker_processes_use_one_thread_each(tmp_path, monkeypatch):
     module = tmp_path / "one_run_in_a_process.py"
     module.write_text(

@@ -175,6 +175,7 @@ def test_frame_count_follows_duration_frame_rate_and_speed(recorded_timeline: Ti
             Cut(from_s=from_s, to_s=to_s).times_ns(recorded_timeline)
 
 
+@pytest.mark.slow
 def test_frames_do_not_depend_on_number_of_processes(film: Animation) -> None:
     alone, together = list(film.frames(1)), list(film.frames(3))
     assert len(alone) == len(together) == len(film.times_ns) == 20

@@ -52,6 +52,7 @@ BOX = np.array([[0.9, -0.15, 1.1, 0.15, 0.10]])
 BOX_FOOTPRINT_XY = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(-0.145, 0.15, 0.01), indexing="ij"), axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measured", [1.0, 0.3, 0.0])
 def test_removed_box_is_cleared_despite_sparse_measurements(measured: float) -> None:
     """Check a box that is removed while the camera stands still.
@@ -130,6 +131,7 @@ def test_clearing_result_is_independent_of_camera_distance() -> None:
     np.testing.assert_array_equal(*left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 def test_thin_post_on_cleared_place_survives_grazing_rays(dark: bool) -> None:
     """Check a post where a box was cleared by floor measurements or, if dark, by rays."""
@@ -160,6 +162,7 @@ STATIC_SCENE = np.array(  # pillars of 5 cm and 2 cm, a wall of one cell, boxes 
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_static_scene_loses_few_cells_to_ray_clearing_on_noisy_walk() -> None:
     """Check grazing rays over edges, along faces and past pillars, with a noisy pose.
 
@@ -187,6 +190,7 @@ def legs_at(y: float) -> NDArray[np.float64]:
     return np.array([[0.94, y + a - 0.06, 1.06, y + a + 0.06, 0.9] for a in (-0.1, 0.1)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("above", [5e-324, 1e-300, 1e-12])
 def test_ray_clearing_terminates_for_nearly_level_rays(above: float) -> None:
     """Check rays that would leave the window's heights only after 1e320 cells.
@@ -204,6 +208,7 @@ def test_ray_clearing_terminates_for_nearly_level_rays(above: float) -> None:
     assert np.isnan(grid.heights(BOX_FOOTPRINT_XY)[3:-3, 3:-3]).all()
 
 
+@pytest.mark.slow
 def test_crossing_person_leaves_no_obstacle_on_partly_hidden_ground() -> None:
     """Check a person who crosses in front of the camera within 2 s.
 

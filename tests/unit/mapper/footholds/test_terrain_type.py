@@ -126,6 +126,7 @@ def test_small_sink_on_new_color_causes_no_hazard() -> None:
         assert not classified(known).hazard.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "outliers"), [(0.006, 0.0), (0.003, 0.05), (0.006, 0.05)])
 @pytest.mark.parametrize("seed", range(3))
 def test_thousands_of_steps_on_firm_ground_cause_no_hazard(sigma: float, outliers: float, seed: int) -> None:

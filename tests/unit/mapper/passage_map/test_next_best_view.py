@@ -172,6 +172,7 @@ class ViewScene:
         return view.T_world_body, view.sees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parts", "heading", "kept"),
     [
@@ -195,6 +196,7 @@ def test_image_from_proposed_pose_shows_predicted_cells(parts: tuple[Part, ...],
     assert shown[1] > kept
 
 
+@pytest.mark.slow
 def test_proposed_pose_shows_nearly_as_much_as_best_candidate() -> None:
     robot = ViewScene(Plane(), Box((0.9, 0.0), (0.1, 0.3), 0.08))
     gains = []

@@ -167,6 +167,7 @@ def test_nearly_blind_camera_is_withheld_but_stays_open(kit, share: float) -> No
     assert len(rig.opened) == 1
 
 
+@pytest.mark.slow
 def test_blind_camera_is_reopened_at_long_intervals(kit) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(kit)
     rig.acts = rig.pictures(lambda k: kit.ground(k) * np.uint16(k < 30))

@@ -13,6 +13,7 @@ def sights(world, depth, T, **settings):
     return compute_free_rays(depth, world.intrinsics, world.sensor, T, **settings)
 
 
+@pytest.mark.slow
 def test_rays_end_at_scan_range_above_ground(world):
     T = world.camera_pose(0.2)
     points = sights(world, world.depth_image(T, WALL), T, max_range=0.9)

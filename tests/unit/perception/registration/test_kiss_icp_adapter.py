@@ -49,6 +49,7 @@ def test_walk_among_pillars_is_tracked(world, pillars):
     assert np.degrees(np.abs(error[3:])).max() < 1.0
 
 
+@pytest.mark.slow
 def test_registration_is_deterministic(world, pillars):
     first, second = (b"".join(r.T_world_camera.tobytes() for r in walk(world, pillars, 4)[1]) for _ in range(2))
     assert first == second

@@ -93,6 +93,7 @@ def test_flat_floor_constrains_only_height_roll_and_pitch(world):
     assert floor_constrains.max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "allowed_m", "allowed_deg"), [("steps", 0.010, 1.0), ("boxes", 0.030, 3.0)])
 def test_structured_scene_corrects_odometry_error(world, scene, allowed_m, allowed_deg):
     truth, T_odometry, T, results = register_walk(world, scene)
@@ -114,6 +115,7 @@ def test_registration_is_deterministic(world):
     assert run() == run()
 
 
+@pytest.mark.slow
 def test_standing_camera_does_not_drift(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(2)
@@ -214,6 +216,7 @@ def along_pillars(world):
     return registration, T, rng
 
 
+@pytest.mark.slow
 def test_displaced_robot_is_relocalized(world):
     registration, expected, rng = along_pillars(world)
     T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # placed elsewhere, unknown to the legs
@@ -303,6 +306,7 @@ def test_search_does_not_shift_unobservable_directions(world):
         assert bool(registration._unobserved_shift(better, T)) is refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
 def test_relocalization_candidate_must_fit_like_regular_frames(world, monkeypatch, away, taken):
     registration, T, rng = along_pillars(world)
@@ -374,6 +378,7 @@ def test_too_many_missing_pixels_are_reported_as_reason(world):
     assert "of the pixels in view have no measurement" in result.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (424, 240), (1282, 722)])
 def test_any_image_size_is_registered(world, width, height):
     f = width / 1.2

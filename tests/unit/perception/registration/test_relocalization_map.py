@@ -43,6 +43,7 @@ def test_mapped_view_has_no_misfit():
     assert known_map.contradiction(points, from_xyz_rpy([0.3, 0.0, 0.5], [0.0, 0.0, 0.0])).share == 0.0
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(
     x=st.floats(-0.25, 0.25),

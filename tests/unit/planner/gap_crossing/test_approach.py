@@ -146,6 +146,7 @@ def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
     assert near == far
 
 
+@pytest.mark.slow
 def test_crossing_without_map_is_refused_and_retried_later() -> None:
     rig = Rig()
     rig.command, rig.goal = None, replace(GOAL, gap_crossing=True)

@@ -104,6 +104,7 @@ def test_stride_and_turn_are_limited() -> None:
     assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.step.max_turn_deg) + 1e-9
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_patchy_ground_gives_acceptable_footholds_or_reason(seed: int) -> None:
@@ -190,6 +191,7 @@ def lean_deg(found: PlannedStep) -> float:
     return float(np.degrees(np.arccos(min(found.body_goal[2, 2], 1.0))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("riser", [-0.05, -0.03, 0.03, 0.05])
 @pytest.mark.parametrize("tread", [0.25, 0.325, 0.40])
 def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tread: float) -> None:
@@ -326,6 +328,7 @@ def test_retarget_moves_only_foot_on_bad_ground(make_terrain: Maker) -> None:
     np.testing.assert_array_equal(moved.body_goal, found.body_goal)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_retargeted_feet_stay_in_reach_until_next_step(seed: int) -> None:
@@ -376,6 +379,7 @@ def test_step_moved_by_pose_correction_is_unchanged_in_body_frame() -> None:
 # ---- gaits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gait", GAITS)
 @pytest.mark.parametrize(
     ("velocity", "yaw_rate"),
@@ -470,6 +474,7 @@ def test_search_radius_is_widened_only_when_no_legs_find_step() -> None:
     assert PROFILE.stance.search_radius < far.max() < 1.6 * PROFILE.stance.search_radius
 
 
+@pytest.mark.slow
 @given(st.sets(st.integers(0, 2 * len(SHARES) - 1)))
 def test_refused_choices_are_skipped_and_others_tried_in_order(refused: set[int]) -> None:
     situations = [standing(command(0.05), swing) for swing in (TRIPOD, ~TRIPOD)]
@@ -512,6 +517,7 @@ def test_stretched_robot_gathers_feet_by_steps_on_the_spot() -> None:
     assert isinstance(PLANNER.choose(situations_of(found.body_goal, found.touchdown, asked), FLAT)[0], PlannedStep)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-0.02, 0.02), min_size=12, max_size=12))
 @settings(max_examples=25)
 def test_gathering_steps_end_with_all_feet_near_rest(off: list[float]) -> None:
@@ -528,6 +534,7 @@ def test_gathering_steps_end_with_all_feet_near_rest(off: list[float]) -> None:
         assert np.linalg.norm((feet - rest)[legs], axis=1).sum() <= 0.03
 
 
+@pytest.mark.slow
 @given(st.floats(0.0, 0.12), st.floats(0.02, 0.06), st.floats(-0.01, 0.01))
 @settings(max_examples=25)
 def test_swing_clears_obstacle_before_touchdown(height: float, before: float, aside: float) -> None:
@@ -554,6 +561,7 @@ def test_higher_lift_takes_longer_step(make_terrain: Maker) -> None:
     assert way / (high.duration - SETTINGS.step.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.03, 0.04])
 def test_body_shifts_to_give_folded_leg_clearance_from_riser(make_terrain: Maker, off: float) -> None:
     """Check a left front foot near its coxa and right before a riser.

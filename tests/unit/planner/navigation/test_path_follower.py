@@ -144,6 +144,7 @@ def test_missing_path_is_reported_immediately_and_robot_stands(make_terrain: Mak
     assert robot.words[-1].startswith("at the goal"), "it tries again when the map changes"
 
 
+@pytest.mark.slow
 def test_stalled_robot_takes_other_path(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
     robot.walk(goal((1.2, 0.0)), steps=3)
@@ -277,6 +278,7 @@ def test_goal_inside_wall_is_refused_with_reason(make_terrain: Maker) -> None:
     assert isinstance(robot.step(goal((0.0, -0.3))), MotionCommand), "another goal is another matter"
 
 
+@pytest.mark.slow
 def test_goals_behind_robot_and_outside_map_are_approached(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((-0.6, 0.1)))
     assert robot.words[-1] == "at the goal (-0.6, 0.1)"

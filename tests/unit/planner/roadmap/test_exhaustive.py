@@ -37,16 +37,19 @@ def test_level_ground_is_passable() -> None:
     assert passable(PROFILE, SETTINGS, field, STANCE, 1.2) is True
 
 
+@pytest.mark.slow
 def test_gap_without_pillars_is_impassable() -> None:
     assert has_way_across([]) is False
     assert passable(PROFILE, SETTINGS, field_of(heights([], GAP), HEIGHT), STANCE, GOAL_X, attempts=1) is False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [1, 2, 3])
 def test_thesis_bridges_are_passable(scenario: int) -> None:
     assert has_way_across(thesis_blocks(scenario, GAP, 0.16, 0.17, 0.035, 0.27))
 
 
+@pytest.mark.slow
 def test_gap_is_passable_only_up_to_some_width() -> None:
     """Check that ways exist up to some gap width, and for no wider gap."""
     told = [

@@ -90,6 +90,7 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
             assert SETTINGS.swing_clear_m <= step.clearance <= PROFILE.stance.max_lift
 
 
+@pytest.mark.slow
 def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) -> None:
     field = field_of(heights([], GAP), HEIGHT)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
@@ -100,6 +101,7 @@ def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) 
     assert sum(found.fails.values()) > 0
 
 
+@pytest.mark.slow
 def test_failed_search_returns_steps_to_furthest_stance_and_leg(roadmap: Roadmap) -> None:
     field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
     found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
@@ -255,6 +257,7 @@ def test_search_is_compiled_once_for_any_array_layout(roadmap: Roadmap) -> None:
     assert len(roadmap_search.grow.signatures) == compiled  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sunk", [False, True])
 def test_foot_steps_back_only_from_sunk_ground(roadmap: Roadmap, sunk: bool) -> None:
     plain, stance = level(), stance_at(PROFILE, START, HEIGHT)
@@ -272,6 +275,7 @@ def test_foot_steps_back_only_from_sunk_ground(roadmap: Roadmap, sunk: bool) -> 
     assert bool(back < feet[0, 0] - 0.03) is sunk
 
 
+@pytest.mark.slow
 def test_reason_gives_world_position_and_excess_gap_width(roadmap: Roadmap) -> None:
     elevation = heights([], 0.8)
     plain = field_of(elevation, HEIGHT)

@@ -14,6 +14,8 @@ import pytest
 from sextant.shared.runtime import shutdown
 from sextant.shared.runtime.shutdown import ShutdownRequested
 
+pytestmark = pytest.mark.slow  # each test starts a process
+
 PATIENCE_S = 180.0  # for a separate process on a busy machine
 
 _BEGINS = """

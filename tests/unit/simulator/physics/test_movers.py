@@ -106,6 +106,7 @@ def test_start_time_depends_on_seed_within_spread() -> None:
     assert 2.0 <= min(seen) < 3.0 < 6.0 < max(seen) <= 7.02
 
 
+@pytest.mark.slow
 def test_movers_are_visible_in_depth_but_have_no_contact() -> None:
     """Move a cart through the robot.
 

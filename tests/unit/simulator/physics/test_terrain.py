@@ -307,6 +307,7 @@ def test_shuffled_course_permutes_the_same_stretches() -> None:
     assert len({line.tobytes() for line in lines}) > 3
 
 
+@pytest.mark.slow
 def test_stepping_stones_keep_gaps_and_ground_between_is_low() -> None:
     stones = Stones(1.07, 0.12, 0.05, jitter=0.01, top=(-0.01, 0.01))
     assert stones.rows == 6
@@ -364,6 +365,7 @@ def test_mapped_stairs_have_documented_risers(monkeypatch: pytest.MonkeyPatch) -
     assert np.ptp(terrain.raster(-0.3, -0.3, 101, 60, 0.01)) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rubble", "stepping_stones", "ditch", "mixed"])
 def test_seeded_courses_begin_and_end_on_level_ground(name: str) -> None:
     scenario = load_scenario(name)
@@ -501,6 +503,7 @@ def test_scenario_sketch_matches_terrain_from_above(name: str) -> None:
         assert [sign != "." for sign in drawn] == carries.tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in scenario_names() if name.startswith(("passage", "pillar_field"))])
 def test_gap_has_no_ground_outside_the_passage_lane(name: str) -> None:
     course = load_scenario(name)

@@ -40,6 +40,7 @@ def inside(p: Array, centre: tuple[float, float], half: float) -> Array:
     return np.asarray((np.abs(p[..., :2] - centre) < half).all(axis=-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("T", VIEWS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_colours_of_puddles_and_blocks_align_with_depth(T: Array, seed: int) -> None:

@@ -72,6 +72,7 @@ def depth_by_rays(
     return np.where(geom >= 0, depth, np.inf), (geom >= 0) & (world.model.geom_group[geom] == ROBOT_GROUP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_rendered_depth_matches_physics_ray_cast(kind: str) -> None:
     rng = np.random.default_rng(7)
