@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
 BIN := $(VENV)/bin
+LIVE := tests/live tests/test_commissioning.py tests/unit/benchmarks/test_bench_start.py
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # Without a network pip would try again and again, and so would the pip that it starts to build with.
 export PIP_RETRIES ?= 1
@@ -31,10 +32,10 @@ docs: $(VENV)/.installed-dev
 	@echo "docs/_build/html/index.html"
 
 live: $(VENV)/.installed-dev
-	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign"
+	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign" $(LIVE)
 
 others: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m "not live and not campaign" -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+	$(BIN)/python -m pytest -q -m "not live and not campaign" --ignore=tests/live -n $(JOBS) --dist loadfile --no-loadscope-reorder \
 		--give-way=$(VENV)/.live
 
 # What is rare and long: one test after the other, since some are live.

@@ -1,6 +1,7 @@
 """The Makefile and the tests run offline and with foreign pytest plugins."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -53,6 +54,13 @@ def test_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
     around = {"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"}
     done = subprocess.run(words, cwd=tmp_path, env=around, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_make_live_names_every_file_with_live_tests() -> None:
+    (named,) = re.findall(r"^LIVE := (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    files = [path.relative_to(ROOT) for path in (ROOT / "tests").rglob("test_*.py")]
+    marked = {path for path in files if re.search(r"\bmark\.live\b", (ROOT / path).read_text(encoding="utf-8"))}
+    assert marked == {path for path in files if any(path.is_relative_to(place) for place in named.split())}
 
 
 @pytest.mark.parametrize("end", ["exit 0", "exit 1", "kill -TERM $PPID; exec sleep 0.1"])

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.evaluation.observers.progress import Silent
-from sextant.evaluation.replay import sequence as replay
 from sextant.evaluation.replay.tum_recording import record_tum
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
@@ -58,19 +56,14 @@ def test_existing_recording_is_not_overwritten(recorded: Path) -> None:
         record_tum(STEPS, 1000, recorded, 0.1)
 
 
-def test_replayed_trajectory_matches_ground_truth(recorded: Path, tmp_path: Path) -> None:
-    table = replay.replay_folder(recorded, tmp_path, Silent())
-    assert table["poses"] == table["frames"]
-    assert table["pose_error_m"]["rms"] <= 0.015
-    assert (tmp_path / "map.png").stat().st_size > 1000
-    assert len(tum.read_trajectory(tmp_path / "trajectory.txt").stamps_ns) == table["poses"]
-
-
-def test_replay_command_writes_files_and_prints_json(
+def test_replay_command_matches_ground_truth_and_prints_json(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["recording", "replay", str(recorded), "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
+    assert table["poses"] == table["frames"]
     assert table["pose_error_m"]["rms"] <= 0.015
+    assert (tmp_path / "map.png").stat().st_size > 1000
+    assert len(tum.read_trajectory(tmp_path / "trajectory.txt").stamps_ns) == table["poses"]
     assert set(table) >= {"pose_error_m", "map_error_m", "stages_ms"}
     assert {path.name for path in tmp_path.iterdir()} == {"layers.png", "map.png", "replay.json", "trajectory.txt"}

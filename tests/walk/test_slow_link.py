@@ -17,10 +17,3 @@ def test_run_over_late_link_reports_link_as_reason() -> None:
     pose = report.input_ages_s["planner perception/pose"]
     assert pose.max > 0.7 > pose.limit
     assert pose.late > 0.9
-
-
-def test_run_without_link_reports_no_late_inputs() -> None:
-    report = run_lockstep(replace(load_scenario("flat"), goal=Goal(0.2)), 1000)
-    assert report.success, report.reason
-    assert (report.too_slow, report.late_s) == ("", 0.0)
-    assert all(ages.late == 0.0 for ages in report.input_ages_s.values())

@@ -29,6 +29,8 @@ def test_walk_on_flat_ground_keeps_body_level_and_localized(tmp_path: Path) -> N
     assert report.pose_error_m.final <= 0.015 * report.distance_m
     assert report.distance_m >= scenario.goal.distance
     assert report.min_stability_margin_m >= 0.03
+    assert (report.too_slow, report.late_s) == ("", 0.0)
+    assert all(ages.late == 0.0 for ages in report.input_ages_s.values())
 
 
 def test_sixth_order_reference_arc_walks() -> None:
