@@ -93,6 +93,7 @@ def walk_by_documented_commands(bed: NetTestbed, tmp_path: Path) -> None:
         assert bed.carried().from_robot > 0
 
 
+@pytest.mark.campaign
 @pytest.mark.usefixtures("bed")
 def test_robot_holds_during_radio_outage_and_resumes(tmp_path: Path) -> None:
     """Hold during cuts, and walk on; here the machine may be busy.

@@ -137,7 +137,7 @@ def test_section_goal_on_any_strip_is_ahead_up_to_target(seed: int) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seeds)
 def test_planner_steps_or_reports_reason_on_any_map_and_strip(seed: int) -> None:
     rng = np.random.default_rng(seed)

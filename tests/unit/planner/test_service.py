@@ -810,7 +810,7 @@ def partly_unseen_map(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> Terr
     return terrain_of(height, height, half=2.0).map
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig = Rig()
     rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
