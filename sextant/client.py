@@ -258,7 +258,8 @@ class Client:
             found = refusal(command, self._commander.name, state)
             known = before is not None and found in before.actuator.warnings
             if found and (not known or state.stamp_ns > given_ns + _REFUSED_NS):
-                raise ClientError(found)
+                held = leads and state.lease not in ("", self._commander.name)
+                raise ClientError(f"{found}; Client(..., take=True) takes it over" if held else found)
             if leads and not obeyed and self._commander.refused_by_router:
                 raise ClientError(self._commander.refused_by_router)
             return state.stamp_ns > given_ns + _SETTLED_NS and state.mode in SETTLED[command] and (obeyed or not leads)

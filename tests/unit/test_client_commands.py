@@ -261,6 +261,14 @@ def test_client_without_lease_stops_robot_once_and_leaves_lease(robot: Robot) ->
         assert len(robot.sent) == sent
 
 
+def test_lease_of_another_client_is_refused_with_the_way_to_take_it_over(robot: Robot) -> None:
+    refused = "`stand` of me refused: you holds the lease; take it over, or wait until it expires"
+    robot.set(lease="you")
+    robot.obey = lambda _: robot.set(warnings=(refused,))
+    with Client(name="me") as me, pytest.raises(ClientError, match=r"Client\(\.\.\., take=True\) takes it over"):
+        me.stand()
+
+
 def test_certificate_without_walk_permission_may_stop(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     viewer = ROLE_NAMED["viewer"]
     monkeypatch.setattr(client.Keys, "load", lambda _: SimpleNamespace(role=viewer, refusal=viewer.refusal))
