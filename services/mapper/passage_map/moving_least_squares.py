@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-MAX_COORDINATE_M = 1e6  # [m] larger coordinates are refused
 _FEWEST = 5  # minimum number of neighbours for a plane, including the point
 _FLAT = 1e-3  # [1] of the largest spread; points whose second spread is smaller form a line
 _EVEN = 0.2  # times `edge`; if points deviate less than this from their plane, all belong to one surface

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
-MAX_COORDINATE_M = 1e6  # [m] larger coordinates are refused, so that voxel indices stay exact
 _NONE = -1  # end of a column's list
 
 
