@@ -306,7 +306,8 @@ class Guard:
             acts = (*acts, *self._fall_back(verdict.sit))
         if self.mode is Mode.READY and not verdict.sit:
             self._off_when_down = False  # the robot was stopped while it lay down
-        if self._sit_reason and rests:
+        waits = self.mode is Mode.FAULT and not self._off_when_down  # lying down would be stopped at once by the fault
+        if self._sit_reason and rests and not waits:
             self._enter(Mode.SIT, self._sit_reason)
             self._sit_reason, self._midway = "", False
             acts = (*acts, Act.LIE_DOWN)

@@ -105,6 +105,7 @@ class Everything(RuleBasedStateMachine):
         self.newest[holder] = given_ns
         was, leads, last = self.robot.mode, self.leader, self.last
         may = mode in ("off", "stop") or not leads or leads == holder or take
+        after_ns = self.robot.guard.given_ns + 1  # an `off` counts as given after all orders before it
         acts = self.robot.handle_order(order)
         if not may:
             assert acts == ()
@@ -128,7 +129,7 @@ class Everything(RuleBasedStateMachine):
         if was is Mode.OFF and Act.TORQUE_ON in acts:
             assert given_ns >= self.off_at
         if mode == "off":
-            self.off_at = max(self.off_at, min(given_ns, self.robot.now))
+            self.off_at = max(self.off_at, min(max(given_ns, after_ns), self.robot.now))
 
     def check_obeyed_order(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
         guard, mode = self.robot.guard, order.mode
@@ -165,6 +166,8 @@ class Everything(RuleBasedStateMachine):
         if order.sequence > self.newest.get(order.holder, -1):
             self.give(order)  # the guard has restarted
             return
+        if order.mode in ("off", "stop") and order.sequence < self.begun:
+            return  # a guard that has restarted does not know this stop, and obeys it
         guard, was, reason = self.robot.guard, self.robot.mode, self.robot.guard.reason
         assert self.robot.handle_order(order) == ()
         assert (guard.mode, guard.reason) == (was, reason)

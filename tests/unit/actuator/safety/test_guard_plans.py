@@ -292,6 +292,21 @@ def test_sit_order_in_fault_lies_down_and_turns_torque_off() -> None:
     assert (robot.mode, robot.guard.reason) == (Mode.OFF, "ordered to sit")
 
 
+def test_sit_order_before_a_fault_is_obeyed_once_the_fault_has_cleared() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.order("sit")
+    robot.verdict = BROKEN
+    robot.cycle()
+    for _ in range(3):
+        assert robot.cycle(ends=True) == (), "the robot does not begin to lie down"
+        assert robot.mode is Mode.FAULT
+    robot.verdict = Verdict()
+    assert robot.cycle(ends=True) == (Act.LIE_DOWN,)
+    assert (robot.mode, robot.guard.reason) == (Mode.SIT, "ordered to sit")
+    robot.cycle(ends=True)
+    assert robot.mode is Mode.READY, "it keeps its torque"
+
+
 @pytest.mark.parametrize(("order", "then"), [("stop", Mode.FAULT), ("ready", Mode.READY)])
 def test_sit_order_in_fault_can_be_cancelled(order: str, then: Mode) -> None:
     robot = in_mode(Mode.WALK)
