@@ -1,4 +1,4 @@
-"""Each command of README.md exists and a test runs one like it.
+"""Each command of README.md and of the guides exists, and a test runs one like it.
 
 This module fails for a command without a test.
 """
@@ -120,13 +120,14 @@ def way_of_running(words: list[str]) -> str:
 
 
 README = list(commands((ROOT / "README.md").read_text(encoding="utf-8")))
+GUIDES = list(commands((ROOT / "docs/guides.md").read_text(encoding="utf-8")))
 
 
 def test_readme_begins_with_make_demo_and_make_test() -> None:
     assert README[:2] == [["make", "demo"], ["make", "test"]]
 
 
-@pytest.mark.parametrize("words", README, ids=" ".join)
+@pytest.mark.parametrize("words", list(map(list, dict.fromkeys(map(tuple, README + GUIDES)))), ids=" ".join)
 def test_readme_command_is_run_by_a_test(words: list[str]) -> None:
     match words:
         case ["make", target]:
@@ -152,7 +153,7 @@ def test_referenced_test_exists(test: str) -> None:
 def test_readme_scenarios_are_packaged() -> None:
     from sextant.shared.scenario.scenario import load_scenario
 
-    for words in README:
+    for words in README + GUIDES:
         if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in (
             "all",
             "passages",
