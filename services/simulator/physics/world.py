@@ -154,9 +154,11 @@ class World:
 
     def _fault(self) -> str:
         """Return what is wrong with the physics."""
-        kinds = np.flatnonzero(self._warnings).tolist()
-        texts = [mujoco.mju_warningText(kind, int(self.data.warning.lastinfo[kind])) for kind in kinds]
-        return f"the physics has diverged: {' '.join(texts)}" if texts else "the physics has diverged"
+        if not self._warnings.any():
+            return "the physics has diverged"
+        kind = int(np.argmax(self._warnings > 0))
+        text = mujoco.mju_warningText(kind, int(self.data.warning.lastinfo[kind]))
+        return f"the physics is invalid ({text.partition('. ')[0].rstrip('.')})"
 
     def _give_way(self, dt: float) -> None:
         """Lower the overloaded weak boxes for a duration [s], up to their final depth."""
