@@ -5,6 +5,7 @@ Services do not import each other, so nothing else keeps these pairs in step.
 
 import pytest
 
+from sextant.evaluation.video import sinking
 from sextant.services.actuator.config import SHORTEST_STEP_S
 from sextant.services.actuator.config import Settings as ActuatorSettings
 from sextant.services.actuator.locomotion import swing_trajectory
@@ -23,6 +24,7 @@ from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.locomotion import plan_tracking
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.swing_clearance import LEVEL
+from sextant.services.simulator.physics import world
 from sextant.shared.robot.profiles import load_profile, profile_names
 
 ACTUATOR, MAPPER, PERCEPTION, PLANNER = ActuatorSettings(), MapperSettings(), PerceptionSettings(), PlannerSettings()
@@ -71,3 +73,7 @@ def test_repeated_messages_arrive_several_times_within_their_limits() -> None:
 def test_console_repeats_a_command_as_long_as_the_actuator_accepts_it() -> None:
     assert command_repeater._RECEIVED_NS == ORDER_AGE_NS
     assert operator_request._MAX_STAMP_DIFFERENCE_S == 1e-9 * ORDER_AGE_NS
+
+
+def test_weak_ground_sinks_in_the_video_as_in_the_simulator() -> None:
+    assert sinking._SPEED == world._SINKING

@@ -31,6 +31,8 @@ from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, BodyPose
 _WHOLE = 0.8  # share of the map, above which all of it is recomputed
 _BAND = 65536  # cells scored per pass
 
+_DEFAULTS = FootholdLayersParams()
+
 Rectangle = tuple[int, int, int, int]  # first row, end of rows, first column, end of columns
 
 
@@ -39,8 +41,8 @@ class Margin:
     """Distance from a cell within which an aimed foot may stand."""
 
     foot_radius: float = 0.01  # [m]
-    sigmas: float = 2.0  # standard deviations of the position that are kept clear
-    widest: float = 0.05  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
+    sigmas: float = _DEFAULTS.margin_sigmas  # standard deviations of the position that are kept clear
+    widest: float = _DEFAULTS.max_margin_m  # [m] largest margin beyond the score's own; a cell that needs more is no foothold
 
     def __post_init__(self) -> None:
         if not (0 < self.foot_radius < math.inf and 0 <= self.sigmas < math.inf and 0 <= self.widest < math.inf):
