@@ -7,6 +7,8 @@ import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 CODE = sorted(
     path
@@ -47,6 +49,7 @@ def advice(text: str) -> str:
     return f"{found[0]!r}: write {instead}"
 
 
+@pytest.mark.slow
 def test_code_uses_standard_terms() -> None:
     found = [(path, line, advice(text)) for path in CODE for line, text in texts(path)]
     assert [f"{path.relative_to(ROOT)}:{line}: {words}" for path, line, words in found if words] == []

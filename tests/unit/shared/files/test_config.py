@@ -209,6 +209,7 @@ def test_any_table_is_built_or_refused_with_reason(table: dict[str, Any]) -> Non
         assert isinstance(config.build(table, Settings), Settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schema", [Scenario, RobotProfile])
 @settings(max_examples=50)
 @given(st.dictionaries(st.sampled_from(["name", "terrain", "goal", "walk", "links", "legs", "camera", "servo"]), plain))

@@ -103,6 +103,7 @@ def test_damaged_declarations_are_taken_from_summary() -> None:
     assert any(isinstance(record, Channel) for record in found[:first])
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     data=st.sampled_from([way.values[0] for way in WAYS]),
@@ -132,6 +133,7 @@ PACKED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", PACKED)
 @pytest.mark.parametrize("claimed", [3 << 30, LARGEST_BYTES, 1000, 0], ids=["3 GB", "the most", "little", "nothing"])
 def test_oversized_chunk_is_skipped_with_little_memory(compression: bytes, claimed: int) -> None:

@@ -35,6 +35,7 @@ def read(path: Path) -> list[tuple[str, bytes, int]]:
 EXPECTED = [(topic.key, frame, at_ns) for topic, frame, at_ns in WRITTEN]
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(share=st.floats(0.05, 0.99))
 def test_truncated_file_recovers_all_remaining_messages(
@@ -62,6 +63,7 @@ def test_truncated_file_recovers_all_remaining_messages(
     assert summary.statistics.message_count == len(before), "it has an index now, by which tools find their way"
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(share=st.floats(0.05, 0.95), flips=st.integers(1, 255))
 def test_damage_loses_only_affected_messages(

@@ -119,6 +119,7 @@ def test_schema_gives_shapes_types_and_meaning() -> None:
     assert state["warnings"]["type"] == "list of str"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.75, 0.999])
 def test_truncated_file_is_read_up_to_cut(tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer._CHUNK_BYTES", 2000)

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 from sextant.shared.runtime.compiled import as_plain, compiled
 
 ROOT = Path(__file__).parents[4]
@@ -36,6 +38,7 @@ def test_names_used_from_other_files_are_found() -> None:
     assert list(borrowed(source.replace("@compiled", "@written_into"))) == ["f uses B", "f uses c"]
 
 
+@pytest.mark.slow
 def test_compiled_functions_use_no_names_of_other_files() -> None:
     files = [file for folder in OURS for file in (ROOT / folder).rglob("*.py")]
     assert sum("@compiled" in file.read_text() for file in files) > 10

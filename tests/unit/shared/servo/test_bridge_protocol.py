@@ -54,6 +54,7 @@ def anything() -> st.SearchStrategy[Any]:
     return st.recursive(leaf, lambda inner: st.lists(inner, max_size=22) | st.dictionaries(st.text(), inner, max_size=2))
 
 
+@pytest.mark.slow
 @WILD
 @given(messages())
 def test_messages_survive_round_trip(message: Message) -> None:
@@ -71,6 +72,7 @@ def test_any_bytes_decode_to_messages_or_are_dropped(parts: list[bytes], message
     assert receiver.feed(bridge_protocol.encode(message)) == [message]
 
 
+@pytest.mark.slow
 @WILD
 @given(st.sampled_from(sorted(MESSAGES)) | st.integers(), st.lists(anything(), max_size=20))
 def test_any_intact_frame_is_message_or_refused(code: int, values: list[Any]) -> None:
@@ -85,6 +87,7 @@ def test_any_intact_frame_is_message_or_refused(code: int, values: list[Any]) ->
     assert found or receiver.last_refusal
 
 
+@pytest.mark.slow
 @WILD
 @given(messages(), st.data())
 def test_message_with_any_field_value_is_valid_or_refused(message: Message, data: st.DataObject) -> None:

@@ -58,6 +58,7 @@ def test_frame_is_found_after_any_bytes_with_bounded_memory(noise: list[bytes], 
     assert [payload for sent in payloads for payload in deframer.feed(frame(sent))] == payloads
 
 
+@pytest.mark.slow
 @WILD
 @given(PAYLOADS, st.data())
 def test_stream_may_be_split_anywhere(payloads: list[bytes], data: st.DataObject) -> None:

@@ -139,6 +139,7 @@ def decoded_or_refused(frame: bytes, kind: type[Message]) -> Message | None:
 # ------------------------------------------------------------------------------------------------- round trips
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=20)
 @given(data=st.data())
@@ -302,6 +303,7 @@ def test_truncated_frame_is_refused(kind: type[Message]) -> None:
             assert length > len(frame) - 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=40)
 @given(data=st.data())
@@ -324,6 +326,7 @@ array_fields = st.tuples(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=40)
 @given(data=st.data())

@@ -36,6 +36,7 @@ def test_invalid_endpoint_is_named(text: str, words: str) -> None:
     assert fault([AT]) == ""
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_any_text_is_parsed_or_refused(text: str) -> None:
     if not fault([text]):
