@@ -68,13 +68,13 @@ def run(
         make: Makes the service from a robot profile and settings.
         told: Shutdown request.
         argv: Command line without the program; that of this process by default.
-        rehearse: Warm-up that compiles the functions of the service before it reports that it is ready.
+        compile_functions: Warm-up that compiles the functions of the service before it reports that it is ready.
 
     Returns:
         Exit status: 0 after a shutdown request, 1 if a device or port is missing, 2 for invalid arguments. Any other error
         ends in a traceback.
     """
-    arguments = _parser(name, make.__module__.rpartition(".")[0], schema).parse_args(argv)
+    arguments = _parser(name, _program(make), schema).parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
     faulthandler.enable()
     if arguments.parent:
@@ -194,6 +194,12 @@ def toml_value(value: object) -> str:
     if isinstance(value, str):  # JSON and TOML have the same escapes, except for DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return str(value)
+
+
+def _program(make: Callable[..., Service]) -> str:
+    """Return what `python -m` starts: the package of `make`, or the module that runs if it defines `make`."""
+    spec = sys.modules["__main__"].__spec__
+    return spec.name if make.__module__ == "__main__" and spec else make.__module__.rpartition(".")[0]
 
 
 def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentParser:

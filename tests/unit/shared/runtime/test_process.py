@@ -8,7 +8,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal
 
 import pytest
@@ -45,6 +47,20 @@ class Settings:
     pair: tuple[float, float] = (0.0, 1.0)
     registration: Registration = field(default_factory=Registration)
     limit: float | None = None
+
+
+def test_help_names_the_module_that_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def make(_profile: RobotProfile, _settings: Settings) -> Any:
+        raise AssertionError
+
+    running = ModuleType("__main__")
+    running.__spec__ = ModuleSpec("some.package.module", None)
+    monkeypatch.setitem(sys.modules, "__main__", running)
+    for defined_in, program in (("__main__", "some.package.module"), ("another.package.service", "another.package")):
+        make.__module__ = defined_in
+        with pytest.raises(SystemExit, match="0"):
+            process.run("sketch", Settings, make, shutdown.ShutdownRequested(), ["--help"])
+        assert capsys.readouterr().out.startswith(f"usage: python -m {program} [-h]")
 
 
 # ------------------------------------------------------------------------------------------------- settings
