@@ -224,6 +224,9 @@ def _radio(text: str) -> "Link":
         return Link()
     try:
         delay_ms, mbit, loss = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--link: MS,MBIT,LOSS expected, for example 20,20,0.05, found {text!r}") from None
+    try:
         return Link(delay_ms, mbit, loss)
     except ValueError as error:
-        raise InputError(f"--link: MS,MBIT,LOSS expected, for example 20,20,0.05, found {text!r}: {error}") from None
+        raise InputError(f"--link: {error}") from None

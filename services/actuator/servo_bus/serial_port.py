@@ -138,7 +138,9 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except LOST as error:
-        raise BusDisconnectedError(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
+        number = _errno(error)
+        cause = os.strerror(number) if number else str(error)  # the text of pyserial repeats the port and the number
+        raise BusDisconnectedError(f"cannot open servo port {url}: {cause}; {_advice(number)}") from error
     except (ValueError, TypeError) as error:  # raised by pyserial for an invalid address
         raise BusDisconnectedError(f"cannot open servo port {url}: {_EXPECTED} expected") from error
     if slow := usb_adapter.lower_latency(url, port):
@@ -146,9 +148,14 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     return port
 
 
-def _advice(error: Exception) -> str:
-    """Return what to do about a port that cannot be opened."""
-    match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial hides the errno of a socket
+def _errno(error: Exception) -> int | None:
+    """Return the number of a system error, None if it is none; pyserial hides that of a socket."""
+    return getattr(error, "errno", None) or getattr(error.__context__, "errno", None)
+
+
+def _advice(number: int | None) -> str:
+    """Return what to do about a port that cannot be opened, by the number of the system error."""
+    match number:
         case errno.EACCES | errno.EPERM:
             return "this user may not open it: run `sudo usermod -aG dialout $USER`, then log in again"
         case errno.EAGAIN | errno.EBUSY:

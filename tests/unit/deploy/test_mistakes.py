@@ -106,6 +106,14 @@ MISTAKES = [
     ("plot run --what hieght", "did you mean"),
     ("up offboard --with plannar", "did you mean 'planner'?"),
     ("up onboard --set actuator.rate=50", "rate"),
+    ("run flat --lockstep --page", "leave --lockstep and --connect out"),
+    ("run flat --lockstep --foothold level", "package.module:Object or the name of an entry point expected, found 'level'"),
+    ("run flat --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1; is the robot up"),
+    ("servos set-id --port /dev/nosuch", "servo port /dev/nosuch: No such file or directory; is the adapter plugged in?"),
+    (
+        "servos set-id --port socket://127.0.0.1:1",
+        "Connection refused; is the simulator, or `sextant servos emulate`, running?",
+    ),
     # Names of scenarios and profiles.
     ("run stiars --lockstep", "no scenario 'stiars'; did you mean 'stairs'?"),
     ("run flat.tmol --lockstep", "no scenario 'flat.tmol'; did you mean 'flat'?"),
