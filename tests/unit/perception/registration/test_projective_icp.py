@@ -233,7 +233,7 @@ def test_displaced_robot_is_relocalized(world):
 def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, objection):
     """Check a person who walks by: one place fits now, another half a second later."""
     registration, T, rng = along_pillars(world)
-    monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
+    monkeypatch.setattr(RelocalizationMap, "contradiction", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
     away = {"x": 0.0}
 
     def search(self, T_expected):
@@ -255,7 +255,7 @@ def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch,
     """Check a camera that the frame shows 4 cm from its prior, after frames in which a person was in view."""
     registration, T, rng = along_pillars(world)
     with monkeypatch.context() as person:
-        person.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))
+        person.setattr(RelocalizationMap, "contradiction", lambda *_: MapContradiction(1.0, SPREAD))
         person.setattr(RelocalizationMap, "find", lambda *_: RelocalizationResult(None, "nowhere"))
         for i in range(doubtful):
             registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, TIGHT)
@@ -311,7 +311,7 @@ def test_search_does_not_shift_unobservable_directions(world):
 def test_relocalization_candidate_must_fit_like_regular_frames(world, monkeypatch, away, taken):
     registration, T, rng = along_pillars(world)
     keyframes = len(registration.keyframe_poses)
-    monkeypatch.setattr(RelocalizationMap, "misfit", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
+    monkeypatch.setattr(RelocalizationMap, "contradiction", lambda *_: MapContradiction(1.0, SPREAD))  # every frame is in doubt
     monkeypatch.setattr(
         RelocalizationMap, "find", lambda *_: RelocalizationResult(world.camera_pose(0.55 + away[0], *away[1:]), "")
     )
