@@ -260,6 +260,7 @@ def test_stop_during_start_leaves_waiting_process_unstarted(output_collector: Ou
 
 
 DRIVER = """
+import os
 import sys
 from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.deploy.launch.launcher import Launcher
@@ -275,7 +276,7 @@ with Interrupts() as interrupts:
         while not interrupts.asked():
             launcher.wait(0.02)
         launcher.stop(interrupts.insisted)
-sys.exit(130)
+    os._exit(130)  # here, because outside of Interrupts a further signal changes the exit status
 """
 
 
