@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _page = click.option(
     "--page/--no-page", default=None, help="serve the operator's page during the run (default: if the output is a terminal)"
 )
+_viewer = flag("--viewer", "open MuJoCo's viewer, in which the mouse pushes the robot; needs a display")
 
 
 @command()
@@ -45,6 +46,7 @@ _page = click.option(
 @flag("--bridge", "simulate a microcontroller on the servo bus, see docs/bridge.md")
 @flag("--slow-down", "slow simulated time down if this computer is too slow, as the demo does (default: real time)")
 @_page
+@_viewer
 @options.as_json
 @option("--record-depth", "also write the depth frames for `sextant recording replay` (with --lockstep)", "DIR")
 @options_of(
@@ -64,6 +66,7 @@ def run(
     bridge: bool,
     slow_down: bool,
     page: bool | None,
+    viewer: bool,
     as_json: bool,
     record_depth: str | None,
     connection: options.Connection,
@@ -90,14 +93,15 @@ def run(
         raise InputError(f"{course.name} injects faults into services that this command starts; leave --connect out")
     if connection.connect and course.params:
         raise InputError(f"{course.name} has [params] for services that this command starts; leave --connect out")
-    if page and (lockstep or connection.connect):
-        raise InputError("--page is for services that this command starts live; leave --lockstep and --connect out")
+    if (page or viewer) and (lockstep or connection.connect):
+        name = "--page" if page else "--viewer"
+        raise InputError(f"{name} is for services that this command starts live; leave --lockstep and --connect out")
     attach = connection.endpoints() if connection.connect else None
     course = replace(course, bridge=True) if bridge else course
     walk = _Walk(course, scenario, seed, out_folder(out, f"{course.name}-{seed}"), as_json)
     if lockstep:
         return _run_lockstep(walk, record_depth)
-    return _run_live(walk, "use --lockstep", slow_down, attach, parent, page)
+    return _run_live(walk, "use --lockstep", slow_down, attach, parent, page, viewer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,13 +151,14 @@ _LINE = 119  # characters
 @options.out
 @options.params
 @_page
-def demo(course: str, seed: int, out: str | None, params: tuple[str, ...], page: bool | None) -> int:
+@_viewer
+def demo(course: str, seed: int, out: str | None, params: tuple[str, ...], page: bool | None, viewer: bool) -> int:
     """Simulate a walk over low steps, or across a gap, over Zenoh."""
     shown = DEMOS[course]
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
     scenario = options.Variant(params=params).load(shown.scenario)
     walk = _Walk(scenario, shown.scenario, seed, out_folder(out, f"{scenario.name}-{seed}"))
-    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True, page=page)
+    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True, page=page, viewer=viewer)
     if status == SUCCESS:
         recording = f"has all messages; `sextant video {walk.out}` draws them, Foxglove opens them"
         files = {shown.picture: shown.shows, "recording.mcap": recording, "report.json": "has the result in numbers"}
@@ -202,12 +207,15 @@ def _run_live(
     attach: "Endpoints | None" = None,
     parent: int | None = None,
     page: bool | None = None,
+    viewer: bool = False,
 ) -> int:
     from sextant.deploy.live import live_run
-    from sextant.deploy.live.page import Page, page_port
+    from sextant.deploy.live.page import Page, has_display, page_port
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
+    if viewer and not has_display():
+        raise InputError("--viewer: a display expected, found none; leave it out, and watch the operator's page in a browser")
     progress = open_progress(walk.as_json)
     with Interrupts() as interrupts:
         if parent:
@@ -223,7 +231,16 @@ def _run_live(
         if shown:
             progress.say(f"watch it, or lead it yourself: {shown.url}")
         outcome = live_run.run_live_scenario(
-            walk.scenario, source, walk.seed, walk.out, progress, interrupts, attach, slow_down=slow_down, page=shown
+            walk.scenario,
+            source,
+            walk.seed,
+            walk.out,
+            progress,
+            interrupts,
+            attach,
+            slow_down=slow_down,
+            page=shown,
+            viewer=viewer,
         )
     status = _tell(outcome.report, walk, f"{remedy} or close programs")
     return INTERRUPTED if outcome.interrupted else status

@@ -46,6 +46,7 @@ class Choices:
     scenario: str = ""  # name or path that the simulator loads; empty without simulation
     seed: int = 3
     bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
+    viewer: bool = False  # the simulator opens MuJoCo's viewer
     blind: bool = False
     footholds: str = "score"  # map layer that the planner plans on
     arc: str = "flow"  # trajectory of swing feet
@@ -82,7 +83,8 @@ class Process:
 
 def _simulator(choices: Choices) -> dict[str, Value]:
     bridge: dict[str, Value] = {"bridge": True} if choices.bridge else {}
-    return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port, **bridge}
+    viewer: dict[str, Value] = {"viewer": True} if choices.viewer else {}
+    return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port, **bridge, **viewer}
 
 
 def _camera(choices: Choices) -> dict[str, Value]:

@@ -68,6 +68,7 @@ def run_live_scenario(
     started: Callable[[Launcher], None] = lambda _: None,
     slow_down: bool = False,
     page: Page | None = None,
+    viewer: bool = False,
 ) -> Outcome:
     """Run a scenario over Zenoh to its end.
 
@@ -84,6 +85,7 @@ def run_live_scenario(
         started: Receives the launcher once all processes run, for tests that inject faults.
         slow_down: Let simulated time wait for services that are late on this computer, instead of real time.
         page: Page to serve during the run, of services that this function starts; None serves none.
+        viewer: Open MuJoCo's viewer.
 
     Raises:
         ValueError: `slow_down` with services that already run.
@@ -96,7 +98,7 @@ def run_live_scenario(
         # 1. Host the router and start the services, each in its own process.
         log = stack.enter_context(contextlib.closing(ServiceLog(Path(os.devnull) if attach else out / _LOG)))
         endpoints = attach or stack.enter_context(host_router())
-        chosen = process_table.choices(scenario, source, seed, free_port())
+        chosen = replace(process_table.choices(scenario, source, seed, free_port()), viewer=viewer)
         rows = () if attach else process_table.rows("all", simulated=True)
         if page and not attach:
             chosen = replace(chosen, console_port=page.port)

@@ -12,6 +12,7 @@ class Settings:
     bridge: bool = False  # simulate a bridge board with the reference firmware between the port and the servo bus
     bus_port: int = 0  # TCP port on 127.0.0.1 on which the servo bus listens, 0 for any
     other_bus_port: int = 0  # TCP port of the bus after a fault that changes its device name, 0 for any
+    viewer: bool = False  # open MuJoCo's viewer, in which the mouse pushes the robot
     frames_per_picture: int = 1  # render only every n-th depth frame, if perception ignores the others
 
     def __post_init__(self) -> None:

@@ -22,6 +22,7 @@ from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank, make_servo_bank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.services.simulator.viewer import Viewer
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse
@@ -95,6 +96,7 @@ class Simulator:
         self._adapter_port = self.bus.adapter_port(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
+        self._viewer: Viewer | None = None
         self._origin_ns: int | None = None  # [ns] tick time at which simulated time is 0
         self._due_ns = {topic.key: 0 for topic in self.publishes}
         self._behind = 0
@@ -124,13 +126,17 @@ class Simulator:
         return bus
 
     def __enter__(self) -> Self:
-        """Open the TCP ports of the servo bus, for a live run."""
+        """Open the TCP ports of the servo bus, and the viewer if there is to be one, for a live run."""
         port, other = self._settings.bus_port, self._settings.other_bus_port
         self._server = TcpBusServer(self.device, port=port, other_port=other, is_current=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
+        if self._settings.viewer:
+            self._viewer = Viewer(self.world)
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._viewer is not None:
+            self._viewer.close()
         if self._server is not None:
             self._server.close()
 
@@ -177,6 +183,8 @@ class Simulator:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
+        if self._viewer is not None:
+            self._viewer.show(self.world.time_ns)
         if self._server is not None and self.bus.adapter_port(tick.stamp_ns) != self._adapter_port:
             self._adapter_port = self.bus.adapter_port(tick.stamp_ns)
             self._server.replug()

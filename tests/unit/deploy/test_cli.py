@@ -240,9 +240,10 @@ def test_live_run_and_demo_exit_codes_follow_walk_outcome(
     asked: list[tuple[str, str, int, bool]] = []
 
     def walk(
-        scenario: Scenario, source: str, seed: int, out: Path, *_: object, slow_down: bool, page: object
+        scenario: Scenario, source: str, seed: int, out: Path, *_: object, slow_down: bool, page: object, viewer: bool
     ) -> live_run.Outcome:
         assert page is None, "the output is no terminal"
+        assert not viewer
         write(report(success), out)
         asked.append((scenario.name, source, seed, slow_down))
         return live_run.Outcome(report(success), presses > 0)

@@ -29,6 +29,8 @@ CAMERA = "width = 8\nheight = 8\nfx = 9.0\nfy = 9.0\ncx = 4.0\ncy = 4.0\ndepth_s
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Create a folder with all files that the mistakes below name."""
     monkeypatch.chdir(tmp_path)
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(display, raising=False)
     texts = {
         "typo.toml": SCENARIO.replace("distance", "distanse"),
         "gait.toml": SCENARIO + '[walk]\ngait = "tripode"\n',
@@ -106,6 +108,8 @@ MISTAKES = [
     ("plot run --what hieght", "did you mean"),
     ("up offboard --with plannar", "did you mean 'planner'?"),
     ("up onboard --set actuator.rate=50", "rate"),
+    ("run flat --viewer", "--viewer: a display expected, found none"),
+    ("run flat --lockstep --viewer", "leave --lockstep and --connect out"),
     ("run flat --lockstep --page", "leave --lockstep and --connect out"),
     ("run flat --lockstep --foothold level", "package.module:Object or the name of an entry point expected, found 'level'"),
     ("run flat --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1; is the robot up"),
