@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from sextant.shared.files import config
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_TOKEN = 16  # minimum length of a token [characters]
+_MIN_TOKEN_LENGTH = 16  # minimum length of a token [characters]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,11 @@ class Settings:
     checks = (
         *config.each("host", lambda host: host.strip() != "", "an address to listen on, e.g. 127.0.0.1"),
         *config.each("port", lambda port: 0 <= port <= 65535, "a TCP port from 0 (any free port) to 65535"),
-        *config.each("token", lambda token: token == "" or len(token) >= _TOKEN, f"at least {_TOKEN} characters, or none"),
+        *config.each(
+            "token",
+            lambda token: token == "" or len(token) >= _MIN_TOKEN_LENGTH,
+            f"at least {_MIN_TOKEN_LENGTH} characters, or none",
+        ),
         *config.each("lift", lambda lift: 0.0 < lift <= 0.2, "more than 0 and at most 0.2 m"),
         *config.each("body_height", lambda height: 0.0 <= height <= 0.5, "0 to 0.5 m"),
         config.together(

@@ -25,7 +25,7 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, Message, PassageMap, Scan, ScanReceipt, TerrainMap
 
 _SLACK_NS = 10_000_000  # [ns] jitter allowed between scans
-_NEAR = 1.2  # times the camera's minimum range; a ray without a return carries no information up to there
+_NEAR_RATIO = 1.2  # [1] multiple of the camera's minimum range, up to which a ray without a return carries no information
 _MAX_SCAN_AGE_S = 0.6  # [s] largest age of a scan, because the planner does not use an older map
 
 
@@ -115,7 +115,7 @@ class Mapper:
                     scan.p_world_camera,
                     scan.pose_covariance,
                     scan.free_rays_mm,
-                    nearest=_NEAR * self._profile.camera.sensor.min_range,
+                    nearest=_NEAR_RATIO * self._profile.camera.sensor.min_range,
                 )
             except ValueError as error:
                 return str(error)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.wire.messages import Preview
 
-_WIDTH = 320  # [px]
+_WIDTH_PX = 320  # [px]
 _QUALITY = 80  # JPEG quality
 
 
@@ -24,7 +24,7 @@ def preview(stamp_ns: int, depth: NDArray[np.uint16], sensor: DepthSensor, rgb: 
         sensor: Scale and range of the camera.
         rgb: (h, w, 3), or None.
     """
-    every = math.ceil(max(depth.shape) / _WIDTH)
+    every = math.ceil(max(depth.shape) / _WIDTH_PX)
     small = depth[::every, ::every]
     near, far = sensor.min_range, sensor.max_range
     away = np.clip((small / np.float32(sensor.depth_scale) - near) / (far - near), 0.0, 1.0)
@@ -38,8 +38,8 @@ _NOTHING = np.zeros(0, dtype=np.uint8)
 
 
 def _shrunk(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height = max(1, min(round(rgb.shape[0] * _WIDTH / rgb.shape[1]), _WIDTH))
-    return np.asarray(cv2.resize(rgb, (_WIDTH, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    height = max(1, min(round(rgb.shape[0] * _WIDTH_PX / rgb.shape[1]), _WIDTH_PX))
+    return np.asarray(cv2.resize(rgb, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _jpeg(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:

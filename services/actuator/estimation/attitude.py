@@ -14,15 +14,15 @@ from sextant.shared.robot.profile import GRAVITY
 
 _GAIN = 0.7  # [1/s] gain of the measured gravity direction, k_P of the paper
 _BIAS_GAIN = 0.05  # [1/s^2] gain of the gyro bias, its k_I
-_BIAS_FROM = np.radians(5.0)  # larger errors come from the start or a push, not from bias
-_BIAS_LIMIT = 0.05  # [rad/s] largest bias of a calibrated gyro
-_PUSH = 0.5  # [m/s^2] deviation of the specific force from g that halves its weight
+_MAX_BIAS_ERROR_RAD = np.radians(5.0)  # [rad] errors beyond this come from the start or a push, not from the bias
+_MAX_BIAS_RAD_S = 0.05  # [rad/s] maximum bias of a calibrated gyro
+_PUSH_M_S2 = 0.5  # [m/s^2] deviation of the specific force from g that halves its weight
 _STILL_S, _STILL = 1.0, 0.02  # [s] time constant of the bias estimate at rest, and [rad/s] up to which the gyro may be at rest
 _APART_S = 2.0  # [s] over which force and gyro are compared for consistency
-_APART_FROM = 0.1  # [rad] mean difference from which they are inconsistent
-_START_DOUBT = 0.2  # [rad] of one reading, taken while the robot may be moving
-_FORCE_DOUBT = 5e-3  # [rad] of measured gravity: an accelerometer error of 0.05 m/s^2 looks like tilt
-_GYRO_DOUBT = 2e-3  # [rad/s] of a gyro with unknown bias
+_INCONSISTENT_RAD = 0.1  # [rad] mean difference from which force and gyro are inconsistent
+_START_SIGMA_RAD = 0.2  # [rad] sigma of the first reading, taken while the robot may be moving
+_GRAVITY_SIGMA_RAD = 5e-3  # [rad] sigma of measured gravity: an accelerometer error of 0.05 m/s^2 looks like tilt
+_GYRO_SIGMA_RAD_S = 2e-3  # [rad/s] sigma of a gyro with unknown bias
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class AttitudeEstimator:
         """Begin without a reading; the bias (3,) [rad/s] of the gyro may be known."""
         self.bias = np.zeros(3) if bias is None else bias.copy()
         self._up: Array | None = None  # (3,) {body}
-        self._find_implausibility = _START_DOUBT
+        self._find_implausibility = _START_SIGMA_RAD
         self._turned = 0.0
         self._apart = 0.0  # [rad] mean angle between measured gravity and that predicted by the gyro
 
@@ -68,30 +68,32 @@ class AttitudeEstimator:
         length = math.sqrt(float(specific_force @ specific_force))
         if self._up is None:
             # Ignore a first reading that cannot be gravity, and start upright.
-            self._up = specific_force / length if abs(length - GRAVITY) < 4 * _PUSH else np.array([0.0, 0.0, 1.0])
+            self._up = specific_force / length if abs(length - GRAVITY) < 4 * _PUSH_M_S2 else np.array([0.0, 0.0, 1.0])
             return self._attitude(self._up)
         if still and np.abs(gyro - self.bias).max() < _STILL:
             self.bias = self.bias + min(dt / _STILL_S, 1.0) * (gyro - self.bias)
         rate = gyro - self.bias
-        belief = math.exp(-math.log(2.0) * ((length - GRAVITY) / _PUSH) ** 2)
+        belief = math.exp(-math.log(2.0) * ((length - GRAVITY) / _PUSH_M_S2) ** 2)
         turned = exp_so3(-dt * rate) @ self._up  # predicted at the end of dt
         pull = _cross(specific_force / max(length, 1e-9), turned)
         size = math.sqrt(float(pull @ pull))
         apart = math.atan2(size, float(specific_force @ turned) / max(length, 1e-9))
         self._apart += min(dt / _APART_S, 1.0) * belief * (apart - self._apart)
-        if size < _BIAS_FROM:
+        if size < _MAX_BIAS_ERROR_RAD:
             bias = self.bias - _BIAS_GAIN * belief * dt * pull
-            self.bias = np.minimum(np.maximum(bias, -_BIAS_LIMIT), _BIAS_LIMIT)
+            self.bias = np.minimum(np.maximum(bias, -_MAX_BIAS_RAD_S), _MAX_BIAS_RAD_S)
         self._turned += dt * float(rate @ turned)
         up = turned - dt * _GAIN * belief * _cross(pull, turned)
         self._up = up / math.sqrt(float(up @ up))
-        self._find_implausibility += dt * (_GYRO_DOUBT - _GAIN * belief * (self._find_implausibility - _FORCE_DOUBT))
+        self._find_implausibility += dt * (
+            _GYRO_SIGMA_RAD_S - _GAIN * belief * (self._find_implausibility - _GRAVITY_SIGMA_RAD)
+        )
         return self._attitude(self._up)
 
     def _attitude(self, up: Array) -> Attitude:
         x, y, z = up.tolist()
         roll, pitch = math.atan2(y, z), -math.asin(min(max(x, -1.0), 1.0))
-        contradictory = self._apart > _APART_FROM
+        contradictory = self._apart > _INCONSISTENT_RAD
         doubt = self._find_implausibility + self._apart * contradictory
         return Attitude(rotation_from_rpy((roll, pitch, 0.0)), doubt, self._turned, contradictory)
 

@@ -13,9 +13,9 @@ from sextant.shared.robot.profile import RobotProfile
 
 _MIN_LEGS = 3
 _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 1
-_THREES = np.array(list(combinations(range(6), 3)))
-_ASIDE = 0.05  # share of the body weight by which its middle may lie outside of three feet
-_LEAST_AREA = 1e-3  # [m^2] smallest triangle of feet that determines a plane
+_LEG_TRIPLES = np.array(list(combinations(range(6), 3)))  # (20, 3) all choices of three legs
+_OUTSIDE_SHARE = 0.05  # share of the body weight by which its middle may lie outside of three feet
+_MIN_AREA_M2 = 1e-3  # [m^2] smallest triangle of feet that determines a plane
 
 
 class ContactEstimate:
@@ -59,16 +59,17 @@ class ContactEstimate:
         feet stand. With fewer than three carrying feet, all feet stand.
         """
         rows = np.concatenate([feet[:, :2], np.ones((6, 1))], axis=1)  # x, y, 1
-        corners = rows[_THREES]
-        plane = np.abs(np.linalg.det(corners)) > 2.0 * _LEAST_AREA
+        corners = rows[_LEG_TRIPLES]
+        plane = np.abs(np.linalg.det(corners)) > 2.0 * _MIN_AREA_M2
         corners = np.where(plane[:, None, None], corners, np.eye(3))
         shares = np.linalg.solve(corners.swapaxes(1, 2), _MIDDLE)[..., 0]  # of the body weight
-        around = (shares >= -_ASIDE).all(axis=1) & self.legs[_THREES].all(axis=1) & plane
+        around = (shares >= -_OUTSIDE_SHARE).all(axis=1) & self.legs[_LEG_TRIPLES].all(axis=1) & plane
         if not around.any():
             carrying = self.legs if self.legs.sum() >= _MIN_LEGS else np.ones(6, dtype=np.bool_)
             over = feet[:, 2] - feet[carrying, 2].mean()
             return np.where((over < self._params.lifted_m) | carrying, 0.0, over)
-        over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
+        planes = np.linalg.solve(corners, feet[_LEG_TRIPLES, 2:])[..., 0]
+        over = feet[:, 2] - planes @ rows.T  # (20, 6) [m] each foot over each plane
         below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
         lifted_m = self._params.lifted_m
         bearing = np.argmin(np.where(around, below - lifted_m * shares.min(axis=1), np.inf))  # ties: the widest one

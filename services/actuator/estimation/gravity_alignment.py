@@ -17,17 +17,19 @@ from sextant.services.actuator.estimation.attitude import Attitude, AttitudeEsti
 from sextant.shared.geometry import Array, exp_so3, transform, yaw_of
 from sextant.shared.wire.messages import Imu
 
-_HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # [rad] lean, and [m] arm of a rising foot, from which it lifts the body
+_LIFTED_LEAN_RAD = np.radians(2.0)  # [rad] lean of the body, from which a foot that moves down lifts it ...
+_LIFTING_ARM_M = 0.05  # [m] ... if the foot has at least this lever arm
 TIPPED = np.radians(20.0)  # [rad] tilt of the body against its commanded pose from which the robot must stop
-_MOST_TURN, _MOST_FORCE = 100.0, 2000.0  # [rad/s] and [m/s^2] measuring range of an inertial sensor
+_MAX_RATE_RAD_S, _MAX_FORCE_M_S2 = 100.0, 2000.0  # [rad/s] and [m/s^2] measuring range of an inertial sensor
 _ODD_NS = 1_000_000_000  # [ns] for which an out-of-range reading is reported
 _GAP_NS = 100_000_000  # [ns] without a reading after which the rotation meanwhile is unknown
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; an older one is from another clock
 _CALM_NS = 1_000_000_000  # [ns] of standing after which the body no longer moves
-_SURE = np.radians(3.0)  # [rad] uncertainty up to which the sensor is used
-_RATE, _FASTEST = 0.5, np.radians(3.0)  # [1/s] gain and [rad/s] largest rate at which {odom} turns, in lean and in heading
-_HEADING_RATE = 2.0  # [1/s] gain at which the heading follows the gyro
-_MOST_LEAN, _MOST_YAW = np.radians(12.0), np.radians(5.0)  # [rad] limits per step, or per rest
+_MAX_UNCERTAINTY_RAD = np.radians(3.0)  # [rad] standard deviation up to which the sensor is used
+_TURN_GAIN = 0.5  # [1/s] gain with which {odom} turns, in lean and in heading
+_MAX_TURN_RAD_S = np.radians(3.0)  # [rad/s] maximum rate of that turn
+_HEADING_GAIN = 2.0  # [1/s] gain at which the heading follows the gyro
+_MAX_LEAN_RAD, _MAX_YAW_RAD = np.radians(12.0), np.radians(5.0)  # [rad] limits per step, or per rest
 
 
 class GravityAlignment:
@@ -61,7 +63,7 @@ class GravityAlignment:
 
         Out-of-order and out-of-range readings are ignored. After a gap the estimate starts again.
         """
-        if np.abs(reading.gyro).max() > _MOST_TURN or np.abs(reading.specific_force).max() > _MOST_FORCE:
+        if np.abs(reading.gyro).max() > _MAX_RATE_RAD_S or np.abs(reading.specific_force).max() > _MAX_FORCE_M_S2:
             self._odd_ns = now_ns
             return
         since_ns = reading.stamp_ns - self._stamp_ns if self._attitude is not None else 1
@@ -79,7 +81,7 @@ class GravityAlignment:
     def attitude(self, now_ns: int) -> Attitude | None:
         """Return the attitude of the body; None without recent or reliable readings."""
         found = self._attitude
-        return None if found is None or found.doubt > _SURE or now_ns - self._heard_ns > _GAP_NS else found
+        return None if found is None or found.doubt > _MAX_UNCERTAINTY_RAD or now_ns - self._heard_ns > _GAP_NS else found
 
     def problem(self, now_ns: int) -> str:
         """Return why a sensor that sends readings is not used, or an empty string."""
@@ -103,9 +105,11 @@ class GravityAlignment:
 
     def _unfollowed(self) -> str:
         if self._steep:
-            return f"the body leans more than the {math.degrees(_MOST_LEAN):.0f} deg that the legs can compensate, by the IMU"
+            return (
+                f"the body leans more than the {math.degrees(_MAX_LEAN_RAD):.0f} deg that the legs can compensate, by the IMU"
+            )
         if self._astray:
-            most = f"{math.degrees(_MOST_YAW):.0f} deg"
+            most = f"{math.degrees(_MAX_YAW_RAD):.0f} deg"
             return f"the headings of gyroscope and legs differ by more than {most} in one step; the legs' heading is used"
         return ""
 
@@ -141,9 +145,9 @@ class GravityAlignment:
         x, y, z = up.tolist()
         sine = math.hypot(x, y)
         beyond = max(math.atan2(sine, z) - doubt, 0.0)
-        angle = dt * min(_RATE * beyond, _FASTEST) / max(sine, 1e-9)
+        angle = dt * min(_TURN_GAIN * beyond, _MAX_TURN_RAD_S) / max(sine, 1e-9)
         after = exp_so3(np.array([y * angle, -x * angle, 0.0])) @ self._R_levelled
-        self._steep = bool(after[2, 2] < min(self._R_levelled[2, 2], math.cos(_MOST_LEAN)))
+        self._steep = bool(after[2, 2] < min(self._R_levelled[2, 2], math.cos(_MAX_LEAN_RAD)))
         return (0.0, 0.0) if self._steep else (y * angle, -x * angle)
 
     def _yaw_to_make_up(self, legs: float, gyro: float, dt: float) -> float:
@@ -153,11 +157,11 @@ class GravityAlignment:
             self._behind = 0.0
             return 0.0
         self._behind += gyro - before[1] - math.remainder(legs - before[0], math.tau)
-        self._astray = self._astray or abs(self._made_up + self._behind) > _MOST_YAW
+        self._astray = self._astray or abs(self._made_up + self._behind) > _MAX_YAW_RAD
         if self._astray:
             self._behind = 0.0
-        most = _FASTEST * dt
-        yaw = float(min(max(min(_HEADING_RATE * dt, 1.0) * self._behind, -most), most))
+        most = _MAX_TURN_RAD_S * dt
+        yaw = float(min(max(min(_HEADING_GAIN * dt, 1.0) * self._behind, -most), most))
         self._behind -= yaw
         self._made_up += yaw
         return yaw
@@ -182,9 +186,9 @@ class GravityAlignment:
             return flags
         rising = (T_odom_body[:3, :3].T @ (up - self._calm))[:2]  # up leans, in the body frame, to the rising side
         size = math.hypot(*rising.tolist())
-        if size > _HEAVED:
+        if size > _LIFTED_LEAN_RAD:
             arms = np.where(coming, feet[:, :2] @ (rising / size), 0.0)
-            flags[arms.argmax()] = arms.max() > _HEAVES_FROM
+            flags[arms.argmax()] = arms.max() > _LIFTING_ARM_M
         return flags
 
     def tipped(self, T_odom_commanded: Array, now_ns: int) -> str:

@@ -14,7 +14,7 @@ from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import LEGS, RobotProfile
 
-_SLIPS = 0.01  # [m] motion against the other standing feet that counts as slip; rolling and play reach a few millimetres
+_SLIP_M = 0.01  # [m] motion against the other standing feet that counts as slip; rolling and play reach a few millimetres
 
 
 class StateEstimator:
@@ -126,5 +126,5 @@ class StateEstimator:
 
         Slip is motion of standing feet against each other.
         """
-        feet = [LEGS[leg] for leg in np.flatnonzero(self.odometry.slip > _SLIPS)]
+        feet = [LEGS[leg] for leg in np.flatnonzero(self.odometry.slip > _SLIP_M)]
         return f"slipping: {', '.join(feet)}" if feet else ""

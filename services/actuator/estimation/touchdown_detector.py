@@ -12,12 +12,12 @@ from sextant.shared.robot.kinematics import link_torques
 from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
-_OF_KG = 2.5  # [kg] mass of the robot that the limits of the parameters refer to
+_REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
 _NEAR_NS = 50_000_000  # [ns] longest time between two readings that determine the acceleration of the leg
 _SINCE_NS = 8_000_000  # [ns] after goals were sent at which the torque balance of a leg holds
 _STEP_NS = 20_000_000  # [ns] between goals
 _HEARD_NS = 5_000_000  # [ns] after goals were sent in which a servo may not have received them yet
-_TELLS = 0.1  # [N m] torque change by which this is detected; ticks and compliance margin cause half of it
+_MIN_TORQUE_CHANGE_NM = 0.1  # [N m] torque change by which this is detected; ticks and compliance margin cause half of it
 _LATE_NS = 30_000_000  # [ns] after a reading at which the next one is missed
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo after which the contact of its leg is unknown
 _NONE = np.zeros(6, dtype=np.bool_)
@@ -65,7 +65,7 @@ class TouchdownDetector:
         """Begin without a reading."""
         self._profile, self._params = profile, params or TouchdownParams()
         self._inertia = _leg_inertia(profile)
-        self._heavier = profile.body.total_mass / _OF_KG
+        self._heavier = profile.body.total_mass / _REFERENCE_MASS_KG
         self._speed = np.zeros(6)
         self._goal, self._told = np.zeros(6), np.zeros(6)  # [rad] goals of the femurs, and their last change
         self._jerk = np.zeros(6)  # [rad] difference between the last two changes
@@ -108,7 +108,7 @@ class TouchdownDetector:
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _STEP_NS)
         before = goal - float(self._told[leg])
         new, old = (_pull(servo, aim, femur.angle) for aim in (goal, before))
-        if since_ns < _HEARD_NS and abs(new - old) > _TELLS and abs(femur.load - old) < abs(femur.load - new):
+        if since_ns < _HEARD_NS and abs(new - old) > _MIN_TORQUE_CHANGE_NM and abs(femur.load - old) < abs(femur.load - new):
             since_ns, goal, new = since_ns + _STEP_NS, before, old
         then = _pull(servo, goal, femur.angle + femur.speed * (_SINCE_NS - since_ns) * 1e-9)
         return femur.load + then - new

@@ -8,9 +8,10 @@ import numpy as np
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
 
 LEVEL = np.array([1.0, 1.0, 0.0])  # mask of x, y, z, or of roll, pitch, yaw
-_FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
-_SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # squared weights in the length of a body path: 1 rad counts as 0.14 m
-_PLACES = 11  # number of candidate rest poses of a stopping body, from the earliest possible one to its goal
+_FOLLOW_GAIN = 2.0  # [1/s] gain with which {cmd} follows {odom}
+# Squared weights of x, y, z and roll, pitch, yaw in the length of a body path: 1 rad counts as 0.14 m.
+_PATH_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+_STOP_POSES = 11  # number of candidate rest poses of a stopping body, from the earliest possible one to its goal
 
 
 class BodyTrajectory:
@@ -98,9 +99,9 @@ class BodyTrajectory:
         """
         velocity = velocity_scale * self._velocity
         soon = self.place + left_s / 3.0 * velocity  # brakes with a deceleration that decreases linearly to zero
-        if (goal - self.place) @ (_SPAN * velocity) > 0.0 > (goal - soon) @ (_SPAN * velocity):
+        if (goal - self.place) @ (_PATH_WEIGHTS * velocity) > 0.0 > (goal - soon) @ (_PATH_WEIGHTS * velocity):
             soon = goal
-        for share in np.linspace(0.0, 1.0, _PLACES):
+        for share in np.linspace(0.0, 1.0, _STOP_POSES):
             yield pose(soon + share * (goal - soon))
 
     def follow(self, dt: float, T_odom_body: Array) -> None:
@@ -109,9 +110,9 @@ class BodyTrajectory:
         place = ref[:3, 3]
         way = (T_odom_body[:3, 3] - place) * LEVEL
         turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
-        R = rotation_z(_FOLLOW * dt * turn)
+        R = rotation_z(_FOLLOW_GAIN * dt * turn)
         # First turn about the body, then translate.
-        step = transform(R, place - R @ place + _FOLLOW * dt * way)
+        step = transform(R, place - R @ place + _FOLLOW_GAIN * dt * way)
         self.T_odom_cmd = step @ self.T_odom_cmd
 
     def error(self, T_odom_body: Array) -> Array:

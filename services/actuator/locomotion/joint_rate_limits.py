@@ -11,8 +11,8 @@ _FULL_SPEED_S = 0.04
 GENTLE = np.radians(25.0)  # [rad/s] of a joint that resumes its motion
 LOWERED = np.radians(35.0)  # [rad/s] of a joint whose foot was left in the air and is lowered
 FETCHED = np.radians(95.0)  # [rad/s] of a joint whose leg waited in the air for a silent servo, which has reached its goal
-_NEAR = np.radians(5.0)  # distance from the wanted angle at which the motion is resumed
-_FAR = np.radians(3.0)  # distance from the wanted angle at which that angle waits for the joint
+_RESUME_WITHIN_RAD = np.radians(5.0)  # [rad] from the wanted angle, within which the normal motion resumes
+_WAIT_BEYOND_RAD = np.radians(3.0)  # [rad] from the wanted angle, beyond which that angle waits for the joint
 
 
 class JointRateLimits:
@@ -75,8 +75,8 @@ class JointRateLimits:
         if dt > 0.0:
             self._rates = (q - q_last) / dt
         left = np.abs(wanted - q)
-        self.pace = 1.0 - min(float(left.max(where=self.gentle, initial=0.0)) / _FAR, 1.0)
-        self.behind &= left > _NEAR
+        self.pace = 1.0 - min(float(left.max(where=self.gentle, initial=0.0)) / _WAIT_BEYOND_RAD, 1.0)
+        self.behind &= left > _RESUME_WITHIN_RAD
         self.gentle &= (left > 1e-9) | self.behind.any(axis=1, keepdims=True)
         names = [LEGS[leg] for leg in np.flatnonzero(lost)]
         return q, f"foot out of reach, leg held in place: {', '.join(names)}" if names else ""

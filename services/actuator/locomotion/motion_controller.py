@@ -18,7 +18,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import RobotProfile
 
-_STANDS = 0.5  # share of its load from which a leg counts as standing
+_STANDING_LOAD_SHARE = 0.5  # share of its load from which a leg counts as standing
 _ALL = np.ones(6, dtype=np.bool_)
 
 
@@ -176,7 +176,7 @@ class MotionController:
         remain.
         """
         walk = self.executor
-        standing = (~walk.swing | (walk.load_share > _STANDS)) & ~walk.searching
+        standing = (~walk.swing | (walk.load_share > _STANDING_LOAD_SHARE)) & ~walk.searching
         firm = standing & ~self.unsure_legs(unsure)
         return np.asarray(firm if firm.sum() >= 3 else standing)
 

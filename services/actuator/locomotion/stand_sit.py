@@ -10,11 +10,11 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import RobotProfile
 
-_STANDS = 0.03  # [m] from the resting stance up to which the robot stands in it
-_OFF_GROUND = 0.04  # [m] belly height from which the legs carry the body
-_APART = 0.08  # [m] from its resting position up to which a foot of an interrupted robot stands
-_WIDER = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
-_BELLY_CLEARANCE = 0.005  # [m] of the feet over the ground on which the belly lies
+_AT_REST_M = 0.03  # [m] between a foot and its place in the resting stance, up to which the robot is in this stance
+_CARRYING_HEIGHT_M = 0.04  # [m] belly height from which the legs carry the body
+_STANDING_RANGE_M = 0.08  # [m] from its resting position, up to which a foot stands after an interrupted motion
+_WIDER_M = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
+_BELLY_CLEARANCE_M = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
 class StandUp:
@@ -35,7 +35,7 @@ class StandUp:
             duration_s: [s] total duration.
         """
         rest = profile.rest_feet()
-        if np.abs(feet - rest).max() < _STANDS:
+        if np.abs(feet - rest).max() < _AT_REST_M:
             self._way: tuple[Array, ...] = (feet, rest)
         elif _is_on_its_feet(profile, feet):
             self._way = (feet, np.column_stack([feet[:, :2], rest[:, 2]]))
@@ -102,7 +102,7 @@ def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
     """
     height = profile.foot.radius - float(np.median(feet[:, 2]))
     apart = np.linalg.norm((feet - profile.rest_feet())[:, :2], axis=1)
-    return height > profile.body.size[2] / 2 + _OFF_GROUND and bool((apart < _APART).all())
+    return height > profile.body.size[2] / 2 + _CARRYING_HEIGHT_M and bool((apart < _STANDING_RANGE_M).all())
 
 
 def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
@@ -110,7 +110,7 @@ def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
 
     Each foothold is the nearest to its resting position at which the leg reaches both.
     """
-    lying, risen = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE), profile.rest_feet()
+    lying, risen = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE_M), profile.rest_feet()
     wider = _outward(profile, lying, risen)
     return lying + wider, risen + wider
 
@@ -123,7 +123,7 @@ def _outward(profile: RobotProfile, *stances: Array) -> Array:
     outward = np.column_stack([profile.T_body_coxa[:, :2, 0], np.zeros(6)])
     reached = [
         np.all([within_limits(profile, body_inverse(profile, feet + wider * outward)).all(axis=1) for feet in stances], axis=0)
-        for wider in _WIDER
+        for wider in _WIDER_M
     ]
     # Without a solution, the servos go as far as they can, and the joint limits are enforced later.
-    return np.where(np.any(reached, axis=0), _WIDER[np.argmax(reached, axis=0)], 0.0)[:, None] * outward
+    return np.where(np.any(reached, axis=0), _WIDER_M[np.argmax(reached, axis=0)], 0.0)[:, None] * outward

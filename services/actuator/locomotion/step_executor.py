@@ -33,13 +33,13 @@ from sextant.shared.wire.messages import StepPlan
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
 _GENTLE_S = 1.0  # [s] in which hanging feet return to the ground; longer if the joint speed limits require it
 _PICKED_UP_M = 0.03  # [m] clearance of feet that may lie on the ground
-_LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which touchdown is detected, and from which it may stop the foot
+_DETECT_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which touchdown is detected, and from which it may stop the foot
 _FEEL_FROM_S = 0.03  # [s] before lift-off from which the other legs must prove that they stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 _BACK_CLEARANCE_M = 0.03  # [m] minimum clearance of that
 _SOON_S = 0.33  # [s] in which feet in the air reach the ground once the robot has to stop
 _BRAKE_S = 0.2  # [s] minimum braking time of the body, if its step lasts that long
-_FASTER = 1.75  # largest speed-up of a step for that; at a factor of two, joints arrive late, one by one
+_MAX_SPEEDUP = 1.75  # largest speed-up of a step for that; at a factor of two, joints arrive late, one by one
 _NEARLY_BACK_M = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal looks like touchdown
 _LOW_M = 0.010  # [m] clearance of feet that return to their last footholds
 
@@ -142,7 +142,7 @@ class StepExecutor:
         if running.flight is None:
             soon = running.elapsed_s >= running.unload_s - _FEEL_FROM_S - 1e-9
             return np.asarray(~running.plan.swing & ~self._contacts.proven & soon)
-        coming = _LISTEN_FROM <= running.swing_share(running.elapsed_s) < 1.0
+        coming = _DETECT_FROM <= running.swing_share(running.elapsed_s) < 1.0
         return np.asarray(running.plan.swing & ~self._contacts.stopped & coming)
 
     @property
@@ -271,7 +271,7 @@ class StepExecutor:
             self._running, self.phase = None, 1.0
             return
         since, left = running.elapsed_s - running.unload_s, running.plan.duration - running.elapsed_s
-        on_s, back_s = min(left, max(_SOON_S, left / _FASTER)), min(since, _SOON_S) + running.load_s
+        on_s, back_s = min(left, max(_SOON_S, left / _MAX_SPEEDUP)), min(since, _SOON_S) + running.load_s
         if back is None or on_s <= back_s:
             self._come_to_rest(running, max(running.hurry, left / on_s), reaches)
             return

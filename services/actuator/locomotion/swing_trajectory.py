@@ -23,15 +23,15 @@ from sextant.shared.geometry import Array
 _RISE_SLOPE, _RISE_WAY = 4.5, 0.25  # slope of the initial rise, and its largest share of the path
 _LEVEL_SHARE = 0.8  # of the clearance, over the higher end: above it the foot arcs; obstacles may be close to the foot
 _ARC_SHARE = 0.97  # of the clearance at which the arc would peak; the tail of S adds the rest
-_FADE = (0.15, 0.35)  # shares of the remaining path between which S fades
+_FADE_SHARES = (0.15, 0.35)  # shares of the remaining path between which S fades
 _ARC_SHARES = [i / 8 for i in range(9)]  # of the remaining path, at which the arc is measured
 _ARC_LOGS = [s * math.log(s) if s else 0.0 for s in _ARC_SHARES]
-_DEARER = 2.0  # cost of height relative to horizontal distance for the servos, and so its time
+_HEIGHT_COST = 2.0  # [1] time for height relative to horizontal distance, because height is slow for the servos
 _START, _END, _END_SPEED = 0.08, 0.18, 0.35  # shares of the time for acceleration and deceleration, and the final speed share
 _SUBSTEPS = 4  # per cycle, because the field turns within a centimetre
 _NEWTON_STEPS = 8
-_NEAR = 1e-3  # [m] horizontally at the target: straight down
-_LEAST = 1e-3  # [m] minimum rise over the higher end if the clearance is zero
+_AT_TARGET_M = 1e-3  # [m] horizontal distance from the target, below which the foot moves straight down
+_MIN_RISE_M = 1e-3  # [m] minimum rise over the higher end if the clearance is zero
 
 
 def flow_slope(x: float, y: float, v_h: float, level: float, over: float, rise: float) -> float:
@@ -71,12 +71,12 @@ def remaining_length(x: float, y: float, v_h: float, level: float, rise: float =
 
     The path goes up to the level, then along the arc.
     """
-    if x <= _NEAR:
-        return math.hypot(x, _DEARER * y)
+    if x <= _AT_TARGET_M:
+        return math.hypot(x, _HEIGHT_COST * y)
     up = max(0.0, level - y) * rise
     top, u, along = y + up, v_h * x, x / (len(_ARC_SHARES) - 1)
-    arc = [_DEARER * (s * top - u * s_log) for s, s_log in zip(_ARC_SHARES, _ARC_LOGS, strict=True)]
-    return _DEARER * up + sum(math.hypot(along, b - a) for a, b in pairwise(arc))
+    arc = [_HEIGHT_COST * (s * top - u * s_log) for s, s_log in zip(_ARC_SHARES, _ARC_LOGS, strict=True)]
+    return _HEIGHT_COST * up + sum(math.hypot(along, b - a) for a, b in pairwise(arc))
 
 
 class Swing:
@@ -123,7 +123,7 @@ class _Flight:
 
     def __init__(self, foot: list[float], target: list[float], clearance: float):
         self._start_z = foot[2]
-        self._rise_by = max(_LEVEL_SHARE * clearance, _LEAST)  # [m] over the higher end
+        self._rise_by = max(_LEVEL_SHARE * clearance, _MIN_RISE_M)  # [m] over the higher end
         self._length = max(math.hypot(target[0] - foot[0], target[1] - foot[1]), 0.02)
         higher = max(foot[2] - target[2], 0.0)
         rise = self._rise_by + max(target[2] - foot[2], 0.0)
@@ -138,16 +138,16 @@ class _Flight:
         for _ in range(_SUBSTEPS):
             x_way, y_way = x_target - x_foot, y_target - y_foot
             x, y = math.hypot(x_way, y_way), z_foot - z_target
-            rise = min(max((x / self._length - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0), 1.0)
+            rise = min(max((x / self._length - _FADE_SHARES[0]) / (_FADE_SHARES[1] - _FADE_SHARES[0]), 0.0), 1.0)
             if advance < 0.0:
                 advance = remaining_length(x, y, self._v_h, level, rise) * share / _SUBSTEPS
-            if x > _NEAR:
+            if x > _AT_TARGET_M:
                 slope = flow_slope(x, y, self._v_h, level, self._rise_by, rise * self._slope)
-                horizontal = advance / math.hypot(1.0, _DEARER * slope)
+                horizontal = advance / math.hypot(1.0, _HEIGHT_COST * slope)
                 ahead = min(horizontal, x) / x
                 x_foot, y_foot, z_foot = x_foot + x_way * ahead, y_foot + y_way * ahead, z_foot + slope * horizontal
             else:
-                down = advance / _DEARER
+                down = advance / _HEIGHT_COST
                 z_foot -= min(max(y, -down), down)
         return x_foot, y_foot, z_foot
 

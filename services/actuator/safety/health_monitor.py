@@ -11,16 +11,16 @@ from sextant.shared.servo.dynamixel import ServoError
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is silent
-_LOSS = 0.30  # recent share of requests without a usable answer from which the robot's state is unknown
+_MAX_LOSS_SHARE = 0.30  # [1] recent share of requests without a usable answer from which the robot's state is unknown
 LATE, LATE_CYCLES = 1.5, 5  # largest cycle time in periods, and number of consecutive cycles that may exceed it
 GAP_S = 0.2  # [s] between two cycles from which the robot counts as uncontrolled
 _HOT_K = 5.0  # [K] below the servo's own limit, from where the robot lies down
 _MAX_WARMING_K_S = 3.0  # [K/s] limit of a rising reading; a stalled motor warms by 1 K/s
 _OVERHEATED_S = 0.5  # [s] for which a servo must report an overheating shutdown
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
-_TIRED, _SPENT = 0.36, 0.50  # recent rms share of the stall torque: from here on slower; slowest
-_TIRES_S = 30.0  # [s] its time constant
-_SLOWEST = 0.4  # share of the nominal speed
+_SLOWER_FROM_LOAD, _SLOWEST_FROM_LOAD = 0.36, 0.50  # [1] recent rms torque, of the stall torque: walk slower; slowest
+_LOAD_TIME_CONSTANT_S = 30.0  # [s] of that rms
+_MIN_PACE = 0.4  # [1] slowest share of the nominal speed
 _RESETS, _WITHIN_S = 3, 300.0  # overload resets per servo, and [s] in which they count
 _REST_S = 1.0  # [s] between an overload and its reset
 SHUT_DOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
@@ -94,7 +94,7 @@ class Health:
         """
         self._late = self._late + 1 if dt > LATE * self._period else 0
         share = vitals.load / self._profile.servo.stall_torque
-        self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
+        self._effort += (1.0 - np.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
         # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
@@ -120,8 +120,9 @@ class Health:
             return "no servo answers; check the power of the bus, its cable and the adapter"
         if len(silent):
             return f"{_named(self._profile, silent)} does not answer; check its cable and the cables before it"
-        if vitals.loss > _LOSS:
-            return f"more than {_LOSS:.0%} of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
+        if vitals.loss > _MAX_LOSS_SHARE:
+            share = f"more than {_MAX_LOSS_SHARE:.0%} of the servos' answers"
+            return f"{share} are lost or broken; check cables, plugs and the bus voltage"
         behind = np.flatnonzero(vitals.behind)
         return f"{_named(self._profile, behind)} is catching up with its goal, slowly" if len(behind) else ""
 
@@ -207,7 +208,7 @@ class Health:
         if below >= WARM_K:
             return Verdict()
         words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
-        pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (WARM_K - below) / (WARM_K - _HOT_K))
+        pace = max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (WARM_K - below) / (WARM_K - _HOT_K))
         return Verdict(sit=words if below <= _HOT_K else "", pace=pace, warnings=(f"{words}; walking slower",))
 
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
@@ -232,7 +233,10 @@ class Health:
     def _fresh(self) -> float:
         """Return the share of the nominal speed that the recent load allows."""
         worst = float(np.sqrt(self._effort.max()))
-        return min(1.0, max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (worst - _TIRED) / (_SPENT - _TIRED)))
+        return min(
+            1.0,
+            max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (worst - _SLOWER_FROM_LOAD) / (_SLOWEST_FROM_LOAD - _SLOWER_FROM_LOAD)),
+        )
 
 
 def _named(profile: RobotProfile, indices: NDArray[np.int64] | list[int]) -> str:

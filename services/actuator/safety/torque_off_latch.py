@@ -17,7 +17,7 @@ SHARED = Path("/run/sextant")
 FOLDERS = (SHARED, Path("/tmp"))
 _DEVICES = Path("/dev")
 _LINKS = ("", "serial/by-id", "serial/by-path")  # folders in /dev in which udev creates further device names
-_LONG = 100  # characters after which a port name is truncated
+_MAX_NAME_LENGTH = 100  # characters after which a port name is truncated
 
 
 class Latch:
@@ -136,8 +136,8 @@ def name_of(port: str) -> str:
     A device is shared by the machine, another port belongs to a user.
     """
     words = re.sub(r"[^A-Za-z0-9]+", "-", port).strip("-")
-    if len(words) > _LONG:
-        words = f"{words[:_LONG]}-{hashlib.blake2s(port.encode(), digest_size=8).hexdigest()}"
+    if len(words) > _MAX_NAME_LENGTH:
+        words = f"{words[:_MAX_NAME_LENGTH]}-{hashlib.blake2s(port.encode(), digest_size=8).hexdigest()}"
     return words if Path(port).is_absolute() else f"{os.getuid()}-{words}"
 
 

@@ -8,7 +8,7 @@ from secrets import token_hex
 from sextant.services.actuator.safety.command_ordering import WalkOrder
 from sextant.services.actuator.safety.torque_off_latch import FOLDERS, name_of
 
-_LONGEST = 4096  # [B] read from a file at most
+_MAX_FILE_BYTES = 4096  # [B] read from a file at most
 
 
 class WalkAuthorization:
@@ -61,7 +61,7 @@ def _order_in(path: Path) -> WalkOrder | None:
     """Return the order in a file; None if the file is not a valid one."""
     try:
         with path.open("rb") as file:
-            sequence, _, holder = file.read(_LONGEST).decode("utf-8").partition(" ")
+            sequence, _, holder = file.read(_MAX_FILE_BYTES).decode("utf-8").partition(" ")
     except (OSError, UnicodeDecodeError):
         return None
     return WalkOrder(holder, int(sequence)) if sequence.isascii() and sequence.isdigit() and holder else None

@@ -46,17 +46,17 @@ __all__ = [
     "whole",
 ]
 
-_PATIENCE = 3  # unanswered requests in a row before a servo is read more rarely: a busy host loses answers
-_AT_ONCE = 3  # unanswered requests in a row up to which a servo still comes first in the next call
+_MAX_UNANSWERED = 3  # consecutive unanswered requests, beyond which a servo is read more rarely: a busy host loses answers
+_AT_ONCE = 3  # consecutive unanswered requests, up to which a servo is still read first in the next call
 _OVERDUE_NS = 100_000_000  # [ns] without a request after which a servo comes before the urgent ones
-_MAX_BACKOFF = 8  # a silent servo is still read every this many turns
+_MAX_BACKOFF = 8  # [turns] maximum time between two requests to a silent servo
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
-_LOOKS = 3  # requests to one servo per turn, if its answers are broken or doubtful
+_MAX_REQUESTS = 3  # requests to one servo per turn, if its answers are broken or doubtful
 _LOSS_WINDOW_NS = 200_000_000  # [ns]
 _NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts as noisy
-_LONGEST = 256  # [bytes] largest length that a packet header can announce
+_MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
-_SEC = 1e9
+_NS_PER_S = 1e9
 
 
 class BusSetupError(ConnectionError):
@@ -344,7 +344,7 @@ class ServoBus:
             self.sync_write(dxl.TORQUE_ENABLE, 1)
             return
         if self._loss.within(self._clock(), _NOISY_NS):
-            self._line.send(bytes(_LONGEST))
+            self._line.send(bytes(_MAX_PACKET_BYTES))
         for _ in range(2):
             self._line.send(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.encode(0)))
 
@@ -403,7 +403,7 @@ class ServoBus:
     def ages(self) -> NDArray[np.float64]:
         """Return (n,) [s] since each newest reading was requested, infinite before."""
         now = self._clock()
-        return np.array([(now - t) / _SEC if t >= 0 else np.inf for t in self._read_ns])
+        return np.array([(now - t) / _NS_PER_S if t >= 0 else np.inf for t in self._read_ns])
 
     # ----------------------------------------------------------------------------------------------- below the words
 
@@ -413,7 +413,7 @@ class ServoBus:
         A request begins by `end_ns` and ends within a timeout.
         """
         heard = False
-        for _ in range(_LOOKS):
+        for _ in range(_MAX_REQUESTS):
             start = self._clock()
             if start > end_ns:
                 break
@@ -448,7 +448,7 @@ class ServoBus:
     def _leave_alone(self, index: int) -> None:
         """Skip turns of a servo that has not answered, more the longer it is silent."""
         self._missed[index] += 1
-        if self._missed[index] > _PATIENCE:
+        if self._missed[index] > _MAX_UNANSWERED:
             self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
         self._skips[index] = self._backoff[index] - 1
 

@@ -27,7 +27,7 @@ from sextant.shared.servo.dynamixel import PacketParser, Register, ServoError, S
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] validity of goals
-_CHUNK = 4096  # [bytes] per read
+_CHUNK_BYTES = 4096  # [bytes] per read
 _HELLO_NS = 300_000_000  # [ns] timeout of a welcome
 _GREET_AGAIN_NS = 100_000_000  # [ns] between two hellos in the loop
 _SILENT_NS = 100_000_000  # [ns] without a state, or without the effect of an order, after which a problem is reported
@@ -36,7 +36,7 @@ _NEW_US = 1_000  # [us] by which a new reading is newer than the last one
 _CYCLE_NS = 20_000_000  # [ns] in which the bridge reads every servo
 _OTHER_GOALS_US = 5_000  # [us] after the newest goals from which goals count as newer ones
 _NEVER_US = -1_000_000_000  # [us] long ago
-_US = 1_000  # [ns]
+_NS_PER_US = 1_000
 
 
 class Bridge:
@@ -178,7 +178,7 @@ class Bridge:
             BusSetupError: No bridge answers, or its version differs.
             BusDisconnectedError: The port is gone.
         """
-        self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # differs from the last session
+        self._session = self._clock() // _NS_PER_US % 0xFFFF_FFFF + 1  # differs from the last session
         self._sequence = 0
         self._welcomed = False
         self._greet()
@@ -261,7 +261,7 @@ class Bridge:
             BusDisconnectedError: The port is gone.
         """
         until = self._clock() + budget_ns
-        while self._clock() < until and self._pump() == _CHUNK:
+        while self._clock() < until and self._pump() == _CHUNK_BYTES:
             pass
         self._keep_in_touch()
         readings = list(self._fresh.values())
@@ -306,11 +306,13 @@ class Bridge:
     def _head(self) -> tuple[int, int, int]:
         """Return session, number and time of the next order."""
         self._sequence += 1
-        return max(self._session, 1), self._sequence, self._clock() // _US
+        return max(self._session, 1), self._sequence, self._clock() // _NS_PER_US
 
     def _greet(self) -> None:
         self._greeted_ns = self._clock()
-        self._send(bridge_protocol.Hello(bridge_protocol.VERSION, self._session, self._clock() // _US, bytes(self.servo_ids)))
+        self._send(
+            bridge_protocol.Hello(bridge_protocol.VERSION, self._session, self._clock() // _NS_PER_US, bytes(self.servo_ids))
+        )
 
     def _order_torque(self) -> None:
         self._send(bridge_protocol.Torque(*self._head(), int(bool(self._torque))))
@@ -328,7 +330,7 @@ class Bridge:
     def _pump(self) -> int:
         """Process received data; return the number of bytes."""
         try:
-            data = self._port.read(_CHUNK)
+            data = self._port.read(_CHUNK_BYTES)
         except LOST as error:
             raise gone(error) from error
         for message in self._receiver.feed(data):
@@ -387,10 +389,10 @@ class Bridge:
         if measured_us - self._measured_us[index] < _NEW_US:
             return
         self._measured_us[index] = measured_us
-        self._read_ns[index] = stamp_ns - age_us * _US
+        self._read_ns[index] = stamp_ns - age_us * _NS_PER_US
         before_us, newest_us = self._taken_us
         told_us = newest_us if measured_us >= newest_us else before_us
-        told_ns = self._read_ns[index] - (measured_us - told_us) * _US
+        told_ns = self._read_ns[index] - (measured_us - told_us) * _NS_PER_US
         columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
         measured = tuple(column[index] for column in columns)
         self._fresh.pop(index, None)  # keep the order of reading

@@ -31,13 +31,13 @@ log = logging.getLogger(__name__)
 REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
 BAUD_RATE = 1_000_000
 REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
-_WRITE_TIMEOUT = 0.5  # [s] without progress of a write after which the port is gone
+_WRITE_TIMEOUT_S = 0.5  # [s] without progress of a write after which the port is gone
 _MAX_LENGTH = dxl.TABLE_SIZE + 2  # length byte of the longest answer
 _SETTLES_NS = 100_000_000  # [ns] after which a lost answer cannot arrive any more: six USB transactions at the slowest
 _UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once a second
 _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
-_ALL = 4096  # [bytes] more than can arrive within a timeout
-_SEC = 1e9
+_READ_ALL_BYTES = 4096  # [bytes] to read at once: more than can arrive within a timeout
+_NS_PER_S = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 _LAST_PORT = 65535
 _EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
@@ -131,7 +131,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     network = url.startswith("socket://")
     kind = _Connection if network else serial.serial_for_url
     try:
-        port = kind(url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone)
+        port = kind(url, baudrate=baud_rate, timeout=timeout_ns / _NS_PER_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=alone)
         if network:
             # pyserial leaves Nagle's algorithm on: a read request behind a sync write would wait 40 ms for the first
             # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
@@ -253,7 +253,7 @@ class SerialLine:
         """
         heard = b""
         try:
-            self._port.read(_ALL)  # rest of an answer
+            self._port.read(_READ_ALL_BYTES)  # rest of an answer
             deadline = self._clock() + _UNASKED_NS
             for _ in range(_UNASKED_READS):
                 heard += self._port.read(_UNASKED_BYTES - len(heard))
@@ -290,7 +290,7 @@ class SerialLine:
         """Discard late bytes, which would be taken for the next echo, if time allows."""
         if self._clock() <= end_ns:
             try:
-                self._port.read(_ALL)
+                self._port.read(_READ_ALL_BYTES)
             except LOST as error:
                 raise gone(error) from error
 

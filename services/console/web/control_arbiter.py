@@ -23,7 +23,7 @@ AWAY_NS = 5_000_000_000  # [ns] silence after which a page loses control: it is 
 VELOCITY_NS = 40_000_000  # [ns] minimum period of velocity commands; a page repeats a held pad every 66 ms
 _ZERO_NS = 300_000_000  # [ns] duration of zero velocity commands after a press
 _GOAL_NS = 200_000_000  # [ns] period of a goal
-_TOLERANCE = 0.05  # [m] radius around a goal
+_TOLERANCE_M = 0.05  # [m] radius around a goal
 _LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can walk
 
 
@@ -295,7 +295,7 @@ class ControlArbiter:
         goal, walk = active.goal, active.goal.walk
         speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
-        return [Goal(now_ns, waypoints, _TOLERANCE, speed, walk.height, walk.lift, walk.gait, goal.passage)]
+        return [Goal(now_ns, waypoints, _TOLERANCE_M, speed, walk.height, walk.lift, walk.gait, goal.passage)]
 
     # ------------------------------------------------------------------------------------------------ ends of presses, goals
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 _SLOTS = ("hello", "state", "glance", "health", "passage", "refused")  # in sending order
 _FRAMES = ("map", "picture")
-_LINES = 64  # maximum number of waiting log messages; the oldest are dropped
+_MAX_LINES = 64  # maximum number of waiting log messages; the oldest are dropped
 
 
 class Page:
@@ -23,7 +23,7 @@ class Page:
         self._slots: dict[str, str] = {}
         self._frames: dict[str, bytes] = {}
         self._drawing: set[str] = set()  # kinds of frames that were sent and are not drawn yet
-        self._lines: deque[str] = deque(maxlen=_LINES)
+        self._lines: deque[str] = deque(maxlen=_MAX_LINES)
 
     def post(self, kind: str, text: str) -> None:
         """Queue a text, which replaces the waiting text of its kind; log lines accumulate."""

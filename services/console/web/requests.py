@@ -6,10 +6,10 @@ from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
 MAX_BYTES = 4096  # maximum size of a request
-_MOST_WAYPOINTS = 16
-_FAR = 100.0  # [m] maximum coordinate of a waypoint {world}
-_FAST = 1.0  # [m/s] and [rad/s] maximum speed of a request; the planner applies the robot's own limits
-_MOST_PRESSES = 1 << 53
+_MAX_WAYPOINTS = 16
+_MAX_COORDINATE_M = 100.0  # [m] maximum coordinate of a waypoint {world}
+_MAX_SPEED = 1.0  # [m/s] and [rad/s] maximum speed of a request; the planner applies the robot's own limits
+_MAX_PRESS = 1 << 53
 
 Order: TypeAlias = Literal["off", "stop", "ready", "stand", "sit"]
 Layer: TypeAlias = Literal["score", "evaluation", "variance", "color"]
@@ -142,11 +142,11 @@ class _Fields:
         kind = self._take("type")
         match kind:
             case "drive":
-                turn, walk, touch = self._number("turn", _FAST), self._walk(), self._truth("blind_walking")
+                turn, walk, touch = self._number("turn", _MAX_SPEED), self._walk(), self._truth("blind_walking")
                 made: Request = Drive(
-                    self._whole("press", _MOST_PRESSES),
-                    self._number("forward", _FAST),
-                    self._number("left", _FAST),
+                    self._whole("press", _MAX_PRESS),
+                    self._number("forward", _MAX_SPEED),
+                    self._number("left", _MAX_SPEED),
                     turn,
                     walk,
                     touch,
@@ -209,20 +209,20 @@ class _Fields:
         return value
 
     def _speed(self) -> float:
-        return self._number("speed", _FAST, 0.01)
+        return self._number("speed", _MAX_SPEED, 0.01)
 
     def _walk(self) -> Walk:
         return Walk(self._number("height", 1.0, 0.0), self._number("lift", 1.0, 0.0), self._one_of("gait", get_args(Gait)))
 
     def _waypoints(self) -> tuple[tuple[float, float], ...]:
         value = self._take("waypoints")
-        if not isinstance(value, list) or not 1 <= len(value) <= _MOST_WAYPOINTS:
-            raise RequestError(f"waypoints: 1 to {_MOST_WAYPOINTS} points expected")
+        if not isinstance(value, list) or not 1 <= len(value) <= _MAX_WAYPOINTS:
+            raise RequestError(f"waypoints: 1 to {_MAX_WAYPOINTS} points expected")
         places = []
         for place in value:
             if not isinstance(place, list) or len(place) != 2:
                 raise RequestError("waypoints: points [x, y] expected")
-            x, y = (_Fields({"x": number})._number("x", _FAR) for number in place)
+            x, y = (_Fields({"x": number})._number("x", _MAX_COORDINATE_M) for number in place)
             places.append((x, y))
         return tuple(places)
 

@@ -9,7 +9,7 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode
 # [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
 MAX_HEIGHT_ERROR_M = 0.30
 _FARTHEST_FOOT_M = 1.0  # [m] from the body
-_EVEN = 5  # feet that must carry load before the first step
+_MIN_LOADED_FEET = 5  # minimum number of feet that carry load before the first step
 _CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
 _SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
 _TOUCH_SIGMA_M = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
@@ -71,10 +71,10 @@ class FootEvidence:
 def feet_show_ground(legs: ActuatorState) -> bool:
     """Return whether the feet show the height of the ground.
 
-    They do not with torque off or while the robot is carried. Before the first step at least `_EVEN` feet must carry load:
+    They do not with torque off or while the robot is carried. Before the first step, `_MIN_LOADED_FEET` feet must carry load:
     if more feet hang, the ground is not a plane.
     """
     carrying = legs.contact & ~legs.swing
-    enough = _EVEN if legs.step == 0 and not legs.swing.any() else 3
+    enough = _MIN_LOADED_FEET if legs.step == 0 and not legs.swing.any() else 3
     near = np.abs(legs.feet).max() < _FARTHEST_FOOT_M
     return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= enough and near)

@@ -8,8 +8,8 @@ from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import ActuatorState, BodyPose
 
-_FIRST_SEEN = 0.20  # [m] beyond the assumed ground; the most common colour there is taken as that of the start ground
-_LEVEL = 0.01  # [m] largest deviation from a plane for ground that continues it
+_COLOR_RANGE_M = 0.20  # [m] beyond the assumed ground, whose most common colour becomes that of the assumed ground
+_LEVEL_M = 0.01  # [m] largest deviation from a plane for ground that continues it
 
 
 def assume_start_ground(
@@ -48,7 +48,7 @@ def nearest_seen_ground(grid: ElevationGrid, settings: Settings, T_world_body: A
     x, y = (snapshot.origin[k] + settings.resolution * np.arange(settings.shape[k]) for k in (0, 1))
     off = np.stack(np.broadcast_arrays(x[:, None] - T_world_body[0, 3], y - T_world_body[1, 3]), axis=-1)
     ahead, aside = np.moveaxis(off @ T_world_body[:2, :2], -1, 0)
-    near = (ahead < settings.assumed_ahead + _FIRST_SEEN) & (ahead > 0) & (np.abs(aside) < settings.assumed_aside)
+    near = (ahead < settings.assumed_ahead + _COLOR_RANGE_M) & (ahead > 0) & (np.abs(aside) < settings.assumed_aside)
     return np.asarray(near & np.isfinite(snapshot.elevation))
 
 
@@ -76,4 +76,4 @@ def _goes_on(grid: ElevationGrid, settings: Settings, T_world_body: Array, plane
     points = apply(T_world_body, np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
     above = grid.heights(points) - np.column_stack([np.ones(len(points)), points]) @ plane
     seen = above[np.isfinite(above)]
-    return bool(len(seen) > 0.3 * len(points) and np.percentile(np.abs(seen), 95) < _LEVEL)
+    return bool(len(seen) > 0.3 * len(points) and np.percentile(np.abs(seen), 95) < _LEVEL_M)

@@ -10,7 +10,7 @@ import numpy as np
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import ActuatorState, BodyPose
 
-_FROM, _UNTIL = 0.2, 0.8  # phases of a step between which the stance feet carry the whole robot
+_FROM_PHASE, _UNTIL_PHASE = 0.2, 0.8  # phases of a step between which the stance feet carry the whole robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +36,14 @@ class FirstStanceDetector:
     def update(self, state: ActuatorState, pose: BodyPose) -> list[StanceResult]:
         """Return the feet whose first stance has ended, from the newest state and pose."""
         found = []
-        if state.step != self._step or state.phase > _UNTIL:
+        if state.step != self._step or state.phase > _UNTIL_PHASE:
             found = [StanceResult(self._lowest[leg].copy(), bool(self._carried[leg])) for leg in np.flatnonzero(self._watched)]
             self._swung &= ~self._watched
             self._watched[:] = self._carried[:] = False
             self._lowest[:] = np.inf
             self._step = state.step
         self._swung |= state.swing
-        if state.swing.any() and _FROM <= state.phase <= _UNTIL:
+        if state.swing.any() and _FROM_PHASE <= state.phase <= _UNTIL_PHASE:
             standing = self._swung & ~state.swing
             feet = apply(pose.T_world_odom @ state.T_odom_body, state.feet) - [0.0, 0.0, self._radius]
             lower = standing & (feet[:, 2] < self._lowest[:, 2])

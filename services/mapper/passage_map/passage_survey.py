@@ -17,8 +17,8 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import Stages
 from sextant.shared.wire.messages import ActuatorState, BodyPose, PassageMap, PassageRequest, Scan
 
-_NARROWEST = 3  # [cells] smallest length and width of a passage; fewer have no slope
-_BOX = 10  # largest ratio of the cells in the box around an oblique passage to the cells allowed in a passage
+_MIN_CELLS = 3  # [cells] minimum length and width of a passage; fewer have no slope
+_MAX_BOX_RATIO = 10  # [1] maximum cells of the box around an oblique passage, relative to the maximum cells of a passage
 
 
 class PassageSurvey:
@@ -138,13 +138,13 @@ class PassageSurvey:
         settings = self._settings
         strip = Strip((float(request.origin[0]), float(request.origin[1])), request.heading, request.length, request.width)
         nx, ny = cells_of(strip, settings.resolution)
-        if min(nx, ny) < _NARROWEST:
-            raise ValueError(f"at least {_NARROWEST} cells along and across expected, found {nx} x {ny}")
+        if min(nx, ny) < _MIN_CELLS:
+            raise ValueError(f"at least {_MIN_CELLS} cells along and across expected, found {nx} x {ny}")
         if nx * ny > settings.passage_cells:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
         columns = math.prod(strip.box(settings.resolution)[1])
-        if columns > _BOX * settings.passage_cells:
-            most = _BOX * settings.passage_cells
+        if columns > _MAX_BOX_RATIO * settings.passage_cells:
+            most = _MAX_BOX_RATIO * settings.passage_cells
             raise ValueError(
                 f"at most {most} cells in the box around the strip expected, found {columns}: "
                 "choose a heading along x or y, or a shorter strip"

@@ -16,8 +16,8 @@ from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.runtime.compiled import compiled
 
 KEPT = 8  # depth frames kept for their colour image: 0.27 s at 30 Hz
-_APART = 0.015  # [m] largest depth difference between a point and its pixel, plus
-_APART_SHARE = 0.02  # [1] this share of the depth
+_MAX_DEPTH_GAP_M = 0.015  # [m] maximum depth difference between a point and its pixel ...
+_MAX_DEPTH_GAP_SHARE = 0.02  # [1] ... plus this share of the depth
 
 
 class Coloring:
@@ -87,7 +87,7 @@ def _look_up(
         if not (1 <= u < columns - 1 and 1 <= v < rows - 1):
             continue
         seen = depth[v, u] * unit
-        if seen == 0.0 or abs(seen - r) > _APART + _APART_SHARE * r:
+        if seen == 0.0 or abs(seen - r) > _MAX_DEPTH_GAP_M + _MAX_DEPTH_GAP_SHARE * r:
             continue
         red = green = blue = 0.0
         for i in range(v - 1, v + 2):

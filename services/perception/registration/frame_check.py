@@ -8,7 +8,7 @@ from sextant.services.perception.registration.motion_prior import Motion
 from sextant.shared.wire.messages import DepthImage
 
 OUT_OF_ORDER_NS = 1_000_000_000  # [ns] a frame older than the newest by less than this is late; by more, the clock has changed
-_SAMPLED = 8  # [px] row and column spacing of the pixels compared to detect a frozen image
+_SPACING_PX = 8  # [px] row and column spacing of the pixels compared to detect a frozen image
 _MOVED = 0.01  # [m] or [rad] body motion after which two identical images show a frozen camera
 
 
@@ -51,7 +51,7 @@ class FrameCheck:
 
         A frozen image stays the same although the body has moved.
         """
-        sample = image.depth[::_SAMPLED, ::_SAMPLED]
+        sample = image.depth[::_SPACING_PX, ::_SPACING_PX]
         if self._picture is None or not np.array_equal(sample, self._picture[0]):
             self._picture = (sample.copy(), image.stamp_ns, motion)
             return ""

@@ -18,7 +18,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import DepthImage
 
 SILENT_S = 0.5  # [s] without odometry, after which directions that the scene does not constrain are unknown
-_MOST_TILT = 1.0  # [rad] largest tilt of a body on its legs; a pose with more is wrong
+_MAX_TILT_RAD = 1.0  # [rad] largest tilt of a body on its legs; a pose with more is wrong
 
 
 class RegistrationMethod(Protocol):
@@ -66,8 +66,8 @@ class FrameRegistration:
 
     def is_overturned(self, found: RegistrationResult, motion: Motion) -> bool:
         """Return whether the pose has the body on its side, but odometry upright."""
-        carried = self._settings.legs and motion.reliable and motion.T_odom_body[2, 2] > np.cos(_MOST_TILT)
-        upright = self.T_world_body(found)[2, 2] > np.cos(_MOST_TILT)
+        carried = self._settings.legs and motion.reliable and motion.T_odom_body[2, 2] > np.cos(_MAX_TILT_RAD)
+        upright = self.T_world_body(found)[2, 2] > np.cos(_MAX_TILT_RAD)
         return bool(carried and not upright)
 
     def restart(self, found: RegistrationResult, motion: Motion) -> RegistrationResult:

@@ -8,7 +8,7 @@ import numpy as np
 from sextant.shared.geometry import Array, exp_so3, interpolate, log_so3, transform
 from sextant.shared.wire.messages import Odometry
 
-_KEPT = 100  # messages, two seconds
+_MAX_MESSAGES = 100  # number of stored messages: those of two seconds
 _STILL = 1.5e-3  # [m] and [rad], three times the servo resolution's effect on a standing robot
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] longest extrapolation; after that the body is assumed to stand still
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] a message may be late by this much; an older one comes from another clock
@@ -50,7 +50,7 @@ class OdometryHistory:
             self.restarts += 1
             self._messages.clear()
         self._messages.append(message)
-        del self._messages[:-_KEPT]
+        del self._messages[:-_MAX_MESSAGES]
 
     def settled(self, for_s: float) -> bool:
         """Return whether the body has stood still for the last `for_s` seconds."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 _CELL_M = 0.15  # [m] edge of the squares that average the noise of points
-_WITHIN = 0.9  # share of the total gain that must lie within the body
+_INSIDE_SHARE = 0.9  # share of the total gain that must lie within the body
 _SIGMAS = 4.0  # times the noise of a square, above which its gain is significant
-_SHARE_OF_VIEW = 0.5  # largest radius of a body, relative to the radius of the visible area
+_MAX_VIEW_SHARE = 0.5  # largest radius of a body, relative to the radius of the visible area
 _MIN_GAIN = 20.0  # total gain below which there is no motion
 
 
@@ -32,7 +32,7 @@ def is_one_body(xy: NDArray[np.float64], gains: NDArray[np.float64], radius: flo
     seen = float(
         np.percentile(np.linalg.norm(xy - np.median(xy, axis=0), axis=1), 90)
     )  # at short range, the visible area itself may be this small
-    radius = min(radius, _SHARE_OF_VIEW * seen)
+    radius = min(radius, _MAX_VIEW_SHARE * seen)
     return _is_within(np.asarray((cells[speaks] + 0.5) * _CELL_M, dtype=np.float64), net[speaks], radius)
 
 
@@ -44,7 +44,7 @@ def is_within_body(xy: NDArray[np.float64], radius: float) -> bool:
 def _is_within(xy: NDArray[np.float64], weights: NDArray[np.float64], radius: float) -> bool:
     middle = np.array([_weighted_median(along, weights) for along in xy.T])
     near = np.linalg.norm(xy - middle, axis=1) <= radius
-    return bool(weights[near].sum() >= _WITHIN * weights.sum())
+    return bool(weights[near].sum() >= _INSIDE_SHARE * weights.sum())
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

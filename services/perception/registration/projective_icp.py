@@ -33,7 +33,7 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 # The legs may have slipped if registration has moved the pose this far from the prior.
 _DRAWN = 2.0  # [sigma]
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] possible slip of the legs between two frames
-_TRIES = 3  # alignments from a place found by the search
+_MAX_ALIGNMENTS = 3  # alignments from a place found by the search
 _UNOBSERVED_SHIFT = 0.02  # [m, rad] largest shift by a search or a slip along a direction that no frame observes
 _STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes that start a search for a lost frame
 _LOST_SIGMA = 0.03  # [m] and [rad] uncertainty of a place found by the search
@@ -254,7 +254,7 @@ class Registration:
         if found.T_world_camera is None:
             return _Nowhere(found.reason, is_elsewhere=False)
         T = found.T_world_camera
-        for _ in range(_TRIES):
+        for _ in range(_MAX_ALIGNMENTS):
             better = self._aligner.align(T, np.eye(6) / _LOST_SIGMA**2, TRUSTING)
             T = better.T
             if self._fit.is_plausible(better.match):
