@@ -101,8 +101,8 @@ class Section:
     Fields are those of `sextant.shared.wire.messages.PassagePlan`.
     """
 
-    state: str
-    reason: str
+    state: str  # result of the search
+    reason: str  # why there is no way; empty if there is one
     generated: int  # number of nodes, n_g of Masri
     expanded: int  # number of expansions, successful or not, n_e of Masri
     planning_ms: float  # timing
@@ -113,7 +113,7 @@ class Section:
 class Passage:
     """How a gap was crossed on pillars; without pillars only `feet_off` applies."""
 
-    pillar_touchdowns: int = 0
+    pillar_touchdowns: int = 0  # of feet on pillars
     foothold_edge_m: FootholdEdge = FootholdEdge()
     feet_off: int = 0  # times that a standing foot was over nothing, next to a pillar, or in the gap
     passable: bool | None = None  # by an exhaustive search offline; null if no search was made or its result is unknown
@@ -132,7 +132,7 @@ class StageTime:
 class InputAges:
     """Age of a service's input when it is used [s]."""
 
-    max: float
+    max: float  # of all uses
     limit: float  # above which the input is unusable
     late: float  # [1] share of the uses above the limit
 
@@ -144,23 +144,23 @@ class Report:
     Metrics of the walk are NaN if no step was taken.
     """
 
-    scenario: str
-    seed: int
-    robot: str
-    gait: str
+    scenario: str  # name of the course
+    seed: int  # of everything random
+    robot: str  # name of the profile
+    gait: str  # of the walk
     blind: bool  # the baseline without a map
     success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
-    reason: str  # as text
+    reason: str  # why it ended, as text
     distance_m: float  # true progress along the initial heading
     duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
     speed_mps: float  # true mean over that time
-    falls: int
+    falls: int  # times that the body fell
     shutdowns: int  # servos that latched an error
-    steps: int
+    steps: int  # of groups of legs
     tilt_deg: Spread = Spread()  # from the commanded attitude
     commanded_tilt_deg: Spread = Spread()
     torque_nm: Torque = Torque()
-    touchdowns: int = 0
+    touchdowns: int = 0  # of feet
     raised_touchdowns: int = 0  # on ground more than 5 mm above the start: blocks and stairs
     raised_block_touchdowns: int = 0  # those on blocks
     body_height_error_m: HeightError = HeightError()
@@ -168,7 +168,7 @@ class Report:
     slip_m_per_step: Slip = Slip()
     missteps: int = 0  # touchdowns where the true ground is no foothold
     collisions: int = 0  # times that a foot or the body hit an obstacle higher than a step, or a foot hung in a hole
-    min_stability_margin_m: float = _NAN
+    min_stability_margin_m: float = _NAN  # least margin of the body inside the feet that carry load
     pose_error_m: PoseError = PoseError()
     map_error_m: MapError = MapError()
     course_map_m: CourseMap = CourseMap()

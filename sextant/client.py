@@ -66,7 +66,7 @@ class Client:
 
     One client at a time leads a robot. A client that leads repeats its command while it is connected; when it disconnects, the
     robot stops. Methods that command the legs block until the robot has executed the command; `walk` blocks until the robot
-    has accepted it. A command that fails is not repeated.
+    has accepted it. A command that fails is not repeated. ::
 
         with sextant.Client("tcp/robot.local:7447") as robot:
             robot.stand()
@@ -141,7 +141,7 @@ class Client:
 
     @property
     def state(self) -> ActuatorState:
-        """The newest state of the legs: mode, reason, joint angles, feet, contact, load, voltage and temperature.
+        """The newest state of the legs, with mode, reason, joint angles, feet, contact, load, voltage and temperature.
 
         Raises:
             ClientError: The actuator has published no state for 2 s.

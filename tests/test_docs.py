@@ -9,6 +9,9 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+import sextant
+from sextant import plugins
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 _LOADED = {"script": "src", "img": "src", "link": "href"}  # tags whose files the browser loads by itself
@@ -40,7 +43,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Page]:
     folder = tmp_path_factory.mktemp("site") / "html"
     words = ["-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "docs", str(folder)]
     built = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
-    assert (built.returncode, built.stderr) == (0, "")
+    assert (built.returncode, built.stderr.splitlines()) == (0, [])
     pages = {}
     for path in folder.rglob("*.html"):
         pages[path] = page = Page()
@@ -75,3 +78,12 @@ def test_each_internal_link_resolves(site: dict[Path, Page]) -> None:
 @pytest.mark.slow
 def test_pages_load_nothing_from_the_network(site: dict[Path, Page]) -> None:
     assert [link for page in site.values() for link in page.loaded if urlsplit(link).scheme in ("http", "https")] == []
+
+
+@pytest.mark.slow
+def test_each_public_name_is_described(site: dict[Path, Page]) -> None:
+    (page,) = (page for path, page in site.items() if path.name == "api.html")
+    elsewhere = {"RobotProfile", "TerrainMap"}  # of plugins: named there, described at their own places
+    public = {f"sextant.{name}" for name in sextant.__all__}
+    public |= {f"sextant.plugins.{name}" for name in plugins.__all__ if name not in elsewhere}
+    assert public <= page.ids

@@ -1,1 +1,1 @@
-"""Topics: listen, print, measure, and document them."""
+"""Topics: listen, print and measure."""

@@ -22,12 +22,12 @@ class Intrinsics:
     Pixel centres have integer u and v.
     """
 
-    width: int  # [px]
-    height: int  # [px]
-    fx: float  # [px]
-    fy: float  # [px]
-    cx: float  # [px]
-    cy: float  # [px]
+    width: int  # [px] of the picture
+    height: int  # [px] of the picture
+    fx: float  # [px] focal length along u
+    fy: float  # [px] focal length along v
+    cx: float  # [px] u of the optical axis
+    cy: float  # [px] v of the optical axis
 
     checks = (
         *config.each("width height", lambda pixels: 1 <= pixels <= 4096, "1 to 4096 pixels"),
@@ -80,9 +80,9 @@ class DepthSensor:
     disparity.
     """
 
-    rate_hz: float = 30.0
+    rate_hz: float = 30.0  # [Hz] frames per second
     min_range: float = 0.5  # [m] nearer surfaces give no return
-    max_range: float = 3.5  # [m]
+    max_range: float = 3.5  # [m] farther surfaces give no return
     baseline: float = 0.075  # [m] projector to sensor
     disparity_sigma: float = 0.05  # [px] Gaussian
     disparity_step: float = 0.125  # [px] quantisation, 0 for none

@@ -37,9 +37,9 @@ class LegLinks:
     link from the tibia axis to the centre of the foot.
     """
 
-    coxa: float
-    femur: float
-    tibia: float
+    coxa: float  # [m] coxa axis to femur axis
+    femur: float  # [m] femur axis to tibia axis
+    tibia: float  # [m] tibia axis to the foot's centre
 
     checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, "a length of 0.001 to 10 m"),)
 
@@ -51,14 +51,14 @@ class LegLinks:
 class Leg:
     """Mount, servos and servo limits of one leg."""
 
-    name: str
+    name: str  # place at the body; the legs are in the order above
     mount_xyz: tuple[float, float, float]  # [m] {body} coxa axis
     neutral_yaw_deg: float  # [deg] direction of the leg at coxa angle zero, about body z from x
     servo_ids: tuple[int, int, int]  # coxa, femur, tibia
     # Signs and limits as in Masri 2016, Tables 3.1 and 3.2: servo angle = sign * (joint angle + horn offset), 0 = tick 512.
     # The limits are those of a leg without trims. The leg's brackets set the limits, so a trim shifts the servo limits.
     servo_signs: tuple[int, int, int]
-    servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # [deg] lowest and highest
 
     checks = (
         *config.each("name", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
@@ -81,9 +81,9 @@ class Leg:
 class Servo:
     """Data sheet of the servos; all 18 are of the same model."""
 
-    model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]
-    stall_torque: float  # [N m]
-    no_load_speed: float  # [rad/s]
+    model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]  # of all servos
+    stall_torque: float  # [N m] torque at standstill
+    no_load_speed: float  # [rad/s] speed without torque
     stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope
     compliance_slope: int  # registers 28 and 29
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so tests vary it
@@ -172,7 +172,7 @@ class Body:
 class Foot:
     """Foot, a sphere around the end of the tibia."""
 
-    radius: float  # [m]
+    radius: float  # [m] of the sphere
 
     checks = (*config.each("radius", lambda radius: 0 < radius <= 1, "a foot radius of more than 0 and at most 1 m"),)
 
@@ -188,8 +188,8 @@ class Stance:
     # stands alone on its side and carries the most load, so its foot should be near the body.
     foot_radius_from_coxa: tuple[float, float, float]
     body_height: float  # [m] body origin above the ground
-    body_height_range: tuple[float, float]  # [m]
-    max_speed: float  # [m/s]
+    body_height_range: tuple[float, float]  # [m] lowest and highest
+    max_speed: float  # [m/s] of the body
     step_s: float  # [s] duration of a tripod's step over level ground
     stride: float  # [m] maximum body motion during the stance of a foot
     # [m/s] speed of swinging feet, height counted twice; a faster swing takes more time instead, or the servos overheat
@@ -229,7 +229,7 @@ class Camera:
     intrinsics: Intrinsics
     sensor: DepthSensor
     mount_xyz: tuple[float, float, float]  # [m] {body} optical centre
-    pitch_down_deg: float  # [deg]
+    pitch_down_deg: float  # [deg] below the horizontal
     color: bool = False  # whether it also sends colour images
     # Driver on the robot: "openni2", "realsense", the path of a recorded folder, or "none".
     device: str = "none"
@@ -260,8 +260,8 @@ class Calibration:
     `sextant servos calibrate` measures it.
     """
 
-    leg: str
-    date: date
+    leg: str  # name of the leg
+    date: date  # of the measurement
     trims_deg: tuple[float, float, float]  # [deg] coxa, femur, tibia; added to the horn offsets
 
     checks = (
@@ -314,7 +314,7 @@ class RobotProfile:
     They are in SI units, except angles in fields named `_deg`.
     """
 
-    name: str
+    name: str  # of the robot
     servo: Servo
     horn_offsets_deg: tuple[float, float, float]  # coxa, femur, tibia; Masri 2016, Fig. 3.4
     links: LegLinks

@@ -32,7 +32,7 @@ class BoxMover:
     """Upright box that moves on the ground, with its length along its path."""
 
     path: tuple[tuple[float, float], ...]  # [m] corners of the path, in `frame`
-    speed: float  # [m/s]
+    speed: float  # [m/s] along the path
     size: tuple[float, float, float]  # [m] length, width, height
     kind: Literal["box"] = "box"
     # Frame of the path: {world}, or the robot's frame (x ahead, y left) at the time at which the box starts.
@@ -52,12 +52,12 @@ class LegsMover:
     """Legs of a walking person: two cylinders that stand and swing alternately."""
 
     path: tuple[tuple[float, float], ...]  # [m] corners of the path, in `frame`
-    speed: float = 1.0  # [m/s]
+    speed: float = 1.0  # [m/s] along the path
     kind: Literal["legs"] = "legs"
-    frame: Literal["world", "robot"] = "world"  # as in BoxMover
-    start_s: float = 0.0  # [s] as in BoxMover
-    period_s: float = 0.0  # [s] as in BoxMover
-    start_spread_s: float = 0.0  # [s] as in BoxMover
+    frame: Literal["world", "robot"] = "world"  # as that of a box
+    start_s: float = 0.0  # [s] as that of a box
+    period_s: float = 0.0  # [s] as that of a box
+    start_spread_s: float = 0.0  # [s] as that of a box
     radius: float = 0.06  # [m] of a leg
     height: float = 0.85  # [m] of the hips
     stride: float = 0.6  # [m] distance between consecutive footfalls

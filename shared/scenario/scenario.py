@@ -44,8 +44,8 @@ class Plane:
     """Level ground everywhere."""
 
     kind: Literal["plane"] = "plane"
-    height: float = 0.0  # [m]
-    color: Color | None = None
+    height: float = 0.0  # [m] of the ground
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (*_bounded("height", 100, "m"),)
 
@@ -61,12 +61,12 @@ class Box:
     size: tuple[float, float]  # [m] along its own x and y
     top: float  # [m] height of its top
     kind: Literal["box"] = "box"
-    yaw_deg: float = 0.0  # [deg]
+    yaw_deg: float = 0.0  # [deg] of its x axis
     depth: float = 0.5  # [m] extent downward from its top
-    color: Color | None = None
-    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
-    size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
-    top_spread: float = 0.0  # [m]
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its centre along x and y of {world}
+    size_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its size
+    top_spread: float = 0.0  # [m] of its top
 
     checks = (*_bounded("xy size xy_spread size_spread", 1000, "m"), *_bounded("top depth top_spread", 100, "m"))
 
@@ -81,16 +81,16 @@ class Box:
 class Hole:
     """Rectangular, axis-aligned hole in the level ground, visible to the camera.
 
-    The spreads vary it as those of `Box` do.
+    The spreads vary it as those of a `box` do.
     """
 
     xy: tuple[float, float]  # [m] centre
     size: tuple[float, float]  # [m] along x and y
     depth: float  # [m] of the bottom below the level ground
     kind: Literal["hole"] = "hole"
-    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
-    size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
-    color: Color | None = None
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its centre
+    size_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its size
+    color: Color | None = None  # R, G, B from 0 to 255; by default that of the plane
 
     checks = (*_bounded("xy size xy_spread size_spread", 1000, "m"), *_bounded("depth", 100, "m"))
 
@@ -112,18 +112,18 @@ class Stairs:
     """
 
     xy: tuple[float, float]  # [m] middle of the first riser's edge
-    riser: float  # [m]
-    tread: float  # [m]
-    count: int
-    width: float  # [m]
+    riser: float  # [m] height of a step
+    tread: float  # [m] length of a step
+    count: int  # number of steps
+    width: float  # [m] across
     kind: Literal["stairs"] = "stairs"
-    landing: float = 1.0  # [m]
-    yaw_deg: float = 0.0
+    landing: float = 1.0  # [m] length of the last tread
+    yaw_deg: float = 0.0  # [deg] of its x axis
     base: float = 0.0  # [m] height of the ground before the first riser
     depth: float = 0.5  # [m] extent below the lowest tread
     riser_spread: float = 0.0  # [m] maximum random offset of the risers, of either sign
     tread_spread: float = 0.0  # [m] maximum random offset of the treads, of either sign
-    color: Color | None = None
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (
         *_STEP_COUNT,
@@ -144,11 +144,11 @@ class Pillars:
 
     xy: tuple[tuple[float, float], ...]  # [m] centres
     size: float  # [m] edge of the square tops
-    top: float  # [m]
+    top: float  # [m] height of the tops
     kind: Literal["pillars"] = "pillars"
     length: float = 0.0  # [m] edge of the tops along x; 0 for square tops
-    depth: float = 0.5  # [m]
-    color: Color | None = None
+    depth: float = 0.5  # [m] extent downward from the top
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
     jitter: float = 0.0  # [m] maximum random displacement of each pillar along each axis
     top_spread: float = 0.0  # [m] maximum random offset of the top of each pillar, of either sign
     # Number of weak pillars, chosen by the seed. They look like the others, but sink when loaded and stay down.
@@ -180,15 +180,15 @@ class PillarField:
     The run's seed draws positions and density.
     """
 
-    x: tuple[float, float]  # [m] region
-    y: tuple[float, float]  # [m]
+    x: tuple[float, float]  # [m] region along x, lowest and highest
+    y: tuple[float, float]  # [m] region along y, lowest and highest
     density: tuple[float, float]  # [1] lowest and highest share of the region covered by pillar tops
     size: float  # [m] edge of the square tops
-    top: float  # [m]
+    top: float  # [m] height of the tops
     kind: Literal["pillar_field"] = "pillar_field"
-    gap: float = 0.02  # [m]
-    depth: float = 0.5  # [m]
-    color: Color | None = None
+    gap: float = 0.02  # [m] minimum distance between pillars
+    depth: float = 0.5  # [m] extent downward from the top
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (*_bounded("x y size gap", 1000, "m"), *_bounded("top depth", 100, "m"))
 
@@ -203,15 +203,15 @@ class Slope:
     """Ramp that rises along its own x to a level landing."""
 
     xy: tuple[float, float]  # [m] middle of its lower edge
-    angle_deg: float
+    angle_deg: float  # [deg] above the horizontal
     length: float  # [m] horizontal
-    width: float  # [m]
+    width: float  # [m] across
     kind: Literal["slope"] = "slope"
-    yaw_deg: float = 0.0
-    landing: float = 1.0  # [m]
+    yaw_deg: float = 0.0  # [deg] of its x axis
+    landing: float = 1.0  # [m] length of the level ground behind it; 0 for none
     base: float = 0.0  # [m] height of its first edge, the upper one for a negative angle
     depth: float = 0.5  # [m] extent below its lower end
-    color: Color | None = None
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (*_bounded("xy length width landing", 1000, "m"), *_bounded("base depth", 100, "m"))
 
@@ -223,16 +223,16 @@ class Rubble:
     The run's seed draws them.
     """
 
-    x: tuple[float, float]  # [m] region
-    y: tuple[float, float]  # [m]
-    count: int
+    x: tuple[float, float]  # [m] region along x, lowest and highest
+    y: tuple[float, float]  # [m] region along y, lowest and highest
+    count: int  # number of blocks
     size: tuple[float, float]  # [m] shortest and longest edge
     top: tuple[float, float]  # [m] lowest and highest
     kind: Literal["rubble"] = "rubble"
-    gap: float = 0.02  # [m]
+    gap: float = 0.02  # [m] minimum distance between blocks
     yaw_deg: float = 180.0  # [deg] headings are uniform within +- this angle
     base: float = 0.0  # [m] height of the ground under the blocks
-    color: Color | None = None
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (
         *_BLOCK_COUNT,
@@ -254,11 +254,11 @@ class HeightMap:
     resolution: float  # [m] cell edge
     xy: tuple[float, float]  # [m] position of cell (0, 0) of the cropped and rotated map; rows run along x
     kind: Literal["height_map"] = "height_map"
-    scale: float | None = None  # factor of the heights, None for 1; required for .png: [m] per grey value
-    color: Color | None = None
+    scale: float | None = None  # factor of the heights, by default 1; required for .png: [m] per grey value
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
     base: float = 0.0  # [m] added to the heights, because a .png has no negative values
-    rows: tuple[int, int] | None = None  # first row and one past the last row of the crop, None for all
-    columns: tuple[int, int] | None = None
+    rows: tuple[int, int] | None = None  # first row and one past the last row of the crop, by default all
+    columns: tuple[int, int] | None = None  # first column and one past the last column of the crop, by default all
     quarter_turns: int = 0  # of the cropped map, counterclockwise as seen from above
 
     checks = (
@@ -304,7 +304,7 @@ class Puddle:
     size: tuple[float, float]  # [m] along x and y
     kind: Literal["puddle"] = "puddle"
     depth: float = 0.05  # [m] from the visible surface to the bed
-    color: Color = (74, 94, 118)
+    color: Color = (74, 94, 118)  # R, G, B from 0 to 255 of the surface
 
     checks = (*_bounded("xy size", 1000, "m"), *_bounded("depth", 100, "m"))
 
@@ -316,14 +316,14 @@ class Puddles:
     The run's seed draws them.
     """
 
-    x: tuple[float, float]  # [m] region
-    y: tuple[float, float]  # [m]
-    count: int
+    x: tuple[float, float]  # [m] region along x, lowest and highest
+    y: tuple[float, float]  # [m] region along y, lowest and highest
+    count: int  # number of puddles
     size: tuple[float, float]  # [m] shortest and longest edge
     kind: Literal["puddles"] = "puddles"
-    gap: float = 0.10  # [m]
-    depth: float = 0.05  # [m]
-    color: Color = (74, 94, 118)
+    gap: float = 0.10  # [m] minimum distance between puddles
+    depth: float = 0.05  # [m] from the visible surface to the bed
+    color: Color = (74, 94, 118)  # R, G, B from 0 to 255 of the surface
 
     checks = (*_BLOCK_COUNT, *_bounded("x y size gap", 1000, "m"), *_bounded("depth", 100, "m"))
 
@@ -332,7 +332,7 @@ class Puddles:
 class Level:
     """Stretch of level ground."""
 
-    length: float  # [m]
+    length: float  # [m] along the course
     kind: Literal["level"] = "level"
 
     checks = (*_bounded("length", 1000, "m"),)
@@ -346,7 +346,7 @@ class Ramp:
     """Stretch with a constant slope, downward for a negative angle."""
 
     length: float  # [m] horizontal
-    angle_deg: float
+    angle_deg: float  # [deg] above the horizontal
     kind: Literal["ramp"] = "ramp"
     angle_spread_deg: float = 0.0  # [deg] maximum random offset of the angle, of either sign
 
@@ -363,15 +363,15 @@ class Ramp:
 class Flight:
     """Stretch of stairs, downward for a negative riser.
 
-    The spreads are those of `Stairs`.
+    The spreads are those of `stairs`.
     """
 
-    riser: float  # [m]
-    tread: float  # [m]
-    count: int
+    riser: float  # [m] height of a step
+    tread: float  # [m] length of a step
+    count: int  # number of steps
     kind: Literal["flight"] = "flight"
-    riser_spread: float = 0.0  # [m]
-    tread_spread: float = 0.0  # [m]
+    riser_spread: float = 0.0  # [m] maximum random offset of the risers, of either sign
+    tread_spread: float = 0.0  # [m] maximum random offset of the treads, of either sign
 
     checks = (*_STEP_COUNT, *_bounded("riser tread riser_spread tread_spread", 100, "m"))
 
@@ -384,15 +384,15 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Stretch of level ground with blocks on it, placed as in `Rubble`."""
+    """Stretch of level ground with blocks on it, placed as in `rubble`."""
 
-    length: float  # [m]
-    count: int
+    length: float  # [m] along the course
+    count: int  # number of blocks
     size: tuple[float, float]  # [m] shortest and longest edge
     top: tuple[float, float]  # [m] lowest and highest top above the level ground
     kind: Literal["blocks"] = "blocks"
-    gap: float = 0.02  # [m]
-    yaw_deg: float = 180.0  # [deg]
+    gap: float = 0.02  # [m] minimum distance between blocks
+    yaw_deg: float = 180.0  # [deg] headings are uniform within +- this angle
 
     checks = (
         *_BLOCK_COUNT,
@@ -464,7 +464,7 @@ class Course:
     bottom: float = -0.5  # [m] {world} lowest height of the solids
     shuffled: bool = False  # True: random order of the stretches between the first and the last
     rest: float = 0.0  # [m] level ground inserted between any two of these
-    color: Color | None = None
+    color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
     checks = (*_bounded("width x rest", 1000, "m"), *_bounded("bottom", 100, "m"))
 
@@ -490,10 +490,10 @@ class Start:
     The run's seed draws uniform offsets within +- the spreads.
     """
 
-    xy: tuple[float, float] = (0.0, 0.0)  # [m]
-    yaw_deg: float = 0.0
-    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
-    yaw_spread_deg: float = 0.0
+    xy: tuple[float, float] = (0.0, 0.0)  # [m] of the body
+    yaw_deg: float = 0.0  # [deg] heading
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m] of xy
+    yaw_spread_deg: float = 0.0  # [deg] of the heading
 
     checks = (*_bounded("xy xy_spread", 1000, "m"), *_bounded("yaw_deg yaw_spread_deg", 360, "deg"))
 
@@ -534,9 +534,9 @@ class Goal:
 class Walk:
     """Walking parameters that the operator sets."""
 
-    gait: GaitName = "tripod"
-    speed: float = 0.11  # [m/s]
-    body_height: float = 0.11  # [m]
+    gait: GaitName = "tripod"  # groups of legs that swing together: two, three or six
+    speed: float = 0.11  # [m/s] commanded on level ground
+    body_height: float = 0.11  # [m] above the ground
     lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; higher over obstacles in the map
     blind: bool = False  # True: baseline without a map, the planner walks as on flat ground
     footholds: Literal["score", "evaluation"] = "score"  # map layer for the footholds: Lotriet's or Masri's
@@ -555,7 +555,7 @@ class Walk:
 class CameraOptions:
     """Errors of the simulated depth camera."""
 
-    noise: bool = True
+    noise: bool = True  # whether depth has noise
     dropouts: bool = True  # pixels without return in shadows, at grazing angles, and at random
     loss: float = 0.05  # [1] share of random pixels without return, drawn for each frame; only with dropouts
 
@@ -570,10 +570,10 @@ class Variation:
     The factors are uniform from 1/x to x.
     """
 
-    armature: float = 1.5
-    friction: float = 1.15
+    armature: float = 1.5  # factor of the reflected inertia of the rotors
+    friction: float = 1.15  # factor of the friction of joints and feet
     imu: bool = False  # whether the robot has an IMU
-    registration: Literal["projective", "kiss-icp"] = "projective"
+    registration: Literal["projective", "kiss-icp"] = "projective"  # method that localizes the robot
 
     checks = (*_bounded("armature friction", 100, "times"),)
 
@@ -590,7 +590,7 @@ class MapOptions:
 
     cells: int = 256  # along x
     cells_y: int = 0  # along y; 0 for the same number as along x
-    resolution: float = 0.01  # [m]
+    resolution: float = 0.01  # [m] edge of a cell
 
     checks = (*_bounded("cells cells_y", 2048, "cells"),)
 
@@ -611,7 +611,7 @@ class Fault:
     """Fault of a service or of the simulated camera at a given time."""
 
     at_s: float  # [s] simulated
-    service: Literal["perception", "mapper", "planner", "actuator", "camera"]
+    service: Literal["perception", "mapper", "planner", "actuator", "camera"]  # process or device that fails
     # The simulated camera is absent (unplugged), repeats one image (frozen), sees nothing in range (blind), or sends noise.
     kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
     # [s] duration. A live run restarts a killed process itself, and also one that hangs for too long.
@@ -675,11 +675,11 @@ class Trouble:
 class Scenario:
     """One course, with the parameters to walk it."""
 
-    name: str
+    name: str  # letters, digits, spaces and . _ + -; also names the folder of a run
     terrain: tuple[Terrain, ...]
     goal: Goal
     start: Start = field(default_factory=Start)
-    robot: str = "phantomx_mk2"
+    robot: str = "phantomx_mk2"  # profile, by name or by the path of a TOML file
     walk: Walk = field(default_factory=Walk)
     camera: CameraOptions = field(default_factory=CameraOptions)
     variation: Variation = field(default_factory=Variation)

@@ -98,10 +98,13 @@ _PARAMETERS = (
 
 @dataclass(frozen=True, slots=True)
 class BusFault:
-    """Temporary fault of the servos or their bus; `GRID` defines its meaning."""
+    """Temporary fault of the servos or their bus.
 
-    target: FaultTarget
-    kind: FaultKind
+    Target and kind define its meaning, and which parameters it takes.
+    """
+
+    target: FaultTarget  # what fails
+    kind: FaultKind  # how it fails
     at_s: float  # [s] simulated start time; a past time means at once
     for_s: float = 2.0  # [s] duration
     servo: int = -1  # bus id; with packets, -1 for all servos
@@ -109,10 +112,10 @@ class BusFault:
     value: int = 0  # of a byte
     part: BrokenPart = "value"  # part of the response that is wrong
     delay_ms: float = 16.0  # [ms] of a response
-    on_ms: float = 200.0  # [ms] healthy part of the cycle, ...
-    off_ms: float = 50.0  # [ms] ... followed by the faulty part
+    on_ms: float = 200.0  # [ms] healthy part of the cycle
+    off_ms: float = 50.0  # [ms] faulty part of the cycle, after the healthy one
     cable: bool = False  # True: the servo loses its power too; afterwards torque is off and its RAM is reset
-    offset_ticks: int = 100  # [ticks]
+    offset_ticks: int = 100  # [ticks] of the position register
     kelvin_per_s: float = 1.0  # [K/s] heating rate
     celsius: int = 85  # [deg C] value of the temperature register
     renamed: bool = False  # True: the port returns under another name

@@ -103,11 +103,6 @@ def test_parameters_of_running_services_cannot_be_set(capsys: pytest.CaptureFixt
     assert "--set is for services that this command starts" in capsys.readouterr().err
 
 
-def test_page_equals_command_output(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["topics", "docs", "parameters"]) == 0
-    assert capsys.readouterr().out == PAGE.read_text(), "make it again: sextant topics docs parameters > docs/parameters.md"
-
-
 @pytest.mark.parametrize("name", [name for name, *_ in NUMBERS])
 def test_page_states_unit_or_meaning_of_each_number(name: str) -> None:
     group, _, field = name.rpartition(".")

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy.launch.process_table import TABLE, rows
+from sextant.deploy.reference.keys_page import _service
 from sextant.deploy.security import access_page
 from sextant.deploy.security.authority import Authority, held
-from sextant.deploy.topics.keys_page import _service
 from sextant.shared.recording.writer import LEFT_OUT
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import access, topics

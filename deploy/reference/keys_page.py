@@ -6,9 +6,7 @@ It reads the topic table, the process table and the message declarations. The me
 import importlib
 import inspect
 import json
-import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -17,8 +15,8 @@ import numpy as np
 
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.live.send_command import Order
+from sextant.deploy.reference.field_comments import Meaning, comments, parse
 from sextant.deploy.ros2.bridge import Bridge
-from sextant.deploy.topics.field_comments import comments
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer
 from sextant.shared.runtime.service import AnyTopic
@@ -29,7 +27,6 @@ from sextant.shared.wire.transport import Endpoints
 CLIENT = Path(__file__).resolve().parents[2] / "docs" / "walk_client.py"
 _FRAMES = ("world", "odom", "body")
 _NAMES = {float: "float", int: "int", bool: "bool", str: "text"}
-_WORDS = re.compile(r"(?:\((?:[\d, ]+)\) )?(?:\[(?P<unit>[^\]]+)\] ?)?(?:\{(?P<frame>\w+)\} ?)?(?P<what>.*)", re.DOTALL)
 
 _BEGINNING = """# Keys and messages
 
@@ -243,26 +240,14 @@ def _message(topic: AnyTopic, said: Mapping[tuple[str, str], str]) -> Iterator[s
     yield ""
 
 
-@dataclass(frozen=True, slots=True)
-class _Meaning:
-    unit: str
-    frame: str
-    what: str
-
-
-def _meaning(name: str, comment: str) -> _Meaning:
-    """Parse a field's comment: `[unit] {frame} words`.
-
-    A transform T_to_from has its frames in its name.
-    """
-    found = _WORDS.fullmatch(comment)
-    assert found is not None
-    unit, frame, what = found["unit"] or "", found["frame"] or "", found["what"].lstrip(", ").rstrip(".")
+def _meaning(name: str, comment: str) -> Meaning:
+    """Parse a field's comment; a transform T_to_from has its frames in its name."""
+    unit, frame, what = parse(comment)
     match name.split("_"):
         case ["T", to, source] if to in _FRAMES and source in _FRAMES:
             takes = f"takes {source} coordinates to {to}"
-            return _Meaning(unit or "m", frame or to, f"{takes}; {what}" if what else takes)
-    return _Meaning(unit, frame, what)
+            return Meaning(unit or "m", frame or to, f"{takes}; {what}" if what else takes)
+    return Meaning(unit, frame, what)
 
 
 def _type(base: Any, detail: Any) -> tuple[str, str, str]:

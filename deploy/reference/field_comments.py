@@ -1,9 +1,41 @@
 """Comments of the fields of dataclasses, from which the reference pages are made."""
 
 import ast
+import dataclasses
+import inspect
 import io
+import re
+import sys
 import tokenize
 from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+_COMMENT = re.compile(r"(?:\((?:[\d, ]+)\) )?(?:\[(?P<unit>[^\]]+)\] ?)?(?:\{(?P<frame>\w+)\} ?)?(?P<what>.*)", re.DOTALL)
+
+
+class Meaning(NamedTuple):
+    """Parts of a field's comment."""
+
+    unit: str
+    frame: str
+    what: str
+
+
+def parse(comment: str) -> Meaning:
+    """Parse a field's comment: `[unit] {frame} text`."""
+    found = _COMMENT.fullmatch(comment)
+    assert found is not None
+    return Meaning(found["unit"] or "", found["frame"] or "", found["what"].lstrip(", ").rstrip("."))
+
+
+def comments_of(kind: type[Any]) -> dict[str, str]:
+    """Return field -> comment of a dataclass and of its bases."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if dataclasses.is_dataclass(base):
+            said = comments(inspect.getsource(sys.modules[base.__module__]))
+            found |= {name: words for (owner, name), words in said.items() if owner == base.__name__}
+    return found
 
 
 def comments(source: str) -> dict[tuple[str, str], str]:

@@ -4,13 +4,11 @@ It reads the declarations of the parameters. The meaning of a parameter is its c
 """
 
 import inspect
-import re
-import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sextant.deploy.topics.field_comments import comments
+from sextant.deploy.reference.field_comments import comments_of, parse
 from sextant.evaluation.params import SystemParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
@@ -48,7 +46,6 @@ Values that do not fit each other or the robot are refused when the services sta
 
 In code each algorithm takes its dataclass: `LocalGroundMap(CostmapParams(max_step_m=0.05))`.
 """
-_WORDS = re.compile(r"(?:\[(?P<unit>[^\]]+)\] ?)?(?P<what>.*)", re.DOTALL)
 
 
 def page() -> str:
@@ -67,12 +64,11 @@ def _group(group: Params, name: str) -> Iterator[str]:
     if own:
         yield "| parameter | default | range | unit | meaning |"
         yield "|---|---|---|---|---|"
-        said, hints = _comments(type(group)), get_type_hints(type(group))
+        said, hints = comments_of(type(group)), get_type_hints(type(group))
         for field in own:
             default = toml_value(config.as_table(getattr(group, field.name)))
-            found = _WORDS.fullmatch(said.get(field.name, ""))
-            assert found is not None
-            unit, what = found["unit"] or "", found["what"].rstrip(".").replace("|", "\\|")
+            unit, _, what = parse(said.get(field.name, ""))
+            what = what.replace("|", "\\|")
             yield f"| `{field.name}` | {default} | {_range(hints[field.name], config.range_of(field))} | {unit} | {what} |"
         yield ""
     for field in fields(group):  # type: ignore[arg-type]
@@ -87,13 +83,3 @@ def _range(hint: Any, limits: tuple[float, float] | None) -> str:
     if get_origin(hint) is Literal:
         return ", ".join(f"`{one}`" for one in get_args(hint))
     return "true, false" if hint is bool else ""
-
-
-def _comments(kind: type[Params]) -> dict[str, str]:
-    """Return field -> comment of a class and of its bases."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if base is not Params and issubclass(base, Params):
-            said = comments(inspect.getsource(sys.modules[base.__module__]))
-            found |= {name: words for (owner, name), words in said.items() if owner == base.__name__}
-    return found

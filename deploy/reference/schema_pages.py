@@ -1,0 +1,75 @@
+"""Generators of docs/scenarios.md, docs/profiles.md and docs/report.md."""
+
+from sextant.deploy.reference.schema_tables import Layout, tables
+from sextant.deploy.reference.terrain_pictures import EXAMPLES
+from sextant.evaluation.report import Report
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.scenario.scenario import Scenario
+
+_SCENARIO = """# Scenario format
+
+*`sextant topics docs scenarios --pictures docs/terrain` makes this page and its pictures from the schema
+(`shared/scenario/scenario.py`); a test checks that it is up to date.*
+
+A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials`, `demo` and
+`up --scenario` take its path. {world} has its origin on the ground below the robot's start; x is its heading at yaw 0, z is up.
+All lengths are in metres. The seed of a run draws everything that is random: spreads, jitter, positions of rubble and
+pillars. The smallest complete file is
+
+```toml
+name = "my_course"
+
+[goal]
+distance = 2.0
+
+[[terrain]]
+kind = "plane"
+```
+
+The [scenarios of the program](../shared/scenario/scenarios/mixed.toml) are files of this kind. Their names stand for them:
+`sextant run mixed`. Unknown keys, wrong types and values outside their range are errors. Faults, movers and camera options
+may be in a separate file, a trouble, which is laid over any course by a plus sign: `sextant run steps+legs`. The program has
+`sun`, `legs` and `sparse`.
+"""
+_PROFILE = """# Profile format
+
+*`sextant topics docs profiles` makes this page from the schema (`shared/robot/profile.py`); a test checks that it is up to
+date.*
+
+A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
+or one of the names `phantomx_mk2`, `phantomx_mk2_rgbd`, `phantomx_mk2_scanner` and `lotriet_rx64`. A file with
+`extends = "phantomx_mk2"` contains only the differences. The order of the legs is left front,
+right front, right middle, right rear, left rear, left middle.
+"""
+_REPORT = """# Fields of report.json
+
+*`sextant topics docs report` makes this page from the schema (`evaluation/report.py`); a test checks that it is up to date.*
+
+Every run writes `report.json`, and `sextant run --json` prints it. The scorer evaluates the run by ground truth, which no
+service reads. One seed in lockstep gives one report, byte for byte, except `real_time_factor`, `stages_ms`, `planning_ms` and
+`too_slow`. Floats are rounded to six digits. `null` means that there was nothing to measure. Keys are in the order of this
+page.
+"""
+
+
+def scenarios() -> str:
+    """Return the page of the scenario format in Markdown."""
+    notes = {
+        "terrain": "The ground is all of these together. Each picture shows the example below it with seed 1000; the robot "
+        "stands at the origin.",
+        "bus_faults": "[The servo bus under faults](actuator.md) lists what each kind does, and which parameters it takes.",
+    }
+    for kind, example in EXAMPLES.items():
+        notes[f"{example.place}.{kind}"] = f"![{kind}](terrain/{kind}.webp)\n\n```toml\n{example.toml}\n```"
+    layout = Layout(toml=True, leave_out=frozenset(("plugins", "folder")), before=notes)
+    return "\n".join((_SCENARIO, *tables(Scenario, layout)))
+
+
+def profiles() -> str:
+    """Return the page of the profile format in Markdown."""
+    return "\n".join((_PROFILE, *tables(RobotProfile, Layout(toml=True))))
+
+
+def report() -> str:
+    """Return the page of the fields of `report.json` in Markdown."""
+    return "\n".join((_REPORT, *tables(Report, Layout(toml=False))))

@@ -1,0 +1,75 @@
+"""The generated pages of docs/ equal the commands' output, and describe everything that a file may hold."""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks import cli as benchmarks
+from sextant.deploy import cli
+from sextant.deploy.commands.topics import PAGES
+from sextant.deploy.reference import terrain_pictures
+from sextant.deploy.reference.field_comments import comments_of, parse
+from sextant.deploy.reference.schema_tables import tables_of
+from sextant.evaluation.report import Report
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.scenario.scenario import Course, Scenario
+
+DOCS = Path(__file__).parents[4] / "docs"
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_page_equals_command_output(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["topics", "docs", name]) == 0
+    made = capsys.readouterr().out
+    assert made == (DOCS / f"{name}.md").read_text(encoding="utf-8"), f"run: sextant topics docs {name} > docs/{name}.md"
+
+
+def test_page_of_benchmarks_equals_command_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmarks.main(["docs"]) == 0
+    made = capsys.readouterr().out
+    assert made == (DOCS / "benchmarks.md").read_text(encoding="utf-8"), "make it again: python -m benchmarks docs"
+
+
+def schemas(kind: type[Any]) -> Iterator[type[Any]]:
+    """Yield a dataclass and those of its fields, to any depth."""
+    yield kind
+    hints = get_type_hints(kind)
+    for one in dataclasses.fields(kind):
+        for inner in tables_of(hints[one.name])[0]:
+            yield from schemas(inner)
+
+
+@pytest.mark.parametrize("kind", sorted({*schemas(Scenario), *schemas(RobotProfile)}, key=lambda kind: kind.__name__))
+def test_each_field_of_a_file_has_a_meaning(kind: type[Any]) -> None:
+    said, hints = comments_of(kind), get_type_hints(kind)
+    values = [f.name for f in dataclasses.fields(kind) if f.name != "kind" and not tables_of(hints[f.name])[0]]
+    if kind.__name__ != "Plugins":  # which no file has
+        assert [name for name in values if not parse(said.get(name, "")).what] == []
+
+
+def test_each_field_of_a_report_has_a_meaning() -> None:
+    said, hints = comments_of(Report), get_type_hints(Report)
+    values = [f.name for f in dataclasses.fields(Report) if not tables_of(hints[f.name])[0]]
+    assert [name for name in values if not parse(said.get(name, "")).what] == []
+
+
+def test_each_kind_of_terrain_has_an_example() -> None:
+    terrain, stretches = get_type_hints(Scenario)["terrain"], get_type_hints(Course)["stretches"]
+    kinds = [get_type_hints(kind)["kind"] for hint in (terrain, stretches) for kind in tables_of(hint)[0]]
+    assert [get_args(kind)[0] for kind in kinds] == list(terrain_pictures.EXAMPLES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", terrain_pictures.EXAMPLES)
+def test_picture_shows_example(kind: str) -> None:
+    path = DOCS / "terrain" / f"{kind}.webp"
+    assert path.stat().st_size < 30_000
+    stored = cv2.imread(str(path))
+    assert stored is not None
+    error = np.abs(stored[..., ::-1].astype(float) - terrain_pictures.draw(kind)).mean()
+    assert error < 4.0, "make it again: sextant topics docs scenarios --pictures docs/terrain > docs/scenarios.md"
