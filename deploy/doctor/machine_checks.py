@@ -18,6 +18,7 @@ from pathlib import Path
 from sextant.deploy.doctor import rehearsal, servo_checks
 from sextant.deploy.doctor.check import Check, Level
 from sextant.shared.files.config import ConfigError
+from sextant.shared.runtime.operating_system import usable_cores
 
 _ROLES: dict[str, tuple[str, ...]] = {  # extras of pyproject.toml -> the modules they install
     "core": ("msgpack", "numpy", "zenoh", "zstandard"),
@@ -138,7 +139,7 @@ def numba_cache() -> Check:
 
 def cores(count: int | None = None) -> Check:
     """Check the number of cores that this process may use."""
-    found = len(os.sched_getaffinity(0)) if count is None else count
+    found = usable_cores() if count is None else count
     if found < _CORES:
         advice = "`sextant run --lockstep` needs one core; walking in real time needs two"
         return Check("cores", Level.WARN, f"{found} usable", advice)
@@ -200,7 +201,7 @@ def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse
         return Check(
             name, Level.WARN, f"not timed: {error}", "for the timed services: pip install -e '.[simulator,perception,mapper]'"
         )
-    cores_needed, usable = sum(stage.cores for stage in stages), rehearsal.usable_cores()
+    cores_needed, usable = sum(stage.cores for stage in stages), usable_cores()
     words = f"{', '.join(stage.words for stage in stages)}; together {cores_needed:.1f} of {usable} cores"
     # This process lacks the actuator's priority, so `cycle` checks the actuator's cycle separately.
     slow = [stage for stage in stages if stage.takes_ms > stage.within_ms and stage.service != "actuator"]

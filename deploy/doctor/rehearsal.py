@@ -4,7 +4,6 @@ The real services run in lockstep with a simulated robot, as fast as the compute
 load.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -92,11 +91,6 @@ def loads(durations: Mapping[str, list[float]], simulated_s: float) -> list[Stag
         for name, times in durations.items()
         if times
     ]
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 @contextmanager

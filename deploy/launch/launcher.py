@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from sextant.deploy.launch.process_table import Command
-from sextant.deploy.launch.watchdog_listener import LOOK_S, WatchdogListener, unwatched
+from sextant.deploy.launch.watchdog_listener import LOOK_S, WatchdogListener, is_supported, unwatched
 from sextant.shared.wire.ports import free_port, port_taken
 from sextant.shared.wire.transport import Endpoints, Router, TransportError
 
@@ -111,7 +111,7 @@ class Launcher:
 
     def __enter__(self) -> Self:
         self._waiting = list(self._commands)
-        if any(command.watchdog_s for command in self._commands):
+        if is_supported() and any(command.watchdog_s for command in self._commands):
             self._pulses = WatchdogListener(time.monotonic())
         try:
             self._start_waiting()

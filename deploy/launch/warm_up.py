@@ -17,6 +17,7 @@ from typing import Any
 from sextant.deploy.terminal.output import say
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.operating_system import usable_cores
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import load_scenario
@@ -35,7 +36,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    jobs = 1 if _compiled_before() else min(len(_SHARES), len(os.sched_getaffinity(0)))
+    jobs = 1 if _compiled_before() else min(len(_SHARES), usable_cores())
     for _ in share_out(_compile_share, [(share, arguments.progress) for share in _SHARES], jobs, in_order=False):
         pass
     return 0

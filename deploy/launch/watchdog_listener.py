@@ -15,6 +15,11 @@ _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _LONGEST = 4096  # [bytes] of a datagram
 
 
+def is_supported() -> bool:
+    """Return whether this system reports the sender of a datagram; Linux does."""
+    return hasattr(socket, "SO_PASSCRED") and hasattr(socket, "SCM_CREDENTIALS")
+
+
 class WatchdogListener:
     """A socket that receives signs of life, and how long each process has been silent.
 

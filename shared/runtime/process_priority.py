@@ -19,6 +19,8 @@ def go_first() -> str:
     Returns:
         Why the system refuses it, or an empty text.
     """
+    if not hasattr(os, "sched_setscheduler"):
+        return "this system has no real-time priority, so busy processes may delay the cycles"
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
     except PermissionError:

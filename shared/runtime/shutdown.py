@@ -3,7 +3,6 @@
 It avoids steps that may hang.
 """
 
-import ctypes
 import faulthandler
 import logging
 import os
@@ -13,15 +12,15 @@ import threading
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
-_PR_SET_PDEATHSIG = 1  # Linux: sends a signal to this process when the thread that started it ends
+from sextant.shared.runtime.operating_system import signal_at_end_of
+
 _STDERR = 2
 _END_S = 10.0  # [s] time limit of the shutdown; launchers and systemd kill a process earlier
 
 
 def end_with(parent: int) -> None:
     """End this process when its parent process, which has the id `parent`, ends."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # the parent died before the call above
+    if not signal_at_end_of(parent, signal.SIGTERM):
         raise SystemExit(1)
 
 

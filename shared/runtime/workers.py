@@ -1,6 +1,5 @@
 """Worker processes with one thread each; none outlives its parent process."""
 
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -10,7 +9,8 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-_PR_SET_PDEATHSIG = 1  # Linux: signal for this process when its parent dies
+from sextant.shared.runtime.operating_system import signal_at_end_of
+
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 Result = TypeVar("Result")
@@ -85,8 +85,7 @@ def _answer(parent: int, work: Callable[[], object], result: Connection) -> None
 def _prepare(parent: int) -> None:
     """Make a worker end silently at Ctrl-C, and with its parent process."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # the parent died before the call above
+    if not signal_at_end_of(parent, signal.SIGKILL):
         os._exit(1)
 
 

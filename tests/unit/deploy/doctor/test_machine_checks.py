@@ -108,7 +108,7 @@ def load(service: str, takes_ms: float, cores: float = 0.1) -> StageLoad:
 
 
 def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
+    monkeypatch.setattr(machine_checks, "usable_cores", lambda: 2)
     check = machine_checks.chain(lambda: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)])
     assert (check.level, check.advice) == (Level.OK, "")
     assert check.found == (
@@ -128,7 +128,7 @@ def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch)
     ],
 )
 def test_chain_check_names_slow_stage(stages: list[StageLoad], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
+    monkeypatch.setattr(machine_checks, "usable_cores", lambda: 2)
     check = machine_checks.chain(lambda: stages)
     assert check.level is Level.WARN
     assert check.advice == f"at its present load this computer is too slow to walk in real time{words}"
