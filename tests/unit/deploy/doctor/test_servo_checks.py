@@ -101,7 +101,7 @@ def test_echoing_adapter_warns_and_servos_are_still_checked() -> None:
 def test_low_voltage_high_temperature_and_overload_are_reported(bench: BenchEmulator) -> None:
     bench._servos.charge = 0.1
     bench._servos.temperature[bench._with_id(6)] = 66.0
-    bench._servos._faults[bench._with_id(17)] = dxl.ServoError.OVERLOAD
+    bench._servos._latched_errors[bench._with_id(17)] = dxl.ServoError.OVERLOAD
     checks = run_checks(bench)
     assert checks["servo voltage"].level is Level.WARN
     assert "at least 10.5 V" in checks["servo voltage"].advice
