@@ -67,6 +67,15 @@ def picture_size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def width_in(text: str) -> float:
+    """Parse a width of 1 to 40 inches, in in, cm or mm; return it [in]."""
+    found = re.fullmatch(r"(\d{1,4}(?:\.\d{1,4})?)(in|cm|mm)", text)
+    width = float(found[1]) / {"in": 1.0, "cm": 2.54, "mm": 25.4}[found[2]] if found else 0.0
+    if not 1.0 <= width <= 40.0:
+        raise ValueError(f"1in to 40in expected, found {text[:60]!r}; for example 3.5in or 89mm")
+    return width
+
+
 def count(name: str, default: int, about: str, lowest: int = 1, metavar: str = "N") -> Callable[[_Function], _Function]:
     """Return an option whose value is an integer of at least `lowest`."""
     return option(name, about, metavar, type=whole(lowest), default=default)

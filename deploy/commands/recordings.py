@@ -133,19 +133,39 @@ def _progress(listening: "LiveRecorder", elapsed_s: float, endpoint: str) -> str
 
 @recording.command("export")
 @_path
-@option("--rerun", "output file for the rerun viewer", "FILE.rrd", required=True)
-def export(path: str, rerun: str) -> int:
-    """Write a recording in another tool's format."""
-    target = Path(rerun)
-    if target.suffix != ".rrd":
-        raise InputError(f"--rerun: a file that ends in .rrd expected, found {target}")
+@option("--rerun", "output file for the rerun viewer", "FILE.rrd")
+@option("--tum", "output file for the body's trajectory in the TUM format; the true one goes to FILE_true", "FILE.txt")
+@option("--map", "output file for the merged height maps, with their place in FILE.json", "FILE.npy", into="map_file")
+def export(path: str, rerun: str | None, tum: str | None, map_file: str | None) -> int:
+    """Write a recording in other tools' formats."""
+    wanted = {"--rerun": (rerun, ".rrd"), "--tum": (tum, ".txt"), "--map": (map_file, ".npy")}
+    for name, (given, suffix) in wanted.items():
+        if given is not None and Path(given).suffix != suffix:
+            raise InputError(f"{name}: a file that ends in {suffix} expected, found {given}")
+    if not any(given for given, _ in wanted.values()):
+        raise InputError(f"at least one of {', '.join(wanted)} expected, found none")
+    if rerun:
+        _export_to_rerun(path, Path(rerun))
+    if tum:
+        from sextant.evaluation.viewers.file_export import export_trajectories
+
+        for written, count in export_trajectories(Path(path), Path(tum)).items():
+            say(f"{written}: {count} poses")
+    if map_file:
+        from sextant.evaluation.viewers.file_export import export_map
+
+        nx, ny = export_map(Path(path), Path(map_file))
+        say(f"{map_file}: {nx} x {ny} heights; {Path(map_file).with_suffix('.json')}: where they are")
+    return SUCCESS
+
+
+def _export_to_rerun(path: str, target: Path) -> None:
     try:
         from sextant.evaluation.viewers import rerun_export
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[rerun]'") from None
     count = rerun_export.export(Path(path), target, open_progress(False))
     say(f"{target}: {count} messages; open it with `rerun {target}`")
-    return SUCCESS
 
 
 @recording.command("info")

@@ -92,19 +92,29 @@ def _campaign(
     type=Choice(("walks", "reached", "missteps", "maps", "passages", "sections")),
     default="walks",
 )
+@option(
+    "--format",
+    "Markdown, CSV, or a LaTeX tabular with booktabs",
+    into="style",
+    type=Choice(("markdown", "csv", "latex")),
+    default="markdown",
+)
 @flag("--json", "print all of it as JSON", "as_json")
-def table(kept: tuple[str, ...], of: str, as_json: bool) -> int:
-    """Print a Markdown table of stored trials without running anything."""
+def table(kept: tuple[str, ...], of: str, style: str, as_json: bool) -> int:
+    """Print a table of stored trials without running anything."""
     from sextant.evaluation.trials import campaign_table as tables
     from sextant.evaluation.trials import passage_table, results_store
+    from sextant.evaluation.trials.table_text import FORMATS
 
+    if as_json and style != "markdown":
+        raise InputError(f"one of --json and --format {style} expected, found both")
     paths = results_store.files([Path(place) for place in kept])
     runs = [run for path in paths for run in results_store.read(path)]
     if not runs:
         raise InputError(f"no finished run in {', '.join(map(str, paths))}")
-    if of == "sections" and not as_json:
-        say(passage_table.markdown(runs).rstrip("\n"))
+    if as_json:
+        say(tables.to_json(tables.of_runs(runs)).rstrip("\n"))
         return SUCCESS
-    found = tables.of_runs(runs)
-    say((tables.to_json(found) if as_json else tables.markdown(found, of)).rstrip("\n"))
+    found = passage_table.content(runs) if of == "sections" else tables.content(tables.of_runs(runs), of)
+    say(FORMATS[style](found).rstrip("\n"))
     return SUCCESS

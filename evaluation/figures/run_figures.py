@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.evaluation.figures import layers_picture, passage_picture, summary, walk_picture
+from sextant.evaluation.figures import layers_picture, paper, passage_picture, summary, walk_picture
 from sextant.evaluation.figures.comparison_table import comparison
 from sextant.evaluation.figures.recorded_run import RecordedRun
 from sextant.evaluation.figures.walk_picture import LEG_COLORS
@@ -43,15 +43,18 @@ class Plot:
     draw: Callable[[Runs], Any]  # returns a figure, or None if these runs have nothing to show
     least: int = 1  # least number of runs
     most: int | None = None  # largest number of runs; None for any number
+    scales: bool = False  # whether it may have the width of a column
 
 
-def draw(name: str, runs: Runs, path: Path) -> bool:
+def draw(name: str, runs: Runs, path: Path, width_in: float | None = None, data: bool = False) -> bool:
     """Draw a figure of some runs.
 
     Args:
         name: One of `FIGURES`.
         runs: At least one.
         path: Output file; its suffix is the format: svg, pdf or png. The same runs give the same file, byte for byte.
+        width_in: Width [in], for a figure that scales; None for the width of a page.
+        data: Also write the plotted lines and points, next to it as CSV.
 
     Returns:
         Whether these runs had anything to show.
@@ -63,7 +66,11 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
         figure = None if misfit(name, len(runs)) else FIGURES[name].draw(runs)
         if figure is None:
             return False
+        if width_in is not None:
+            paper.fit(figure, width_in)
         whole_files.make_folder(path.parent)
+        if data:
+            whole_files.write_text(path.with_suffix(".csv"), paper.plotted(figure))
         undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
         whole_files.write_by_name(path, partial(figure.savefig, metadata=undated))
     return True
@@ -108,7 +115,7 @@ def _torque(runs: Runs) -> Any:
     for run, color in _colored(runs):
         trace = run.trace
         if len(runs) == 1:
-            axes.plot(trace.t - run.begin, trace.torque_worst, color=color, lw=0.5, alpha=0.45)
+            axes.plot(trace.t - run.begin, trace.torque_worst, color=color, lw=0.5, alpha=0.45, label="of an instant")
         axes.plot(trace.t - run.begin, _rms(trace.torque_worst, trace.t), color=color, lw=1.5, label=_label(run))
     _stall(axes, runs)
     return _in_time(figure, axes, runs, f"highest torque [N m],\nrms of {WINDOW_S:g} s")
@@ -135,8 +142,8 @@ def _pose(runs: Runs) -> Any:
     figure, (path, error) = _sheets(2, 6.4)
     for run, color in _colored(walked):
         trace = run.trace
-        path.plot(trace.p_true[:, 0], 100 * trace.p_true[:, 1], color=color, lw=2.5, alpha=0.35)
-        path.plot(trace.p_estimate[:, 0], 100 * trace.p_estimate[:, 1], color=color, lw=1.0, label=_label(run))
+        path.plot(trace.p_true[:, 0], 100 * trace.p_true[:, 1], color=color, lw=2.5, alpha=0.35, label=f"{run.name}, true")
+        path.plot(trace.p_estimate[:, 0], 100 * trace.p_estimate[:, 1], color=color, lw=1.0, label=f"{run.name}, estimated")
         error.plot(trace.t_estimate - run.begin, 1000 * trace.pose_error, color=color, lw=1.2, label=_label(run))
     path.set_xlabel("ahead [m]")
     path.set_ylabel("left [cm]\n(wide: true, thin: estimated)")
@@ -335,14 +342,16 @@ def _table(runs: Runs) -> Any:
 FIGURES = MappingProxyType(
     {
         "summary": Plot("one-page summary: verdict, signs before it, map, reports; of one run", _summary, most=1),
-        "height": Plot("body height over time, as Lotriet's figures 8.2, 8.4 and 8.7", _height),
-        "tilt": Plot("roll and pitch over time, as there; for several runs the deviation from the command", _tilt),
-        "foot": Plot("path of one foot over the ground from the side, as Lotriet's figures 8.2 and 8.4", _foot),
+        "height": Plot("body height over time, as Lotriet's figures 8.2, 8.4 and 8.7", _height, scales=True),
+        "tilt": Plot("roll and pitch over time, as there; for several runs the deviation from the command", _tilt, scales=True),
+        "foot": Plot("path of one foot over the ground from the side, as Lotriet's figures 8.2 and 8.4", _foot, scales=True),
         "feet": Plot("all feet from above and from the side, as Lotriet's figure 8.6", _feet),
-        "torque": Plot("highest torque of all joints over time", _torque),
+        "torque": Plot("highest torque of all joints over time", _torque, scales=True),
         "joints": Plot("torque of each joint", _joints),
-        "stability": Plot("stability margin over time", _stability),
-        "pose": Plot("estimated and true path, and the error of the estimate over time, after Lotriet's figure 4.8", _pose),
+        "stability": Plot("stability margin over time", _stability, scales=True),
+        "pose": Plot(
+            "estimated and true path, and the error of the estimate over time, after Lotriet's figure 4.8", _pose, scales=True
+        ),
         "footholds": Plot("walk from above on the robot's map: path, footholds, missteps, after Masri's chapter 6", _footholds),
         "layers": Plot("footholds on the last map: height, Lotriet's score, Masri's evaluation; of one run", _layers, most=1),
         "passage": Plot("plan at each stop of a passage, and the walk; of one run", _passage, most=1),

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials import results_store, table_text
 from sextant.evaluation.trials import trials as batches
 from sextant.evaluation.trials.results_store import Run
 from sextant.evaluation.trials.statistics import Rate, wilson
+from sextant.evaluation.trials.table_text import Table
 from sextant.evaluation.trials.trials import Passages, Trials, in_words
 from sextant.shared.files import whole_files
 
@@ -116,8 +117,8 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
 
 
-def markdown(campaign: Campaign, table: str = "walks") -> str:
-    """Format a campaign as a Markdown table, a row per terrain: median (worst).
+def content(campaign: Campaign, table: str = "walks") -> Table:
+    """Return a campaign as a table, a row per terrain: median (worst).
 
     Args:
         campaign: The campaign.
@@ -129,8 +130,12 @@ def markdown(campaign: Campaign, table: str = "walks") -> str:
     else:
         headings = ["terrain", *TABLES[table]]
         rows = [[_ticked(_name(campaign, t)), *(cell(t) for cell in TABLES[table].values())] for t in _walked(campaign)]
-    lines = [f"| {' | '.join(cells)} |" for cells in rows]
-    return "\n".join([f"| {' | '.join(headings)} |", "|---" * len(headings) + "|", *lines, "", *_footnotes(campaign)]) + "\n"
+    return Table(headings, rows, _footnotes(campaign))
+
+
+def markdown(campaign: Campaign, table: str = "walks") -> str:
+    """Format a campaign as a Markdown table; see `content`."""
+    return table_text.markdown(content(campaign, table))
 
 
 def to_json(campaign: Campaign) -> str:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import Section
-from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials import results_store, table_text
 from sextant.evaluation.trials.results_store import Run
+from sextant.evaluation.trials.table_text import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +48,20 @@ THESIS: Mapping[str, tuple[tuple[Published, ...], ...]] = {
 HARDWARE = "an Odroid U3 (Exynos 4412 Prime, Cortex-A9, 1.7 GHz)"  # Masri 2016, section 2.4 and Table 2.4
 
 
-def markdown(runs: Iterable[Run]) -> str:
-    """Format the table in Markdown: our first trials, the thesis in parentheses.
+def content(runs: Iterable[Run]) -> Table:
+    """Return the table: our first trials, the thesis in parentheses.
 
     It has a row per trial and section. A dash marks a section that a scenario does not have.
     """
     batches = _trials_of(runs)
     headings = ["trial", "section", *(f"`{name}` {figure}" for name in THESIS for figure in ("n_g", "n_e", "t, s"))]
     rows = [row for trial in range(TRIALS) for row in _rows(batches, trial)]
-    lines = [f"| {' | '.join(cells)} |" for cells in (headings, ["---"] * len(headings), *rows)]
-    return "\n".join([*lines, "", *_footnotes(batches)]) + "\n"
+    return Table(headings, rows, _footnotes(batches))
+
+
+def markdown(runs: Iterable[Run]) -> str:
+    """Format the table in Markdown; see `content`."""
+    return table_text.markdown(content(runs))
 
 
 def _trials_of(runs: Iterable[Run]) -> dict[str, list[Run]]:

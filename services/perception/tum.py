@@ -295,10 +295,12 @@ class RecordingWriter:
         self._last_ns = stamp_ns
 
 
-def write_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write poses in the layout of groundtruth.txt."""
+def write_trajectory(path: Path, trajectory: Trajectory, of: str = "depth camera") -> None:
+    """Write poses of a camera, or of something else, in the layout of groundtruth.txt."""
     poses = zip(trajectory.stamps_ns, trajectory.T_world_camera, strict=True)
-    whole_files.write_text(path, _TRUTH_HEADER + "".join(_truth_line(int(stamp_ns), T) for stamp_ns, T in poses))
+    whole_files.write_text(
+        path, _TRUTH_HEADER.replace("depth camera", of) + "".join(_truth_line(int(stamp_ns), T) for stamp_ns, T in poses)
+    )
 
 
 def _seconds(stamp_ns: int) -> str:
