@@ -192,7 +192,7 @@ def test_servo_that_goes_silent_during_start_up_raises_an_error(monkeypatch: pyt
         joints._bus.setup()
         rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
 
-    monkeypatch.setattr(Joints, "_set_up", set_up)
+    monkeypatch.setattr(Joints, "_set_up_bus", set_up)
     with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while its state was read"):
         rig.start()
 
