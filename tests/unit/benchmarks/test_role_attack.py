@@ -31,6 +31,7 @@ def test_attack_messages_pass_schema_and_vary(topic: AnyTopic) -> None:
     assert len({codec.encode(message) for message in made}) > 5 or len(schema(topic.type)) == 1
 
 
+@pytest.mark.slow
 def test_attacker_publishes_only_topics_of_its_role() -> None:
     for role in role_attack.ROLE_NAMES:
         attacker = role_attack.Attacker(role, 1)
@@ -68,12 +69,14 @@ def test_standing_reason_is_empty_for_robot_that_can_walk(mode: Mode, planner: s
     assert role_attack.why_it_stands(None, None) == ""
 
 
+@pytest.mark.slow
 def test_lockstep_walk_withstands_attack_with_robot_certificate() -> None:
     row = role_attack.in_lockstep("robot", 150, 1)
     assert row.ended == ()
     assert row.passed, role_attack.in_words([row])
 
 
+@pytest.mark.slow
 def test_roles_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--messages", "100", "--only", "console", "--out", str(tmp_path)]
     assert cli.main(["roles", "--lockstep", *words]) == 0

@@ -345,6 +345,7 @@ def test_commit_seeds_require_clean_checkout(monkeypatch: pytest.MonkeyPatch) ->
     assert cli.main(words) == 2
 
 
+@pytest.mark.slow
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -489,6 +490,7 @@ def test_moved_command_still_runs_and_prints_hint(words: list[str], capsys: pyte
     assert error.startswith(f"sextant recording {words[0]}: nowhere.mcap")
 
 
+@pytest.mark.slow
 def test_bench_command_redirects_to_benchmarks_module(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

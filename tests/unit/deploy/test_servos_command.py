@@ -154,6 +154,7 @@ def test_calibration_is_written_to_profile_or_out_file(
     assert "../my_phantomx_mk2.toml" in Path("deep/second.toml").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque", "left"), [("on", 1), ("off", 0), ("", 0)])
 def test_torque_after_joint_test_follows_option(
     torque: str, left: int, bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]

@@ -170,6 +170,7 @@ def test_urgent_servos_are_read_in_each_poll_and_others_in_rotation() -> None:
     assert len(seen) >= 32
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("usb_ms", [0.2, 1.0, 1.3, 2.0])
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_reading_age_stays_below_150_ms_with_urgent_servos(usb_ms: float, count: int) -> None:

@@ -100,6 +100,7 @@ VALUES = st.none() | st.booleans() | st.floats() | st.integers() | st.text()
 WILD = st.recursive(VALUES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
 
 
+@pytest.mark.slow
 @given(WILD)
 def test_any_json_is_parsed_or_refused_with_reason(value: Any) -> None:
     for sent in (value, {**DRIVE, "forward": value}, {**GO, "waypoints": value}, {"type": value}):

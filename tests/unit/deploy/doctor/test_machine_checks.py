@@ -87,6 +87,7 @@ def test_late_cycles_are_reported_and_frequent_ones_warn(priority_error: str) ->
     assert often.advice == (priority_error or "close other programs, those with real-time priority first")
 
 
+@pytest.mark.slow
 def test_bench_actuator_cycle_runs_on_emulated_bus() -> None:
     with rehearsal.bench_actuator("phantomx_mk2") as tick:
         for _ in range(3):

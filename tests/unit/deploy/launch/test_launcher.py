@@ -318,6 +318,7 @@ def test_killed_launcher_leaves_no_frozen_orphan(pid_fds: list[int]) -> None:
     assert process_ended(child)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("behaviour", ["obedient", "stubborn"])
 def test_second_ctrl_c_kills_children_immediately(behaviour: str, pid_fds: list[int]) -> None:
     driver, child = start_launcher(behaviour)

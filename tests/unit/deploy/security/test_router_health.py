@@ -105,6 +105,7 @@ def test_router_reports_refused_connections(keys: Path) -> None:
     assert "router: refused: a certificate of a foreign authority" in printed
 
 
+@pytest.mark.slow
 def test_order_through_router_that_may_only_stop_is_refused_with_reason(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
     secure = f"tls/127.0.0.1:{free_port()}"
     with (

@@ -38,6 +38,7 @@ def of(z: NDArray[np.floating], sigma: float = 0.0, body: float = math.inf, **op
 # ---- partial updates
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32), st.integers(3, 12))
 @settings(deadline=None, max_examples=25)
 def test_incremental_layers_equal_full_recomputation(seed: int, rounds: int) -> None:
