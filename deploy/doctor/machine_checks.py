@@ -23,7 +23,7 @@ from sextant.shared.runtime.operating_system import usable_cores
 _ROLES: dict[str, tuple[str, ...]] = {  # extras of pyproject.toml -> the modules they install
     "core": ("msgpack", "numpy", "zenoh", "zstandard"),
     "actuator": ("serial",),
-    "perception": ("cv2", "kiss_icp", "numba"),
+    "perception": ("cv2", *(("kiss_icp",) if sys.version_info < (3, 14) else ()), "numba"),  # it has no wheel for 3.14
     "mapper": ("cv2", "numba"),
     "simulator": ("cv2", "mujoco", "numba"),
     "recording": ("cv2", "matplotlib", "mcap", "foxglove_schemas_protobuf"),

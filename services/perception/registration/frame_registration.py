@@ -103,10 +103,10 @@ def _make_method(profile: RobotProfile, settings: Settings) -> RegistrationMetho
     if settings.registration:
         return PluginRegistration(profile, settings.registration)
     if settings.method == "kiss-icp":
-        from sextant.services.perception.registration.kiss_icp_adapter import (
-            KissRegistration,  # slow import, only if selected
-        )
-
+        try:  # a slow import, only if it is selected
+            from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
+        except ImportError as error:
+            raise ValueError(f"the registration kiss-icp needs the library kiss-icp: {error}; pip install kiss-icp") from error
         return KissRegistration(camera.intrinsics, camera.sensor)
     return Registration(
         camera.intrinsics,

@@ -1,3 +1,4 @@
+import json
 import re
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 import yaml
 
 from sextant import deploy
+from sextant.deploy import cli
 from sextant.deploy.launch.compose import (
     KEYS,
     NOTIFY_SOCKET,
@@ -20,6 +22,7 @@ from sextant.deploy.launch.compose import (
     offboard_yaml,
 )
 from sextant.deploy.launch.process_table import TABLE
+from sextant.deploy.terminal.arguments import parse
 from sextant.shared.files.config import ConfigError
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from tests.support.composed import commands_of, services_of
@@ -134,14 +137,16 @@ def test_each_service_image_is_a_dockerfile_target(file: str) -> None:
 def test_images_install_pinned_wheels_of_their_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     targets = _targets()
-    assert set(targets) == {"base", "wheel", "actuator", "onboard", "offboard", "simulator", "all"}
-    for name in set(targets) - {"base", "wheel"}:
+    assert set(targets) == {"base", "wheel", "actuator", "onboard", "offboard", "simulator", "all", "demo"}
+    for name in set(targets) - {"base", "wheel", "demo"}:
         assert name in extras
         (install,) = [line for line in targets[name].splitlines() if "pip install" in line]
         assert install.endswith(f'sextant-*.whl)[{name}]"')
         assert "--constraint /constraints.txt" in install
         assert "--only-binary :all:" in install
-        assert targets[name].splitlines()[-1] == "USER 1000:1000"
+        assert "USER 1000:1000" in targets[name].splitlines()
+    command = json.loads(targets["demo"].removeprefix("CMD "))
+    assert parse(cli.sextant, "sextant", command[1:]).path == "sextant demo"
     assert not re.search(r"gcc|build-essential|g\+\+", "".join(targets.values()))
     assert re.search(r"^FROM python:\d+\.\d+\.\d+-slim-\w+ AS base$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
 

@@ -1,12 +1,17 @@
 """KISS-ICP adapter with the common registration interface."""
 
+import sys
+
 import numpy as np
 import pytest
 
+from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.error_twist import error_twist
+from sextant.services.perception.registration.frame_registration import FrameRegistration
 from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
 from sextant.shared.geometry import inverse
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.robot.profiles import load_profile
 
 WIDE_CAMERA = Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5)  # 90 deg wide
 WIDE_SENSOR = DepthSensor(min_range=0.2, max_range=3.0, baseline=0.25)
@@ -86,3 +91,10 @@ def test_empty_image_and_invalid_arguments_are_reported(world):
         KissRegistration(world.intrinsics, world.sensor, voxel_size=0.0)
     with pytest.raises(ValueError, match="uint16"):
         registration.update(np.zeros((480, 640)), 0, np.eye(4), SPREAD)
+
+
+def test_missing_library_is_named(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "kiss_icp.kiss_icp", None)
+    monkeypatch.delitem(sys.modules, "sextant.services.perception.registration.kiss_icp_adapter")
+    with pytest.raises(ValueError, match=r"needs the library kiss-icp: .*; pip install kiss-icp"):
+        FrameRegistration(load_profile("phantomx_mk2"), Settings(method="kiss-icp"))
