@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sextant.evaluation.video.ground import of_terrain
 from sextant.evaluation.video.renderer import Figure, Renderer, View
 from sextant.services.simulator.physics.terrain import build_terrain
-from sextant.shared.files import config
+from sextant.shared.files import config, whole_files
 from sextant.shared.geometry import Array, transform
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile
@@ -137,8 +137,8 @@ def _view(p: Array) -> View:
 
 def write(folder: Path) -> None:
     """Write the picture of each kind into a folder, which is created if missing."""
-    folder.mkdir(parents=True, exist_ok=True)
+    whole_files.make_folder(folder)
     for kind in EXAMPLES:
         done, data = cv2.imencode(".webp", draw(kind)[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
         assert done
-        (folder / f"{kind}.webp").write_bytes(data.tobytes())
+        whole_files.write_bytes(folder / f"{kind}.webp", data.tobytes())

@@ -174,6 +174,7 @@ APART = {
     "benchmarks/fuzz/recording_mutators.py": "a folder that is removed at the end",
     "deploy/terminal/output.py": "nowhere",
     "deploy/live/live_run.py": "a log, line by line",
+    "evaluation/viewers/file_export.py": "by the name that `write_by_name` gives",
     "evaluation/video/video_writer.py": "by the name that `write_by_name` gives",
     "services/actuator/commissioning/calibration_file.py": "whole, once it has been read as a robot",
     "services/actuator/safety/torque_off_latch.py": "whole, or as an empty file, by the stop path",
