@@ -3,6 +3,7 @@
 This module fails for a command without a test.
 """
 
+import itertools
 import re
 import shlex
 import subprocess
@@ -46,6 +47,9 @@ RUN_BY = {
     "run --lockstep --foothold": "tests/walk/test_plugins.py::test_example_plugins_walk_to_the_goal",
     "run --connect": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
     "trials": "tests/walk/test_walks.py::test_trials_command_runs_seeds_in_parallel",
+    "trials --foothold": "tests/walk/test_tutorials.py::test_course_and_rule_of_tutorials_walk",
+    "trials --set": "tests/walk/test_tutorials.py::test_course_and_rule_of_tutorials_walk",
+    "trials --gait": "tests/unit/deploy/test_cli.py::test_robot_and_gait_options_override_scenario",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
@@ -64,6 +68,7 @@ RUN_BY = {
     "plot": "tests/unit/evaluation/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
     "up --camera": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up --connect": "tests/live/test_live_walk.py::test_onboard_and_offboard_start_in_either_order",
+    "up --set": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
     "fleet": "tests/live/test_fleet.py::test_failure_of_one_robot_does_not_affect_others",
     "benchmarks fleet": "tests/live/test_fleet.py::test_fleet_benchmark_loads_base_with_recorded_robot",
@@ -82,11 +87,14 @@ RUN_BY = {
     "benchmarks faults": "tests/walk/test_faults_command.py::test_faults_command_checks_limits_and_skips_completed_injections",
     "benchmarks fuzz": "tests/unit/benchmarks/test_fuzz.py::test_fuzz_command_reports_findings_and_repeats_message",
     "benchmarks faults --live": "tests/live/test_live_faults.py::test_hung_actuator_is_replaced_and_robot_holds",
+    "benchmarks page": "tests/live/test_page.py::test_robot_walks_while_pad_is_held",
+    "benchmarks soak": "tests/live/test_soak.py::test_soak_measures_memory_of_processes_and_age_of_topics",
     "benchmarks bus": "tests/unit/benchmarks/test_bench_bus.py::test_bus_command_writes_table",
     "benchmarks start": "tests/unit/benchmarks/test_bench_start.py::test_start_command_writes_figures",
     "benchmarks strangers": "tests/live/test_strangers.py::test_base_and_actuator_connect_among_unauthorized_clients",
     "benchmarks roles": "tests/unit/benchmarks/test_role_attack.py::test_roles_command_writes_table",
     "benchmarks access": "tests/live/test_access.py::test_access_command_writes_table",
+    "keys show": "tests/unit/deploy/security/test_router_security.py::test_new_keys_are_private_and_never_overwritten",
     "keys new": "tests/unit/deploy/security/test_router_security.py::test_new_keys_are_private_and_never_overwritten",
     "benchmarks servos": "tests/unit/benchmarks/test_bench_servos.py::test_servos_command_writes_figures",
     "servos set-id": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
@@ -94,13 +102,24 @@ RUN_BY = {
     "doctor": "tests/unit/deploy/test_cli.py::test_doctor_exit_code_follows_failed_checks",
 }
 SHELL = ("source .venv/bin/activate",)  # of the shell itself
+MODULES = {
+    "sextant.deploy.launch.router": "tests/unit/deploy/launch/test_router.py::test_router_publishes_presence_of_its_machine",
+    "tests.support.mutate": "",  # it runs tests
+}
+_PREFIX = re.compile(r"[A-Z_]+=.*|time")  # of a command: variables, and the shell's stopwatch
+NOT_RUN = {
+    "pip": "it needs a package index",
+    "npm": "it needs a package index",
+    "coverage": "it runs tests",
+    "pytest": "it runs tests",
+}
 
 
 def commands(text: str) -> Iterator[list[str]]:
     """Yield the words of each command in the fenced `sh` blocks, without comments."""
     for block in re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         for line in block.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
+            words = list(itertools.dropwhile(_PREFIX.fullmatch, shlex.split(line, comments=True)))
             if words and " ".join(words) not in SHELL:
                 yield words
 
@@ -112,7 +131,7 @@ def way_of_running(words: list[str]) -> str:
     group = words[:2] if words[0] in groups or words[:2] in pairs else words[:1]
     ways = [
         word
-        for word in words
+        for word in dict.fromkeys(words)
         if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live", "--set", "--foothold")
     ]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
@@ -121,25 +140,37 @@ def way_of_running(words: list[str]) -> str:
 
 README = list(commands((ROOT / "README.md").read_text(encoding="utf-8")))
 GUIDES = list(commands((ROOT / "docs/guides.md").read_text(encoding="utf-8")))
+OWN_TESTS = ("deployment.md", "commissioning.md")  # pages whose commands have a test of their own
+DOCS = [
+    words
+    for page in sorted((ROOT / "docs").glob("*.md"))
+    if page.name not in OWN_TESTS
+    for words in commands(page.read_text(encoding="utf-8"))
+]
 
 
 def test_readme_begins_with_make_demo_and_make_test() -> None:
     assert README[:2] == [["make", "demo"], ["make", "test"]]
 
 
-@pytest.mark.parametrize("words", list(map(list, dict.fromkeys(map(tuple, README + GUIDES)))), ids=" ".join)
-def test_readme_command_is_run_by_a_test(words: list[str]) -> None:
+@pytest.mark.parametrize("words", list(map(list, dict.fromkeys(map(tuple, README + DOCS)))), ids=" ".join)
+def test_command_is_run_by_a_test(words: list[str]) -> None:
     match words:
         case ["make", target]:
             made = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
             assert target in MAKE, f"no test knows `make {target}`"
             assert all(part in made for part in MAKE[target]), made
         case ["sextant", *rest]:
-            assert parse(cli.sextant, "sextant", rest).path.startswith("sextant ")
+            numbered = [re.sub(r"^commit:(\d+)$", r"0:\1", word) for word in rest]  # a commit's seeds need a clean checkout
+            assert parse(cli.sextant, "sextant", numbered).path.startswith("sextant ")
             assert way_of_running(rest) in RUN_BY, f"no test runs `{' '.join(words)}`"
         case ["python", "-m", "benchmarks", *rest]:
             assert parse(benchmarks.benchmarks, benchmarks.PROGRAM, rest).path.startswith(benchmarks.PROGRAM)
             assert way_of_running(["benchmarks", *rest]) in RUN_BY, f"no test runs `{' '.join(words)}`"
+        case ["python", "-m", module, *_]:
+            assert module in MODULES, f"no test runs `{' '.join(words)}`"
+        case [program, *_] if program in NOT_RUN:
+            pass
         case _:
             pytest.fail(f"no test runs `{' '.join(words)}`")
 

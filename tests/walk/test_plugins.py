@@ -62,7 +62,7 @@ def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
 
 def test_documented_rule_scores_slopes_and_keeps_unknown_cells(tmp_path, monkeypatch):
     (code,) = re.findall(
-        r"^```python\n(.*?)^```$", (ROOT / "docs/plugins.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        r"^```python\n(.*?)^```$", (ROOT / "docs/foothold_rule.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
     (tmp_path / "my_rules.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
