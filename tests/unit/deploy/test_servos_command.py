@@ -7,7 +7,6 @@ import pty
 import signal
 import socket
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -16,11 +15,14 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
+from sextant.deploy.commands import servos
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
+from sextant.services.actuator.servo_bus import dynamixel_bus
+from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Port, open_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS
@@ -37,12 +39,33 @@ def bench() -> BenchEmulator:
     return BenchEmulator(PROFILE, np.random.default_rng(1))
 
 
+class Line:
+    """Ports in memory, one after the other, to emulated servos; their virtual time is the clock of the command."""
+
+    URL = "socket://127.0.0.1:1"
+
+    def __init__(self, bench: BenchEmulator) -> None:
+        self._bench = bench
+        self._port: MemoryPort | None = None
+
+    def monotonic_ns(self) -> int:
+        return 0 if self._port is None else self._port.now_ns()
+
+    def open(self, url: str, baud_rate: int = 1_000_000, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
+        if url != self.URL:
+            return open_port(url, baud_rate, timeout_ns)
+        self._port = MemoryPort(self._bench, lambda: 0, timeout=timeout_ns * 1e-9, start_ns=self.monotonic_ns())
+        return self._port
+
+
 @pytest.fixture
-def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    with TcpBusServer(bench) as server:
-        yield server.url
+    line = Line(bench)
+    monkeypatch.setattr(dynamixel_bus, "open_port", line.open)
+    monkeypatch.setattr(servos, "time", line)
+    return line.URL
 
 
 @pytest.mark.parametrize(
