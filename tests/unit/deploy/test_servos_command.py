@@ -40,12 +40,14 @@ def bench() -> BenchEmulator:
 
 
 class Line:
-    """Ports in memory, one after the other, to emulated servos; their virtual time is the clock of the command."""
+    """Ports in memory, one after the other, to an emulated device; their virtual time is the clock of the command."""
 
     URL = "socket://127.0.0.1:1"
 
-    def __init__(self, bench: BenchEmulator) -> None:
-        self._bench = bench
+    def __init__(self, device: BenchEmulator | Board, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._device = device
+        monkeypatch.setattr(dynamixel_bus, "open_port", self.open)
+        monkeypatch.setattr(servos, "time", self)
         self._port: MemoryPort | None = None
 
     def monotonic_ns(self) -> int:
@@ -54,7 +56,7 @@ class Line:
     def open(self, url: str, baud_rate: int = 1_000_000, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
         if url != self.URL:
             return open_port(url, baud_rate, timeout_ns)
-        self._port = MemoryPort(self._bench, lambda: 0, timeout=timeout_ns * 1e-9, start_ns=self.monotonic_ns())
+        self._port = MemoryPort(self._device, lambda: 0, timeout=timeout_ns * 1e-9, start_ns=self.monotonic_ns())
         return self._port
 
 
@@ -62,10 +64,7 @@ class Line:
 def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    line = Line(bench)
-    monkeypatch.setattr(dynamixel_bus, "open_port", line.open)
-    monkeypatch.setattr(servos, "time", line)
-    return line.URL
+    return Line(bench, monkeypatch).URL
 
 
 @pytest.mark.parametrize(
@@ -270,11 +269,11 @@ def test_off_disables_torque_through_bridge_board(tmp_path: Path, monkeypatch: p
     bench = BenchEmulator(PROFILE, np.random.default_rng(1))
     torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
     torque[:] = 1
-    with TcpBusServer(Board(bench)) as server:
-        assert cli.main(["servos", "off", "--port", server.url]) == 1
-        assert torque.all()
-        assert cli.main(["servos", "off", "--bridge", "--port", server.url]) == 0
-        assert not torque.any()
+    url = Line(Board(bench), monkeypatch).URL
+    assert cli.main(["servos", "off", "--port", url]) == 1
+    assert torque.all()
+    assert cli.main(["servos", "off", "--bridge", "--port", url]) == 0
+    assert not torque.any()
 
 
 def test_bridge_option_without_bridge_board_is_reported(
