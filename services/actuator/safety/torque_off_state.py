@@ -16,7 +16,8 @@ class TorqueOffState:
         self.unseen = ""  # why an order from outside this process cannot be detected
         self._latch = latch
         self._taken_back_ns = -1  # time of the order that turned torque on
-        self._closed = self._held = False  # state of the latch and of the order, when last read or ordered
+        self._closed = False  # whether the latch requires torque off, when last read
+        self._held = False  # whether torque must be off, when last read or ordered
 
     @property
     def holds(self) -> bool:
@@ -34,6 +35,7 @@ class TorqueOffState:
             self.unseen = f"cannot read the torque-off latch: {error}"
             return self._held
         since_ns = self._latch.since_ns if self._closed else -1
+        # 0: the time of the order is unknown, or before a reboot, so the order counts.
         self._held = since_ns == 0 or since_ns > self._taken_back_ns
         return self._held
 

@@ -8,8 +8,8 @@ the changed cells of the foothold map, which are few as a rule, and everywhere i
 **Margin.** A foot that is aimed at a cell stands within `margin` of it. The margin is the foot's radius plus `sigmas` times the
 position error, which combines those of the body and of the ground. The ground's error along the floor is taken to be as large
 as in height, because both come from a depth along a ray that looks down at 30 to 45 degrees. The score already covers
-`flat_radius`. The rest of the margin is added in cells: the worst score within that distance is used, and in Masri's map only
-cells whose surroundings within it are all accessible.
+`flat_radius`. The rest of the margin is added in cells. Lotriet's score of a cell becomes the worst score within that distance.
+In Masri's map a cell stays accessible only if all cells within that distance are accessible.
 """
 
 import math
@@ -96,8 +96,9 @@ class FootholdLayers:
         self._elevation = np.full(shape, np.nan, dtype=np.float32)  # of the previous call
         self._score = np.full(shape, np.nan, dtype=np.float32)
         self._terms = [np.full(shape, np.nan, dtype=np.float32) for _ in range(2 * keep_terms)]  # slope and roughness
-        self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible except for its depth, 2 refused
-        self._ground = np.full(shape, 0, dtype=np.uint8)  # input of the evaluation function
+        self._even = np.full(shape, 0, dtype=np.uint8)  # bits 0 and 1 of `_ground`, without the limit of depth
+        # Input of the evaluation function: bit 0 accessible, bit 1 refused, bit 2 known, bits 4 to 7 added margin [cells].
+        self._ground = np.full(shape, 0, dtype=np.uint8)
         self._evaluation = np.full(shape, 0, dtype=np.int8)
 
     @classmethod

@@ -148,7 +148,8 @@ class VelocityPrior:
     def predict(self, since_s: float) -> Array:
         """Return the expected pose (4, 4) a time [s] after the newest frame.
 
-        The pose moves along the screw of the velocity.
+        The translation of the last interval is turned by the predicted rotation. This is exact for a motion along a constant
+        screw, if the time equals the last interval.
 
         Raises:
             ValueError: There was no frame.

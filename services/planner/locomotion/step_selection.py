@@ -77,7 +77,8 @@ class StepSelector:
         for number, command in enumerate(commands):
             decision = self._select_for(command, number, robot, terrain, steered)
             retry_s = max(retry_s, decision.retry_s)
-            if decision.step is not None or decision.state == "stepping":  # the robot comes to rest before a step by touch
+            # "stepping" without a step: the robot comes to rest first, then it steps by touch.
+            if decision.step is not None or decision.state == "stepping":
                 return replace(decision, retry_s=retry_s)
         if decision.state == "blocked" and robot.state.phase >= 1.0:
             step = self._gather(commands[0], robot, terrain)
@@ -151,7 +152,7 @@ class StepSelector:
             retry_s = self._settings.revision.interval_s  # all shares take the most time
             return Decision("blocked", reason, found.leg, retry_s=retry_s)
         step = self._next(robot, found, (number, way))
-        if refusals.given_up:
+        if refusals.given_up:  # a trial step: the robot stays blocked until the actuator accepts it
             return Decision("blocked", refusals.words(), step=step)
         return Decision("stepping", self._describe(found, command), step=step)
 

@@ -38,7 +38,7 @@ def find_path(cost_map: CostMap, start: Array, goal: Array, nearby: float) -> Pl
     """Find the cheapest path.
 
     Args:
-        crossing: The traversability map.
+        cost_map: The traversability map.
         start: (2,) [m] {world} start of the path.
         goal: (2,) [m] {world} end of the path. If it lies outside the map, the path ends at the border towards it.
         nearby: [m] permitted distance from the goal if the robot cannot stand on the goal itself.
@@ -67,11 +67,11 @@ def cheapest_cells(
     """Find the cheapest path between two cells by A*.
 
     Each cell has eight neighbours. A diagonal step must not cut the corner of a closed cell. If the start is closed, the path
-    leaves it through closed cells with no less room.
+    first passes closed cells, each at least as far from its obstacle as the one before.
 
     Args:
         cost: (n, m) cost per cell length, 1 or more; inf for closed cells.
-        room: (n, m) distance to the obstacle that closes a cell.
+        room: (n, m) [m] distance to the obstacle that closes a cell.
         start: First cell.
         end: Last cell.
 

@@ -126,7 +126,7 @@ class Roadmap:
         self._field = field
         self._outcome: SectionPlan | NoSection | None = None
         self._ground = ground_of(field)
-        self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
+        self._goal_x, self._max_body_x = goal_x, self._end_of_the_known(field, stance)
         self._root = self._repaired(stance)
         self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
         self._tries = self._expanded_before = self._generated_before = 0
@@ -180,11 +180,11 @@ class Roadmap:
         tree.fails[:], tree.visits[:], tree.table[:] = 0, 0, -1
         tree.root[:], tree.body[0], tree.foot[0] = self._root.feet, self._root.body, roadmap_search.ROOT_FOOT
         tree.parent[0], tree.leg[0], tree.depth[0], tree.state[0], tree.cost[0] = -1, -1, 0, roadmap_search.PROVEN, 0.0
-        tree.goal[0] = min(self._goal_x, self._seen_to)
+        tree.goal[0] = min(self._goal_x, self._max_body_x)
         tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
 
     def _end_of_the_known(self, field: StripMap, stance: Stance) -> float:
-        """Return the limit [m] {strip} of the body that keeps feet on known ground."""
+        """Return the largest x [m] {strip} of the body for which the front feet stay on known ground; inf if all is known."""
         front = float((self._legs.rest[:, 0]).max())
         known = field.known_until(float(stance.feet[:, 0].max()), _BAND)
         return np.inf if known >= field.elevation.shape[0] * field.resolution - 1e-9 else known - front - 0.03
@@ -196,14 +196,14 @@ class Roadmap:
         """
         self._blame, self._blamed, self._shift = "", WHOLE_ROBOT, np.zeros(3)
         found = np.zeros(7, dtype=np.int64)
-        roadmap_search.faults(self._legs, self._rules, 1, stance.feet, stance.body, found)
+        roadmap_search.faults(self._legs, self._rules, roadmap_search.WITHOUT_RESERVE, stance.feet, stance.body, found)
         if not found.any():
             return stance
         first = found.copy()
-        for strict in (0, 1):  # first with the reserves for the next steps, then without
+        for limits in (roadmap_search.WITH_RESERVE, roadmap_search.WITHOUT_RESERVE):  # the reserve is for the next steps
             for shift in _shifts(self._settings.max_repair_m, 0.005):
                 body = stance.body + shift
-                roadmap_search.faults(self._legs, self._rules, strict, stance.feet, body, found)
+                roadmap_search.faults(self._legs, self._rules, limits, stance.feet, body, found)
                 if not found.any():
                     self._shift = shift
                     return replace(stance, body=body)
@@ -214,7 +214,7 @@ class Roadmap:
 
     def _crossing(self, goal: int) -> SectionPlan | NoSection:
         """Return the section to a configuration."""
-        x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
+        x, known = float(self._tree.body[goal, 0]), self._max_body_x - float(self._root.body[0])
         seen = f"the ground is known only for {known:.2f} m ahead"
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")

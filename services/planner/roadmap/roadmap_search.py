@@ -44,11 +44,14 @@ _MOUNT, _YAW, _COXA, _FEMUR, _KNEE, _WAY, _LINKS, _FORE, _ROOM = 0, 3, 5, 10, 15
 LEG_COLUMNS = 25
 
 
+WITH_RESERVE, WITHOUT_RESERVE = 0, 1  # leading index of `Legs.table`: limits with a reserve for the next steps, or as they are
+
+
 class Legs(NamedTuple):
     """Leg parameters for the tests.
 
     The table is one array, because each array argument costs reference counting in a call. Its leading axis selects the limits:
-    0 for limits with a reserve, 1 for the limits themselves. Its columns are:
+    `WITH_RESERVE` or `WITHOUT_RESERVE`. Its columns are:
 
     - mount (3) [m] {body};
     - cosine and sine of the neutral direction;
@@ -187,16 +190,16 @@ def _bell(state: NDArray[np.uint64]) -> float:
 
 
 @compiled
-def _between(c: float, s: float, table: Array, strict: int, leg: int, column: int) -> bool:
+def _between(c: float, s: float, table: Array, limits: int, leg: int, column: int) -> bool:
     """Return whether a direction lies between a leg's limits that begin at a column."""
-    after = table[strict, leg, column] * s - table[strict, leg, column + 1] * c >= 0.0
-    before = c * table[strict, leg, column + 3] - s * table[strict, leg, column + 2] >= 0.0
-    return bool((after or before) if table[strict, leg, column + 4] > 0.0 else (after and before))
+    after = table[limits, leg, column] * s - table[limits, leg, column + 1] * c >= 0.0
+    before = c * table[limits, leg, column + 3] - s * table[limits, leg, column + 2] >= 0.0
+    return bool((after or before) if table[limits, leg, column + 4] > 0.0 else (after and before))
 
 
 @compiled
 def _leg(
-    table: Array, strict: int, leg: int, x: float, y: float, z: float
+    table: Array, limits: int, leg: int, x: float, y: float, z: float
 ) -> tuple[int, float, float, float, float, float, float]:
     """Test whether a leg can hold its foot at (x, y, z) {body}.
 
@@ -212,15 +215,15 @@ def _leg(
     reach = out - coxa
     d2 = reach * reach + pz * pz
     knee = (d2 - f * f - t * t) / (2.0 * f * t)
-    if out < _AXIS or knee < table[strict, leg, _KNEE] or knee > table[strict, leg, _KNEE + 1]:
+    if out < _AXIS or knee < table[limits, leg, _KNEE] or knee > table[limits, leg, _KNEE + 1]:
         return REACH, reach, 0.0, 1.0, 0.0, 0.0, 0.0
     across = -t * math.sqrt(max(1.0 - knee * knee, 0.0))
     along = f + t * knee
     # Direction of the femur, times the squared distance from femur axis to foot.
     fc, fs = reach * along + pz * across, pz * along - reach * across
     c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
-    ok = _between(px * c + py * s, py * c - px * s, table, strict, leg, _COXA)
-    ok = ok and _between(fc, fs, table, strict, leg, _FEMUR)
+    ok = _between(px * c + py * s, py * c - px * s, table, limits, leg, _COXA)
+    ok = ok and _between(fc, fs, table, limits, leg, _FEMUR)
     knee_out, knee_up = f * fc / d2, f * fs / d2
     return (OK if ok else REACH), reach, reach - knee_out, px / out, py / out, knee_out, knee_up
 
@@ -1223,14 +1226,14 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
 
 
 @compiled
-def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, found: NDArray[np.int64]) -> None:
+def faults(legs: Legs, rules: Rules, limits: int, feet: Array, body: Array, found: NDArray[np.int64]) -> None:
     """Write the failed test of each leg of a stance, then of the robot, to (7,).
 
-    `strict` 1 selects the joint limits without the reserve.
+    `limits` is `WITH_RESERVE` or `WITHOUT_RESERVE`.
     """
     for leg in range(6):
         test, _, _, _, _, _, _ = _leg(
-            legs.table, strict, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
+            legs.table, limits, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
         )
         found[leg] = test
     found[6] = OK if _support(rules, feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN
