@@ -1,5 +1,6 @@
 """The documentation builds without a warning, and each of its links resolves."""
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from sextant import plugins
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+GENERATED = {"keys", "parameters", "commands", "benchmarks", "scenarios", "profiles", "report"}
 _LOADED = {"script": "src", "img": "src", "link": "href"}  # tags whose files the browser loads by itself
 
 
@@ -35,6 +37,12 @@ class Page(HTMLParser):
             self.links.append(found["href"])
         if _LOADED.get(tag) in found:
             self.loaded.append(found[_LOADED[tag]])
+
+
+def test_pages_are_short() -> None:
+    lines = {path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in DOCS.glob("*.md")}
+    assert {name: count for name, count in lines.items() if count > 250 and name not in GENERATED} == {}
+    assert lines["architecture"] <= 200
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +95,12 @@ def test_each_public_name_is_described(site: dict[Path, Page]) -> None:
     public = {f"sextant.{name}" for name in sextant.__all__}
     public |= {f"sextant.plugins.{name}" for name in plugins.__all__ if name not in elsewhere}
     assert public <= page.ids
+
+
+def test_each_quoted_message_is_in_the_program() -> None:
+    rows = re.findall(r"^\| `([^`]+)` \|", (DOCS / "troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
+    folders = ("services", "shared", "evaluation", "deploy", "sextant")
+    program = "".join(path.read_text(encoding="utf-8") for name in folders for path in sorted((ROOT / name).rglob("*.py")))
+    program += (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert len(rows) >= 20
+    assert [row for row in rows if row not in program] == []
