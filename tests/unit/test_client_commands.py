@@ -1,9 +1,12 @@
 """Commands of `sextant.Client` to a scripted actuator: result, refusal, lost lease, silence."""
 
 import contextlib
+import runpy
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -317,3 +320,32 @@ def test_restarted_robot_clock_cancels_command(robot: Robot) -> None:
             robot.wait()
         assert robot.made.status() == ""
         me.walk(0.08)
+
+
+def test_example_leads_the_robot_to_its_place(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def sleep(seconds: float) -> None:
+        for _ in range(round(seconds * 1e9 / BEAT_NS)):
+            robot.wait()
+
+    def then() -> None:
+        if any(isinstance(message, Goal) for message in robot.sent):
+            place = np.eye(4)
+            place[0, 3] = 0.8
+            robot.pose = replace(robot.pose, T_world_body=place)
+            robot.planner = replace(robot.planner, state="arrived")
+
+    robot.then = then
+    monkeypatch.setattr(client.time, "sleep", sleep)
+    script = Path(__file__).parents[2] / "examples" / "lead_robot.py"
+    monkeypatch.setattr(sys, "argv", [str(script), "tcp/127.0.0.1:7447", "0.8"])
+    runpy.run_path(str(script), run_name="__main__")
+    assert robot.orders() == ["stand", "walk", "walk", "stop", "sit"]
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("standing: ")
+    assert printed[1:] == ["arrived at x 0.80, y 0.00 m", "ready: obeyed"]
+    robot.obey = robot.refuses
+    robot.set(mode=Mode.HOLD)
+    with pytest.raises(SystemExit, match="the robot did not obey: "):
+        runpy.run_path(str(script), run_name="__main__")

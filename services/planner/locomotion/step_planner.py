@@ -75,8 +75,9 @@ class NoStep:
 class StepPlanner:
     """Plans steps for one robot; it keeps only lookup tables."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings):
-        """Initialize for a robot."""
+    def __init__(self, profile: RobotProfile, settings: Settings | None = None):
+        """Initialize for a robot; without settings with the default ones."""
+        settings = settings or Settings()
         self._profile = profile
         self._params = settings.step
         self._footholds = FootholdFinder(profile, settings.step)
