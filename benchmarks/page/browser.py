@@ -108,6 +108,12 @@ class Hand:
         """
         return bool(self.page.evaluate("window.sextant.pad.held"))
 
+    def until_says(self, selector: str, words: str) -> None:
+        """Wait until an element says some words; a busy page draws later than the robot moves."""
+        self.page.wait_for_function(
+            "([one, words]) => document.querySelector(one).textContent === words", arg=[selector, words]
+        )
+
     def says(self, selector: str) -> str:
         """Return the text of an element."""
         return str(self.page.inner_text(selector))

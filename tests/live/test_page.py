@@ -124,11 +124,10 @@ def x_of(robot: PageRobot) -> float:
 
 def test_robot_walks_while_pad_is_held(robot: PageRobot, hand: Hand) -> None:
     begun = x_of(robot)
-    hand.page.wait_for_selector("#first:not([hidden])")
-    assert hand.says("#first") == 'Hold the pad to walk, or press "goal" and click the map.'
+    hand.until_says("#first", 'Hold the pad to walk, or press "goal" and click the map.')
     walk(robot, hand)
-    assert hand.says("#first") == ""
-    assert hand.says("#leader-words") == "you are in control"
+    hand.page.wait_for_selector("#first", state="hidden")
+    hand.until_says("#leader-words", "you are in control")
     robot.pass_time(1.0)
     assert x_of(robot) > begun + 0.05
     since, swing = time.monotonic(), robot.swinging()
@@ -250,7 +249,7 @@ def test_map_click_sets_goal_and_robot_reaches_it(robot: PageRobot, hand: Hand) 
     )
     page.mouse.click(*page.evaluate(f"window.sextant.view.pixel({goal}, 0, {height})"))
     robot.until(lambda: robot.is_in(Mode.WALK), what="a walk to the goal")
-    assert page.evaluate("window.sextant.view.robot.goal.visible")
+    page.wait_for_function("() => window.sextant.view.robot.goal.visible")
     robot.until(lambda: abs(x_of(robot) - goal) < 0.1, what="the goal")
     wait_until_standing(robot)
     page.wait_for_function("() => document.getElementById('give-up').disabled")
@@ -309,7 +308,8 @@ def test_page_looks_right_on_desktop_and_phone(
     wait_until_standing(robot)
     with open_page(robot, chromium, PHONE) as phone:
         phone.page.wait_for_function("() => window.sextant.view.terrain.header !== null")
-        phone.page.wait_for_timeout(500)
+        drawn = phone.page.evaluate("window.sextant.view.frames")
+        phone.page.wait_for_function(f"() => window.sextant.view.frames > {drawn + 3}")  # the map is on the page by then
         phone.page.screenshot(path=folder / "page_phone.png")
         wide = phone.page.evaluate("document.documentElement.scrollWidth")
         assert wide <= PHONE[0], "nothing is cut off at the side"
