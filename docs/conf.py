@@ -21,6 +21,7 @@ napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = "Sextant"
+html_show_copyright = False
 html_copy_source = False
 html_show_sourcelink = False
 html_static_path = ["_static"]
