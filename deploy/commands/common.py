@@ -43,6 +43,14 @@ def open_progress(as_json: bool) -> "Progress":
     return progress_for(sys.stderr if as_json else sys.stdout)
 
 
+def say_if_it_compiles(progress: "Progress") -> None:
+    """Say that the first walk compiles, if nothing has been compiled yet."""
+    from sextant.deploy.launch.warm_up import has_compiled
+
+    if not has_compiled():
+        progress.say("the inner loops are compiled during the first walk, which takes about a minute")
+
+
 def warm_up(progress: "Progress") -> None:
     """Compile everything that services would otherwise compile during the walk.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sextant.deploy.commands import options
-from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say
+from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, say_if_it_compiles
 from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option
 from sextant.shared.files import whole_files
 
@@ -41,6 +41,8 @@ def trials(
     from sextant.evaluation.trials import trials as batches
 
     progress = open_progress(as_json)
+    say_if_it_compiles(progress)
+    progress.say(f"{course.name}: {len(seeds)} seeds, {jobs} at a time; a line follows for each walk that ends")
     seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
     baseline = None
     if blind:

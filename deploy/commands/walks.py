@@ -19,6 +19,7 @@ from sextant.deploy.commands.common import (
     open_progress,
     out_folder,
     say,
+    say_if_it_compiles,
 )
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
@@ -196,7 +197,9 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
             except FileExistsError as error:
                 raise InputError(f"--record-depth: {error}; name a new folder") from None
             taps.append(stack.enter_context(recorder).tap)
-        report = run_lockstep(walk.scenario, walk.seed, walk.out, open_progress(walk.as_json), taps)
+        progress = open_progress(walk.as_json)
+        say_if_it_compiles(progress)
+        report = run_lockstep(walk.scenario, walk.seed, walk.out, progress, taps)
     return _tell(report, walk)
 
 

@@ -36,13 +36,13 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    jobs = 1 if _compiled_before() else min(len(_SHARES), usable_cores())
+    jobs = 1 if has_compiled() else min(len(_SHARES), usable_cores())
     for _ in share_out(_compile_share, [(share, arguments.progress) for share in _SHARES], jobs, in_order=False):
         pass
     return 0
 
 
-def _compiled_before() -> bool:
+def has_compiled() -> bool:
     """Return whether Numba has cached the planner's search, which compiles longest.
 
     If it has, little is usually left to compile.

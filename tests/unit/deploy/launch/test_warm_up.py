@@ -26,7 +26,7 @@ def test_first_compilation_runs_on_at_most_two_cores(
         yield from ()
 
     monkeypatch.setattr(warm_up, "share_out", share_out)
-    monkeypatch.setattr(warm_up, "_compiled_before", lambda: compiled)
+    monkeypatch.setattr(warm_up, "has_compiled", lambda: compiled)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
     monkeypatch.setattr(sys, "argv", ["warm_up"])
     assert warm_up.main() == 0
@@ -40,9 +40,9 @@ def test_numba_cache_files_are_detected(tmp_path: Path, monkeypatch: pytest.Monk
     assert Path(compiled.stats.cache_path).is_dir()
     monkeypatch.setattr(roadmap_search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
     (tmp_path / "roadmap_search.other-1.py311.nbi").touch()
-    assert not warm_up._compiled_before()
+    assert not warm_up.has_compiled()
     (tmp_path / "roadmap_search.grow-1132.py311.nbi").touch()
-    assert warm_up._compiled_before()
+    assert warm_up.has_compiled()
 
 
 def test_compiled_functions_are_counted_over_processes() -> None:
