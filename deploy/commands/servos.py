@@ -82,6 +82,7 @@ class Terminal:
             say("")
             return ""
         sys.stdout.flush()
+        _forget_typed_ahead()
         line = sys.stdin.readline()
         if not line:
             raise InputError("an answer expected, found the end of the input; in a script, give --yes to calibrate and test")
@@ -93,6 +94,14 @@ class Terminal:
             say(f"{question} yes (--yes)")
             return True
         return self.ask(f"{question} [y/N] ").lower() in ("y", "yes")
+
+
+def _forget_typed_ahead() -> None:
+    """Drop what was typed before a question: it does not answer this one."""
+    if sys.stdin.isatty():
+        import termios
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 @servos.command("scan")
@@ -278,6 +287,7 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
     """Emulate the servos of a robot, or a set of new servos, on a network port."""
     import numpy as np
 
+    say("starting ...")
     try:
         from sextant.services.simulator.servo_bus.bench_emulator import HELP, BenchEmulator
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
@@ -289,7 +299,9 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
     except OSError as error:
         raise InputError(f"cannot listen on port {listen}: {error}; give another with --listen") from None
     with server:
-        say(f"servos on {server.url}; in another terminal: sextant servos scan --port {server.url}")
+        of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
+        command = f"sextant servos {'set-id' if fresh else 'scan'} --port {server.url}{of_robot}"
+        say(f"servos on {server.url}; in another terminal: {command}")
         say(f"{bench.obey('list')}; type {HELP}")
         for line in sys.stdin:
             if line.strip() in ("quit", "q"):

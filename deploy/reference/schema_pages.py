@@ -38,8 +38,8 @@ date.*
 
 A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
 or one of the names `phantomx_mk2`, `phantomx_mk2_rgbd`, `phantomx_mk2_scanner` and `lotriet_rx64`. A file with
-`extends = "phantomx_mk2"` contains only the differences. The order of the legs is left front,
-right front, right middle, right rear, left rear, left middle.
+`extends = "phantomx_mk2"` contains only the differences; a list such as `[[legs]]` is replaced as a whole. The order of the
+legs is left front, right front, right middle, right rear, left rear, left middle.
 """
 _REPORT = """# Fields of report.json
 

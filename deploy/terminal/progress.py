@@ -50,6 +50,7 @@ class Lines:
         self._warned: set[str] = set()
         self._told: dict[str, tuple[str, float]] = {}  # service -> kind of its status, and when it was written [s]
         self._compiling = False
+        self._quarters = 0  # compiled quarters of the functions that were written
 
     def update(self, view: View) -> None:
         """Write new warnings, what services do now, and every few simulated seconds where the robot is."""
@@ -70,10 +71,13 @@ class Lines:
             self.say(f"{view.time_s:6.1f} s  {'  '.join(_motion(view))}")
 
     def compiled(self, done: int, total: int) -> None:
-        """Write once that functions are being compiled."""
+        """Write that functions are being compiled: at the beginning, and at each quarter."""
         if not self._compiling:
             self._compiling = True
-            self.say(f"compiling the inner loops, {done} of {total} so far; the first start takes about a minute")
+            self.say("compiling the inner loops; the first start takes about a minute")
+        elif total and done * 4 // total > self._quarters:
+            self._quarters = done * 4 // total
+            self.say(f"compiled {done} of {total} functions")
 
     def say(self, text: str) -> None:
         """Write one line."""
@@ -105,7 +109,8 @@ class Terminal:
         """Show how many functions are compiled."""
         from rich.text import Text
 
-        self._show(Text(f"compiling the inner loops: {done} of {total}; the first start takes about a minute", "cyan"))
+        so_far = f": {done} of {total}" if total else ""
+        self._show(Text(f"compiling the inner loops{so_far}; the first start takes about a minute", "cyan"))
 
     def say(self, text: str) -> None:
         """Write a line above the table."""

@@ -51,6 +51,16 @@ RUNNING = View(
 )
 
 
+def test_lines_say_each_quarter_of_the_compiled_functions() -> None:
+    written = io.StringIO()
+    lines = progress_for(written)
+    for done in (0, 1, 13, 14, 26, 27, 54):
+        lines.compiled(done, 0 if done == 0 else 54)
+    first, *quarters = written.getvalue().splitlines()
+    assert first == "compiling the inner loops; the first start takes about a minute"
+    assert quarters == [f"compiled {done} of 54 functions" for done in (14, 27, 54)]
+
+
 def test_progress_table_is_redrawn_below_messages() -> None:
     screen = Screen()
     terminal = progress_for(screen)
