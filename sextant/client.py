@@ -1,5 +1,6 @@
 """A program's connection to a robot: its newest state, and commands to it."""
 
+import atexit
 import contextlib
 import threading
 import time
@@ -108,7 +109,11 @@ class Client:
             link = stack.enter_context(ZenohLink(endpoints))
             over = threading.Event()
             running = threading.Thread(
-                target=run_live, args=(self._commander, link, over), kwargs={"role": endpoints.role}, name=f"client {name}"
+                target=run_live,
+                args=(self._commander, link, over),
+                kwargs={"role": endpoints.role},
+                name=f"client {name}",
+                daemon=True,  # a program that does not close its client ends all the same
             )
             running.start()
             stack.callback(running.join)
@@ -116,6 +121,7 @@ class Client:
             stack.callback(self._commander.withdraw)
             self._until(lambda _: True, CONNECT_S, f"no actuator publishes its state at {endpoint}")
             self._open = stack.pop_all()
+        atexit.register(self.close)
 
     def __enter__(self) -> Self:
         return self
@@ -125,6 +131,7 @@ class Client:
 
     def close(self) -> None:
         """Stop the robot if this client leads it, and disconnect."""
+        atexit.unregister(self.close)
         self._open.close()
 
     @property

@@ -52,6 +52,7 @@ class Order:
         self.words = "waiting for the actuator"
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
+        self._changed = False  # whether the robot has said anything else since the order, also if it says the same again later
         self._number = -1  # of the order: a time of the robot's clock, so that it is larger than those of other machines
         self._robot = RobotClockEstimate()
         self._due_ns = 0
@@ -102,7 +103,9 @@ class Order:
     def _see(self, state: ActuatorState | None, since_ns: int) -> None:
         if self._heard is None or state is None:
             if since_ns > _UNHEARD_NS:
-                self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, and met here?")
+                self._end(
+                    f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, with this endpoint and namespace?"
+                )
             return
         self.words = f"{state.mode}: {state.reason}"
         refused = refusal(self._what, self._holder, state)
@@ -119,8 +122,8 @@ class Order:
         """Return whether a state since the order shows that it was executed."""
         assert self._heard is not None
         news = state.stamp_ns > self._heard.stamp_ns and (self._what in ("off", "stop") or state.lease == self._holder)
-        changed = self._what not in ("stand", "sit") or state.reason != self._heard.reason
-        return news and changed and state.mode in SETTLED[self._what]
+        self._changed |= state.reason != self._heard.reason
+        return news and (self._changed or self._what not in ("stand", "sit")) and state.mode in SETTLED[self._what]
 
     def _end(self, why: str) -> None:
         self.finished, self.failed = True, why

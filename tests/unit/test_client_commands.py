@@ -349,3 +349,17 @@ def test_example_leads_the_robot_to_its_place(
     robot.set(mode=Mode.HOLD)
     with pytest.raises(SystemExit, match="the robot did not obey: "):
         runpy.run_path(str(script), run_name="__main__")
+
+
+def test_program_that_does_not_close_its_client_stops_the_robot_at_its_end(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr(client.atexit, "register", at_exit.append)
+    me = Client(name="me")
+    me.stand()
+    me.walk(0.08)
+    (close,) = at_exit
+    close()
+    assert robot.state.mode is Mode.HOLD
+    assert robot.orders()[-1] == "stop"

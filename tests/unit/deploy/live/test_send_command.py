@@ -55,6 +55,16 @@ def test_stand_order_finishes_when_robot_stands() -> None:
     assert len({(m.sequence, m.mode, m.holder) for m in desk.given}) == 1, "one order, repeated"
 
 
+def test_order_to_a_robot_that_already_obeys_finishes_when_it_has_obeyed_again() -> None:
+    desk = OrderBench(Order("sit", "me"), mode=Mode.READY, reason="sitting")
+    desk.run_ticks(2)
+    desk.run_ticks(5, mode=Mode.SIT, reason="ordered to sit", lease="me")
+    assert not desk.order.finished
+    desk.run_ticks(1, mode=Mode.READY, reason="sitting", lease="me")
+    assert desk.order.finished
+    assert not desk.order.failed
+
+
 def test_already_standing_robot_does_not_finish_stand_order() -> None:
     desk = OrderBench(Order("stand", "me"), mode=Mode.HOLD, reason="torque was on at the start")
     desk.run_ticks(5)
