@@ -55,6 +55,9 @@ class Emulator:
 class Keyboard:
     """Standard input: lines, and what the user does before pressing Enter."""
 
+    def isatty(self) -> bool:
+        return False
+
     def __init__(self, lines: Iterator[str | Callable[[], str]]) -> None:
         self.lines = lines
 

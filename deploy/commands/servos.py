@@ -287,7 +287,6 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
     """Emulate the servos of a robot, or a set of new servos, on a network port."""
     import numpy as np
 
-    complain("starting ...")  # scripts read the first line on stdout
     try:
         from sextant.services.simulator.servo_bus.bench_emulator import HELP, BenchEmulator
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
