@@ -1,1 +1,1 @@
-"""What judges, shows and repeats a walk, without live processes."""
+"""Lockstep runs, trials, metrics, figures, videos and replays; no live processes."""

@@ -24,7 +24,9 @@ def main(name: str = "steps", seeds: str = "5", out: str = "runs/compare_rules")
     rules = {"Sextant's score": "", "anywhere": f"{Path(__file__).stem}:anywhere"}  # of a module, or an entry point
     for label, rule in rules.items():
         course = replace(scenario, plugins=sextant.Plugins(foothold=rule))
-        found = sextant.run_trials(course, range(int(seeds)), jobs=1, out=Path(out) / (rule.partition(":")[2] or "score"))
+        found = sextant.run_trials(
+            course, range(1000, 1000 + int(seeds)), jobs=1, out=Path(out) / (rule.partition(":")[2] or "score")
+        )
         rate = found.success
         print(
             f"{label}: {rate.successes} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %), "

@@ -34,10 +34,14 @@ if TYPE_CHECKING:
     from sextant.shared.robot.profile import RobotProfile as RobotProfile
     from sextant.shared.robot.profiles import load_profile as load_profile
     from sextant.shared.scenario.scenario import load_scenario as load_scenario
+    from sextant.shared.wire.access import AccessError as AccessError
     from sextant.shared.wire.messages import TerrainMap as TerrainMap
     from sextant.shared.wire.messages import VelocityCommand as VelocityCommand
+    from sextant.shared.wire.transport import TransportError as TransportError
 
 _HOMES = {
+    "AccessError": "sextant.shared.wire.access",
+    "TransportError": "sextant.shared.wire.transport",
     "Client": "sextant.client",
     "ClientError": "sextant.client",
     "Status": "sextant.client",

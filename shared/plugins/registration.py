@@ -6,9 +6,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.geometry import Array
+from sextant.shared.geometry import Array, is_rigid, orthonormal
 
-_ORTHONORMAL = 1e-3  # [1] largest error of a rotation matrix
+_ROUNDING = 1e-3  # [1] largest error of a rotation matrix, which is then made orthonormal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +64,8 @@ def checked_pose(pose: object) -> Pose | NoPose:
     T, covariance = np.array(pose.T_world_camera, dtype=np.float64), np.array(pose.covariance, dtype=np.float64)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ValueError(f"T_world_camera of finite numbers (4, 4) expected, found {T.shape}: {T.tolist()}")
-    if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
-        raise ValueError(f"a rotation matrix in T_world_camera expected, found {T[:3, :3].tolist()}")
+    if not is_rigid(T, _ROUNDING):
+        raise ValueError(f"a rigid transform as T_world_camera expected, found {T.tolist()}")
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError(f"a covariance of finite numbers (6, 6) expected, found {covariance.shape}")
     covariance = (covariance + covariance.T) / 2.0
@@ -74,4 +74,4 @@ def checked_pose(pose: object) -> Pose | NoPose:
         raise ValueError(f"a covariance without negative eigenvalues expected, found {least:.3g}")
     if not 0.0 <= pose.overlap <= 1.0:
         raise ValueError(f"an overlap from 0 to 1 expected, found {pose.overlap}")
-    return Pose(T, covariance, float(pose.overlap))
+    return Pose(orthonormal(T), covariance, float(pose.overlap))

@@ -10,10 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.geometry import Array
+from sextant.shared.geometry import Array, is_rigid, orthonormal
 from sextant.shared.wire.messages import TerrainMap
 
 _LONGEST_S = 20.0  # [s] maximum duration of a step
+_ROUNDING = 1e-3  # [1] largest error of a rotation matrix, which is then made orthonormal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +91,9 @@ def checked_step(step: object, request: StepRequest) -> Step | NoStep:
     ):
         if array.shape != shape or not np.isfinite(array).all():
             raise ValueError(f"{name} of finite numbers {shape} expected, found {array.shape}: {array.tolist()}")
+    T = np.array(step.T_world_body, dtype=np.float64)
+    if not is_rigid(T, _ROUNDING):
+        raise ValueError(f"a rigid transform as T_world_body expected, found {T.tolist()}")
     if not 0.0 < step.duration_s <= _LONGEST_S:
         raise ValueError(f"a duration_s of more than 0 and at most {_LONGEST_S:g} s expected, found {step.duration_s}")
-    return Step(
-        swing,
-        touchdown,
-        np.array(step.T_world_body, dtype=np.float64),
-        np.array(step.clearance, dtype=np.float64),
-        float(step.duration_s),
-    )
+    return Step(swing, touchdown, orthonormal(T), np.array(step.clearance, dtype=np.float64), float(step.duration_s))

@@ -48,6 +48,7 @@ def test_standing_legs_keep_their_feet():
         replace(STEP, touchdown=NAN),
         replace(STEP, touchdown=np.zeros((3, 3))),
         replace(STEP, T_world_body=np.full((4, 4), np.inf)),
+        replace(STEP, T_world_body=2.0 * np.eye(4)),
         replace(STEP, clearance=np.zeros(5)),
         replace(STEP, duration_s=0.0),
         replace(STEP, duration_s=float("nan")),
@@ -68,6 +69,13 @@ def test_reason_for_no_step_passes():
 def test_other_object_than_a_step_is_refused(found):
     with pytest.raises(TypeError, match="a Step or a NoStep expected"):
         checked_step(found, REQUEST)
+
+
+def test_rounding_errors_of_a_pose_are_removed():
+    rounded = POSE.T_world_camera.astype(np.float16).astype(np.float64)
+    pose = checked_pose(replace(POSE, T_world_camera=rounded))
+    assert isinstance(pose, Pose)
+    assert np.abs(pose.T_world_camera[:3, :3] @ pose.T_world_camera[:3, :3].T - np.eye(3)).max() < 1e-12
 
 
 def test_covariance_of_a_pose_becomes_symmetric():
