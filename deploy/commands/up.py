@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, open_progress, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, open_progress, say
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
     from sextant.deploy.launch.process_table import Choices, Process, Role
     from sextant.deploy.security.router_security import Gate
+    from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.evaluation.observers.monitor import Monitor
+    from sextant.evaluation.observers.progress import Progress
 
 _SHOW_S = 1.0  # interval of the table, and of the services' health messages
 
@@ -102,6 +104,8 @@ def up(launch: Launch, print_zenoh: bool) -> int:
         gated = _apart(gate_of(launch, rows, _usual(launch)))
         progress = open_progress(False)
         drawn = isinstance(progress, Terminal)
+        if chosen.scenario and launch.role == "all":
+            _compile_first(progress, interrupts)
         tell = progress.say if drawn and sys.stderr.isatty() else complain  # output of the processes
         with HostLauncher(launch.role, rows, chosen, extra, gated, tell) as half:
             say(half.where())
@@ -127,6 +131,21 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         say("the servos keep their torque on or off, as it was; `sextant servos off` turns it off")
     return FAILED if problem else INTERRUPTED
+
+
+def _compile_first(progress: "Progress", interrupts: "Interrupts") -> None:
+    """Compile before the simulated robot takes the processor, if nothing has been compiled yet.
+
+    Raises:
+        CommandError: It failed.
+    """
+    from sextant.deploy.launch.warm_up import has_compiled
+    from sextant.deploy.live import live_run
+
+    if has_compiled():
+        return
+    if problem := live_run.warm_up(progress, interrupts):
+        raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
 
 
 @contextmanager
